@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from bayesbl.recording.types import Recording
     from bayesbl.runs.summary import summarise
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 __all__ = [
     "Bench",

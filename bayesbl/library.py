@@ -312,7 +312,7 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
 
     file = None if isinstance(config, RunConfig) else Path(config)
     loaded = config if isinstance(config, RunConfig) else load_run(config)
-    return run_config(loaded, draw, force=force, file=file, formats=figures)
+    return run_config(loaded, draw_answer, force=force, file=file, formats=figures)
 
 
 @checked
@@ -363,6 +363,17 @@ def draw(
     from bayesbl.presentation.figures.draw import draw_all
 
     return draw_all(tree, folder, formats)
+
+
+def draw_answer(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """As :func:`draw`, of what a run draws at once: the figures that its answer needs."""
+    from bayesbl.measurement.stored import routes_of
+
+    if not routes_of(tree):
+        return draw(tree, folder, formats)
+    from bayesbl.presentation.figures.draw import draw_all
+
+    return draw_all(tree, folder, formats, for_specialists=False)
 
 
 def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | None = None) -> None:

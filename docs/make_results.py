@@ -31,11 +31,10 @@ SUMMARIES = {
 
 GROUPS = {
     "Of every measurement": "bayesbl.measurement.shared_groups",
-    "Of the route that does not answer": "bayesbl.measurement.other_route",
     "Of the curve": "bayesbl.measurement.stored_curve",
-    "By the amplitude of the ringing": "bayesbl.measurement.amplitude_groups",
-    "By simulation of the bench": "bayesbl.measurement.direct_groups",
-    "By ramps of torque": "bayesbl.measurement.ramp_groups",
+    "By the amplitude of the ringing": "bayesbl.measurement.amplitude_route",
+    "By simulation of the bench": "bayesbl.measurement.direct_route",
+    "By ramps of torque": "bayesbl.measurement.ramp_route",
     "Of wear": "bayesbl.measurement.dated_wear",
     "Of an identification": "bayesbl.results.identified",
     "Of a diagnosis": "bayesbl.diagnosis.groups",

@@ -276,7 +276,7 @@ def _by_amplitude(
         seeds = sample_seed.spawn(len(points))
         ringing = [_ringing(p, kind, own) for p, own in zip(points, seeds, strict=True)]
         found = gaps([curve] * len(ringing), [r for r, _ in ringing], gap_seed)
-        withheld = any(w for _, w in ringing) or any(gap.reason is not None for gap in found)
+        withheld = any(w for _, w in ringing) or any(gap.reasons for gap in found)
         before, after = (gap.delta_rad.ravel() for gap in found)
         answers.append(Answer((before, after), withheld))
     return answers

@@ -120,7 +120,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         compared = model.recordings[i]
         result |= {
             f"shown_{name}": float(_flank_changes(row, joint, gap, compared) > 0),
-            f"withheld_{name}": float(direct_verdict(found, i).reason is not None),
+            f"withheld_{name}": float(direct_verdict(found, i).outcome == "withheld"),
             f"below_{name}": float(np.mean(draws < math.log(gap))),
             f"error_{name}": float(np.median(draws)) - math.log(gap),
             f"sd_{name}": float(draws.std()),

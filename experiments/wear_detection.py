@@ -315,7 +315,7 @@ def gaps_by_amplitude(
         draws = generator.normal(centre[0], math.sqrt(covariance[0, 0]), (2, 2000))
         ringing.append(MeasuredRinging(draws, centre, covariance))
     before, after = gaps([curve, curve], ringing, gap_seed)
-    withheld = before.reason is not None or after.reason is not None
+    withheld = bool(before.reasons or after.reasons)
     return before.delta_rad, after.delta_rad, withheld
 
 

@@ -28,6 +28,7 @@ from matplotlib.figure import Figure
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.errors import ResultError, UserError
+from bayesbl.measurement.stored import routes_of
 from bayesbl.presentation.figures.style import publication_style, save
 from bayesbl.results.store import read_tree
 
@@ -214,9 +215,14 @@ def arrays(**variables: tuple[object, ...]) -> xr.Dataset:
 
 
 def picked(tree: xr.DataTree, **variables: Collection[str] | None) -> xr.DataTree:
-    """Some variables of some groups with all attributes; ``None`` for every variable of a group."""
+    """Some variables of some groups with all attributes; ``None`` for every variable of a group.
+
+    Groups are at the root, or of the first route that holds them.
+    """
     groups = {}
-    for group, names in variables.items():
+    for name, names in variables.items():
+        routes = [r for r in routes_of(tree) if name in tree.children[r].children]
+        group = name if name in tree.children or not routes else f"{routes[0]}/{name}"
         data = tree[group].to_dataset()
         left = [] if names is None else [n for n in data.data_vars if n not in names]
         groups[group] = data.drop_vars(left)  # labels stay, though nothing may be left to label

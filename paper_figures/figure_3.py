@@ -36,7 +36,7 @@ def data(stored: Stored) -> xr.Dataset:
     since = np.linspace(-0.15 * length, 1.25 * length, 1500)
     inside = np.where((since >= 0.0) & (since <= length), since, np.nan)
     first = symbol["start_time_s"] + symbol["window_start_s"]
-    begin = float(snapshot.values("observed_data", "time_s")[0])
+    begin = float(snapshot.time_s[0])
     time = np.arange(begin, first + 1.6 * period, 1e-3)
     pulse = impact(since, decay, frequency, length, since[1] - since[0])
     train = pulse_train(time, symbol, 1e-3)

@@ -112,15 +112,19 @@ def caption(shown: xr.DataTree) -> str:
 
 def recorded_channels(snapshot: Snapshot) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Time since the first sample in s, and the three recorded channels, each (n,)."""
-    lacking = [name for name in _CHANNELS if name not in snapshot.groups["observed_data"]]
+    lacking = [
+        name
+        for name in _CHANNELS
+        if not any(name in snapshot.groups[g] for g in ("observed_data", "constant_data"))
+    ]
     if lacking:
         raise ResultError(
             f"The stored recording {snapshot.name} lacks channels.",
             found=f"no {', '.join(lacking)}",
             expected=", ".join(_CHANNELS),
         )
-    time = snapshot.values("observed_data", "time_s")
-    return time - time[0], {n: snapshot.values("observed_data", n) for n in _CHANNELS}
+    time = snapshot.time_s
+    return time - time[0], {n: snapshot.channel(n) for n in _CHANNELS}
 
 
 def simulated_like(

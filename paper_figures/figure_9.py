@@ -17,7 +17,8 @@ def data(stored: Stored) -> xr.DataTree:
     """Recorded speed, model at the optimum, predictive band and residual of each snapshot."""
     return picked(
         stored.tree("wear_swept"),
-        observed_data=("time_s", "motor_speed_rpm"),
+        observed_data=("motor_speed_rpm",),
+        constant_data=("time_s",),
         predictive=None,
         optimum=SYMBOLS,
         posterior=(),

@@ -1,9 +1,8 @@
-"""How the package is built: rooms import downwards, no circles."""
+"""How the package is built: rooms import downwards, no circles, sentences where they belong."""
 
 from __future__ import annotations
 
 import ast
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -18,6 +17,7 @@ ROOMS = (
     "errors",
     "arguments",
     "units",
+    "sentences",
     "declared",
     "libraries",
     "processes",
@@ -47,36 +47,6 @@ ROOMS = (
     "__main__",
 )
 """From the lowest to the highest: a room imports from itself and from those before it."""
-
-SAME_IDEA = {
-    "bench": "a bench: as it is, as a file, its commands",
-    "bench_draws": "draws of the bench over a sweep: the numbers, their figure",
-    "change": "the change of the gap: the numbers, their figure",
-    "convergence": "whether the chains agree: the numbers, their figure",
-    "diagnose": "the kind diagnose: its configuration, its run",
-    "diagnosis": "a diagnosis: the numbers, their words, their figure",
-    "direct_route": "the direct route: the measurement, its words",
-    "first_configuration": "what init writes: the making, its words",
-    "fleet": "the kind fleet: its configuration, its run, its words",
-    "groups": "what result.nc holds: of a diagnosis, of an identification",
-    "identify": "the kind identify: its configuration, the numbers, its run",
-    "joint_check": "whether it is the same joint: what was found, its words",
-    "measurement": "a measurement: its configuration, what every route returns",
-    "method": "a method of diagnosis behind the protocol, one in each of its rooms",
-    "misfit": "what repeats and the model lacks: the numbers, their figure",
-    "motion": "what a joint is asked to do: as it is simulated, as a configuration says it",
-    "plan": "the kind plan: its configuration, its run, its words, its figure",
-    "posterior": "draws of the parameters of a model: of the ringing, of the matched bench",
-    "simulate": "the kind simulate: its configuration, its run",
-    "study": "the kind study: its configuration, its run, its words",
-    "summary": "what summary.json holds: of any result, of a measurement",
-    "summary_types": "the keys of summary.json: of any result, of a measurement",
-    "sweep": "the kind sweep: its configuration, the curve, its run, its words",
-    "task": "what a run is given: of a measurement, of a diagnosis",
-    "verdict": "whether an answer stands, with its reason: of a gap, of an identified bench",
-    "wear": "wear over dates: the numbers, their words, their figure",
-}
-"""Names that several files share, and what these have in common."""
 
 
 def files() -> dict[str, Path]:
@@ -183,9 +153,18 @@ def test_no_file_imports_itself_over_others(imports):
     assert not circles(imports)
 
 
-def test_files_of_one_name_are_the_same_idea_in_several_rooms():
-    homes = defaultdict(list)
-    for path in files().values():
-        homes[path.stem].append(path.parent)
-    shared = {name for name, folders in homes.items() if len(folders) > 1} - {"__init__"}
-    assert shared == set(SAME_IDEA)
+def test_a_measurement_makes_no_sentence_and_every_code_has_one(imports):
+    """Codes and numbers are measured and stored; sentences are made of them above."""
+    from bayesbl.sentences import SENTENCES
+
+    users = {module for module, targets in imports.items() if "sentences" in targets}
+    assert not {module for module in users if module.startswith(("measurement", "results"))}
+    used = set()
+    for name, path in files().items():
+        if name.startswith(("measurement", "fleet")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                # Reason.told carries the sentence of a room below.
+                if isinstance(node, ast.Call) and ast.unparse(node.func) == "Reason":
+                    used |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
+    assert used
+    assert used <= set(SENTENCES)

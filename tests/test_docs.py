@@ -80,7 +80,7 @@ def test_files_that_a_page_names_are_there(page: str) -> None:
     assert sorted(name for name in named - own if not (ROOT / name).exists()) == []
 
 
-@pytest.mark.parametrize("maker", ["make_configuration.py", "make_results.py"])
+@pytest.mark.parametrize("maker", ["make_configuration.py", "make_results.py", "make_paper.py"])
 def test_a_page_that_is_made_is_as_the_program_is(maker: str) -> None:
     made = runpy.run_path(str(ROOT / "docs" / maker))["pages"]()
     old = [file.name for file, text in made.items() if file.read_text(encoding="utf-8") != text]

@@ -52,7 +52,7 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
 
 
 def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
-    from bayesbl.library import draw
+    from bayesbl.library import draw_answer
     from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.shown_progress import progress
     from bayesbl.presentation.terminal import make_console, say
@@ -63,7 +63,7 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
         summary = run(
             config,
-            draw,
+            draw_answer,
             force=force,
             progress=tell,
             say=console.print,
@@ -80,7 +80,9 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
             print_details(read_result(config.run.output), summary, make_console())
     if summary["outcome"] == "withheld":
         if json:
-            say(f"Withheld: {summary['reason']}", err=True)
+            reason = summary["reason"]
+            text = reason if isinstance(reason, str | None) else reason["text"]
+            say(f"Withheld: {text}", err=True)
         raise typer.Exit(WITHHELD)
 
 

@@ -24,7 +24,7 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.residual_groups import residuals_dataset, residuals_group
 from bayesbl.diagnosis.summary import answer_of
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.measurement.direct_groups import result_name, unit_and_meaning
+from bayesbl.measurement.direct_route import result_name, unit_and_meaning
 from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
 from bayesbl.results.intervals import IntervalKind
 from bayesbl.results.stacking import padded

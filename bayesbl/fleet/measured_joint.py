@@ -31,17 +31,17 @@ from bayesbl.fleet.joint_job import (
 )
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
+from bayesbl.measurement.amplitude_route import optima_of
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.dated_wear import wear_of, years_between
-from bayesbl.measurement.earlier import optima_of
-from bayesbl.measurement.measurement import NO_CURVE, Snapshot
+from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.stored_snapshot import stored_snapshots
-from bayesbl.measurement.verdict import Verdict
+from bayesbl.measurement.stored import as_stored, stored_answers, summary_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.warm_start import EarlierOptimum
+from bayesbl.sentences import sentence, told
 
 DRAWS = 2000
 """Of a joint's gaps and rate: the level of a 90 % interval is 90 ± 0.7 %, √(p (1 − p)/n)."""
@@ -120,33 +120,31 @@ def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
 
 
 def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
-    (stored,) = stored_snapshots(tree)
-    posterior = stored.groups["posterior"]
+    route, whole = tree.attrs["route"], told(summary_of(tree))
+    (stored,) = stored_answers(tree)
     gap = bench = None
-    if "delta_rad" in posterior:
-        gap = _flat(posterior["delta_rad"].values)
-    if gap is not None and stored.route == "direct":
+    if "gap" in tree.children:
+        gap = _flat(tree["gap"].to_dataset()["delta_rad"].values)
+    if gap is not None and route == "direct":
         own = _bench(job)
         unknowns = _unknowns(own, stored.name)
-        draws = [_flat(posterior[u.name].values) for u in unknowns]
+        draws = [_flat(stored.groups["posterior"][u.name].values) for u in unknowns]
         bench = as_normal(unknowns, draws, own.identified).reshape(len(unknowns), gap.size)
     amplitude = None
-    if "amplitude_rpm" in posterior:
-        found = stored.interval("posterior", "amplitude_rpm")
+    if route == "amplitude":
+        found = whole["amplitude_rpm"]
         amplitude = found["median"], found["low"], found["high"]
     optimum = None
-    if stored.route == "amplitude" and job.by_amplitude:
+    if route == "amplitude" and job.by_amplitude:
         start = optima_of(tree)[stored.name]
         if not start.withheld:
             optimum = {**start.symbols, "rmse_rpm": start.rmse_rpm}
-    reason = stored.reason or (NO_CURVE if gap is None else None)
-    outcome = stored.verdict.outcome
     return RecordingAnswer(
-        "no_curve" if gap is None and outcome != "withheld" else outcome,
-        reason,
-        tuple(stored.verdict.reasons),
-        stored.route,
-        bool(stored.model_check["agrees"]),
+        whole["outcome"],
+        None if whole["reason"] is None else whole["reason"]["text"],
+        tuple(reason["text"] for reason in whole["diagnostics"]["reasons"]),
+        route,
+        bool(whole["model_check"]["agrees"]),
         gap,
         bench,
         amplitude,
@@ -171,7 +169,7 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
     if job.joint.curve == PUBLISHED:
         return JointAnswer(OTHER_JOINT)
     if since and not giving and any(answers[n].outcome == "no_curve" for n in since):
-        return JointAnswer(NO_CURVE)
+        return JointAnswer(_text(NO_CURVE))
     route = _most_common([answers[number].route for number in giving])
     used = [number for number in giving if answers[number].route == route]
     if len({job.recordings[number].date for number in used}) < 2:
@@ -208,31 +206,30 @@ def _by_bench(
 ) -> JointAnswer:
     config = job.config("compare", used)
     assert isinstance(config, CompareConfig)
-    alone = []
+    matched = []
     for number in used:
         gap, bench = answers[number].gap_rad, answers[number].bench
         assert gap is not None
         assert bench is not None
-        alone.append(MatchedAlone(gap, bench))
+        matched.append(MatchedAlone(gap, bench))
     names = [job.names[number] for number in used]
     seeds = job.seeds(used)
-    gaps = paired_gaps(alone, DRAWS, np.random.default_rng(seeds.gap))
-    differing = other_benches(alone, [u.name for u in _unknowns(_bench(job), names[0])])
+    gaps = paired_gaps(matched, DRAWS, np.random.default_rng(seeds.gap))
+    differing = other_benches(matched, [u.name for u in _unknowns(_bench(job), names[0])])
     reason = None
     if differing:
-        told = "; ".join(
+        told_apart = "; ".join(
             f"{names[number]} ({' or '.join(what)})" for number, what in differing.items()
         )
-        reason = (
+        reason = Reason.told(
+            "other_benches",
             "Something other than the gap changed between the recordings, so their change is "
-            f"withheld: another bench than by the others is needed in {told}. `bayesbl compare` "
-            "over these recordings looks for what changed."
+            f"withheld: another bench than by the others is needed in {told_apart}. `bayesbl "
+            "compare` over these recordings looks for what changed.",
         )
-    snapshots = [
-        Snapshot(name, draws[None], Verdict("converged", (), None), {})
-        for name, draws in zip(names, gaps, strict=True)
-    ]
-    return _of_group(wear_of(config, snapshots, seeds.wear, reason), "direct", used, gaps)
+    alone = [Answer(name, draws[None]) for name, draws in zip(names, gaps, strict=True)]
+    wear, against = wear_of(config, alone, seeds.wear, reason)
+    return _of_group(wear, None if against is None else _text(against), "direct", used, gaps)
 
 
 def _by_curve(
@@ -248,17 +245,23 @@ def _by_curve(
         job.seeds(used),
         _earlier(job, before),
     )
-    gaps = np.asarray(tree["posterior"].to_dataset()["delta_rad"].values)
+    gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
-    return _of_group(wear, "amplitude", used, gaps.reshape(len(used), -1))
+    found = told(summary_of(tree))["wear"]
+    reason = None if found is None or found["reason"] is None else found["reason"]["text"]
+    return _of_group(wear, reason, "amplitude", used, gaps.reshape(len(used), -1))
 
 
 def _of_group(
-    group: xr.Dataset | None, route: str, used: Sequence[int], gaps: FloatArray
+    group: xr.Dataset | None,
+    against: str | None,
+    route: str,
+    used: Sequence[int],
+    gaps: FloatArray,
 ) -> JointAnswer:
-    reason = OTHER_JOINT if group is None else str(group.attrs["reason"])
-    answer = JointAnswer(reason or None, route, tuple(used), _thin(gaps))
-    if group is None or reason:
+    reason = OTHER_JOINT if group is None else against
+    answer = JointAnswer(reason, route, tuple(used), _thin(gaps))
+    if group is None or reason is not None:
         return answer
     rows = {str(name): group[name].values for name in group.data_vars}
     dates = [day for day, chosen in zip(rows["date"], rows["used"], strict=True) if chosen]
@@ -274,6 +277,10 @@ def _of_group(
         jump_rad=_flat(variance_rad2 / rows["expected_growth_rad"]),
         probability_wear=float(np.mean(rows["trend_rad_per_year"] > 0.0)),
     )
+
+
+def _text(reason: Reason) -> str:
+    return sentence(as_stored(reason))
 
 
 def _bench(job: JointJob) -> Bench:

@@ -1,4 +1,4 @@
-"""Both routes: the direct one answers where its checks pass, the amplitude stands beside it.
+"""Both routes, each whole: the direct one answers where its checks pass, beside the amplitude.
 
 One route answers for all snapshots, so that the change between them lies within one. Where the
 direct route could not be sampled, or a recording cannot be compared with the simulation, the
@@ -8,8 +8,9 @@ bench too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,25 +19,14 @@ from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
-from bayesbl.measurement.joint_check import JointCheck
-from bayesbl.measurement.measurement import Measurement, Measurer, Snapshot
-from bayesbl.measurement.other_route import OTHER, other_route
+from bayesbl.measurement.measurement import Measurement, Measurer, Reason, Verdict
 from bayesbl.measurement.task import Task
-from bayesbl.measurement.verdict import Verdict
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
 
 FALSE_ALARM = 0.01
 """Of the routes' disagreement, over all snapshots of a run."""
-
-CONTRADICTED = (
-    "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
-)
-
-WITHOUT_DRIFT = (
-    "The change by the amplitude does not include what [joint] may_drift allows, so it is withheld."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +65,7 @@ class AutoMeasurer(Measurer):
         return self.amplitude.require_together(recordings)
 
     def measure(self, task: Task) -> Measurement:
-        """By both routes.
+        """By both routes, each whole.
 
         Raises
         ------
@@ -83,15 +73,18 @@ class AutoMeasurer(Measurer):
             If neither can measure these recordings.
         """
         if any(map(moves, task.recordings)):
-            return _with_attributes(self.direct.measure(task))
+            return replace(self.direct.measure(task), why=Reason("motion"))
         direct, amplitude = _tried(self.direct.measure, task), _tried(self.amplitude.measure, task)
         match direct, amplitude:
             case UserError(), UserError():
                 raise direct
             case Measurement(), UserError():
-                return _with_attributes(_beside(direct, [str(amplitude)] * len(task.recordings)))
+                refused = {"amplitude": Reason.told("refused", str(amplitude))}
+                return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
             case UserError(), Measurement():
-                return self._by_amplitude(amplitude, None, str(direct))
+                refusal = Reason.told("refused", str(direct))
+                because = [{"code": refusal.code, **refusal.values}]
+                return replace(self._by_amplitude(amplitude, because), refused={"direct": refusal})
             case Measurement(), Measurement():
                 return self._of_both(direct, amplitude)
         raise AssertionError("all cases are above")
@@ -101,27 +94,35 @@ class AutoMeasurer(Measurer):
         if self.amplitude.source.is_of_bench:
             amplitude = _without_contradicted(direct, amplitude)
         failed = [
-            s.verdict.reason
-            for s in direct.snapshots
-            if s.verdict.reason is not None and s.model_check.agrees
+            reason
+            for answer in direct.answers
+            if answer.model_check.agrees
+            for reason in answer.verdict.withholding
         ]
-        if failed and any(s.verdict.reason is None for s in amplitude.snapshots):
-            why = " ".join(dict.fromkeys(filter(None, failed)))
-            return self._by_amplitude(amplitude, direct, why)
-        reasons = [s.verdict.reason for s in amplitude.snapshots]
-        found = _beside(direct, reasons, amplitude)
+        if failed and not all(answer.is_withheld for answer in amplitude.answers):
+            because = [{"code": reason.code, **reason.values} for reason in failed]
+            return replace(self._by_amplitude(amplitude, because), beside=(direct,))
+        withheld = any(answer.is_withheld for answer in direct.answers)
+        found = replace(
+            _with_checks_of(direct, amplitude),
+            why=Reason("direct_withheld" if withheld else "sharper_and_checked"),
+            beside=(amplitude,),
+        )
         # A drift moves the amplitude's gaps, and its curve does not know of it.
         comparable = self.amplitude.source.is_of_bench and not self.config.joint.may_drift
         if comparable and found.change_reason is None:
             found = replace(found, change_reason=_disagreement(direct, amplitude))
-        return _with_attributes(found)
+        return found
 
     def _by_amplitude(
-        self, amplitude: Measurement, direct: Measurement | None, why: str
+        self, amplitude: Measurement, because: Sequence[Mapping[str, Any]]
     ) -> Measurement:
-        found = _instead(amplitude, direct, why)
+        """The amplitude's answer, which says why it is not the direct one."""
+        note = Reason("by_amplitude_instead", {"because": because})
+        answers = [replace(a, verdict=_noted(a.verdict, note)) for a in amplitude.answers]
+        found = replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
         if self.config.joint.may_drift and found.change_reason is None:
-            return replace(found, change_reason=WITHOUT_DRIFT)
+            return replace(found, change_reason=Reason("change_without_drift"))
         return found
 
 
@@ -132,91 +133,51 @@ def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | 
         return refusal  # what cannot be written or read is no matter of the route
 
 
-def _with_attributes(found: Measurement) -> Measurement:
-    return replace(found, attributes={**found.attributes, "route_asked": "auto"})
+def _with_checks_of(direct: Measurement, amplitude: Measurement) -> Measurement:
+    """The direct answers, with what the ringing was compared with listed in their checks too."""
+    answers = []
+    for answer, beside in zip(direct.answers, amplitude.answers, strict=True):
+        own = answer.model_check
+        known = {item.quantity for item in own.items}
+        others = (item for item in beside.model_check.items if item.quantity not in known)
+        answers.append(replace(answer, model_check=replace(own, items=[*own.items, *others])))
+    return replace(direct, answers=answers)
 
 
-def _beside(
-    answer: Measurement, reasons: Sequence[str | None], other: Measurement | None = None
-) -> Measurement:
-    """The answer with another route's stored beside; ``reasons``: why that one has none."""
-    group = OTHER[answer.route].name
-    others: Sequence[Snapshot | None] = other.snapshots if other else [None] * len(reasons)
-    snapshots = [
-        replace(
-            snapshot,
-            groups={**snapshot.groups, group: other_route(answer.route, beside)},
-            group_reasons={**snapshot.group_reasons, group: reason},
-            model_check=_of_both_routes(snapshot, beside),
-        )
-        for snapshot, beside, reason in zip(answer.snapshots, others, reasons, strict=True)
-    ]
-    curves = answer.curves or (other.curves if other else ())
-    return replace(answer, snapshots=snapshots, curves=curves)
-
-
-def _of_both_routes(snapshot: Snapshot, beside: Snapshot | None) -> JointCheck:
-    """The answer's own judgement, with what the other route compared listed too."""
-    own = snapshot.model_check
-    told = {item.quantity for item in own.items}
-    others = () if beside is None else beside.model_check.items
-    return replace(own, items=[*own.items, *(i for i in others if i.quantity not in told)])
-
-
-def _instead(amplitude: Measurement, direct: Measurement | None, why: str) -> Measurement:
-    """The amplitude's answer, which says why it is not the direct one."""
-    note = f"By the amplitude of the ringing, as the direct route has no answer: {why}"
-    reasons = [why] * len(amplitude.snapshots)
-    if direct is not None:
-        reasons = [s.verdict.reason or why for s in direct.snapshots]
-    found = _beside(amplitude, reasons, direct)
-    snapshots = [replace(s, verdict=_noted(s.verdict, note)) for s in found.snapshots]
-    return _with_attributes(replace(found, snapshots=snapshots))
-
-
-def _noted(verdict: Verdict, note: str) -> Verdict:
+def _noted(verdict: Verdict, note: Reason) -> Verdict:
     outcome = "usable" if verdict.outcome == "converged" else verdict.outcome
-    return replace(verdict, outcome=outcome, reasons=(*verdict.reasons, note))
+    return Verdict(outcome, (*verdict.reasons, note))
 
 
 def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measurement:
     """The amplitude's answer, withheld where the direct route's check contradicts the bench."""
-    snapshots = [
-        found
+    against = Reason("recording_contradicts_bench").withholding
+    answers = [
+        answer
         if seen.model_check.agrees
         else replace(
-            found,
-            verdict=Verdict(
-                "withheld",
-                (CONTRADICTED, *found.verdict.reasons),
-                " ".join(filter(None, [CONTRADICTED, found.verdict.reason])),
-            ),
+            answer,
+            verdict=Verdict("withheld", (against, *answer.verdict.reasons)),
             model_check=seen.model_check,
         )
-        for seen, found in zip(direct.snapshots, amplitude.snapshots, strict=True)
+        for seen, answer in zip(direct.answers, amplitude.answers, strict=True)
     ]
-    return replace(amplitude, snapshots=snapshots)
+    return replace(amplitude, answers=answers)
 
 
-def _disagreement(direct: Measurement, amplitude: Measurement) -> str | None:
+def _disagreement(direct: Measurement, amplitude: Measurement) -> Reason | None:
     """Why the change is withheld: both routes answer, and not alike."""
     pairs = [
-        (seen.name, np.log(seen.delta_rad), np.log(found.delta_rad))
-        for seen, found in zip(direct.snapshots, amplitude.snapshots, strict=True)
-        if seen.verdict.reason is None and found.verdict.reason is None
-        if seen.delta_rad is not None and found.delta_rad is not None
+        (seen.name, np.log(seen.delta_rad), np.log(answer.delta_rad))
+        for seen, answer in zip(direct.answers, amplitude.answers, strict=True)
+        if not (seen.is_withheld or answer.is_withheld)
+        if seen.delta_rad is not None and answer.delta_rad is not None
     ]
     if not pairs:
         return None
     bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
     apart = [name for name, *logs in pairs if abs(_standard_difference(*logs)) > bound]
-    if not apart:
-        return None
-    return (
-        f"The direct route and the amplitude disagree beyond their intervals in {', '.join(apart)}"
-        ", though they rest on one bench, so the change is withheld: the bench lacks an effect or "
-        "has wrong values (`bayesbl diagnose` looks for what is missing)."
-    )
+    return Reason("routes_disagree", {"names": apart}) if apart else None
 
 
 def _standard_difference(first: FloatArray, second: FloatArray) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve, interpolate_rows
+from bayesbl.measurement.measurement import Reason, upper_bound
 from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import effective_size, resampled
@@ -19,11 +20,9 @@ CANDIDATES_PER_DRAW = 20
 FALSE_ALARM = 0.005
 """Of a ringing that contradicts the bench, over the snapshots of a run."""
 
-CONTRADICTED = (
-    "The ringing's frequency and decay are not those of the curve's bench at this amplitude, "
-    "whatever its tolerances: δ belongs to another joint, or something other than the gap changed. "
-    "Correct the bench or widen its tolerances."
-)
+CONTRADICTED = "ringing_contradicts_bench"
+"""Code of the reason that frequency and decay are not those of the curve's bench."""
+
 FEWEST_EFFECTIVE = 200.0
 """Effective curve draws below which the ringing is not used to weigh them.
 
@@ -63,10 +62,14 @@ class Gap:
         belongs to, shape (chain, draw): weighting moves all symbols, not δ alone.
     outside
         −1, 0, +1 for draws of A below, inside, above the curve's range, shape (chain, draw).
+    amplitude_rpm
+        What was put through the curve: A with its scatter over start angles, shape (chain, draw).
+    rows
+        By source of the curve's uncertainty, which of its draws, shape (chain, draw).
     budget
         Share of the variance of ln δ by source; sums to 1.
-    reason
-        Why δ is withheld; ``None`` where it is not.
+    reasons
+        Why δ is withheld.
     notes
         What else the reader should know of how δ came about.
     """
@@ -74,9 +77,18 @@ class Gap:
     delta_rad: FloatArray
     index: NDArray[np.int64]
     outside: FloatArray
+    amplitude_rpm: FloatArray
+    rows: Mapping[str, NDArray[np.int64]]
     budget: dict[str, float]
-    reason: str | None
-    notes: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
+    notes: tuple[Reason, ...] = ()
+
+    @property
+    def upper_bound_rad(self) -> float | None:
+        """The gap that δ is below with 95 %, where the curve does not reach down to it."""
+        if float(np.mean(self.outside < 0.0)) < LARGEST_SHARE_OUTSIDE:
+            return None
+        return upper_bound(self.delta_rad)
 
 
 def gaps(
@@ -118,13 +130,13 @@ def gaps(
         for curve, s, own in zip(curves, snapshots, own_seeds, strict=True)
     ]
     prior = np.sum([_log(c.log_slope(a)) for c, a in zip(curves, amplitudes, strict=True)], axis=0)
-    weights, notes = prior, tuple[str, ...]()
-    against: list[str | None] = [None] * len(snapshots)
+    weights, notes = prior, tuple[Reason, ...]()
+    against = [False] * len(snapshots)
     if rings:
         matches = [_log_match(*each) for each in zip(shared, snapshots, amplitudes, strict=True)]
         least = float(chi2_isf(FALSE_ALARM / len(snapshots), 2))
         against = [
-            CONTRADICTED if -2.0 * match.max() > least and _is_inside(curve, amplitude) else None
+            bool(-2.0 * match.max() > least and _is_inside(curve, amplitude))
             for curve, amplitude, match in zip(curves, amplitudes, matches, strict=True)
         ]
         matched = prior + np.sum(matches, axis=0)
@@ -132,10 +144,7 @@ def gaps(
         if narrows and effective >= FEWEST_EFFECTIVE:
             weights = matched
         elif narrows and not any(against):
-            notes = (
-                f"Only {effective:.0f} of {total} curve draws have the ringing's frequency and "
-                "decay, too few to narrow the bench by them. Narrower tolerances would help.",
-            )
+            notes = (Reason("few_curve_draws", {"effective": float(effective), "total": total}),)
     own = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
     index = (own + weights.size // chains * np.arange(chains)[:, None]).ravel()
     result = []
@@ -145,14 +154,18 @@ def gaps(
         chosen, amplitude = draws.take(index), candidates[index]
         delta = chosen.gap(amplitude).reshape(chains, count)
         outside = curve.outside(amplitude).reshape(chains, count)
-        beyond = None if allow_extrapolation else _extrapolation(curve, outside, delta, level)
+        reasons = [Reason(CONTRADICTED).withholding] if contradiction else []
+        if not allow_extrapolation:
+            reasons += _extrapolation(curve, outside, delta, level)
         result.append(
             Gap(
                 delta,
                 (index // copies).reshape(chains, count),
                 outside,
+                amplitude.reshape(chains, count),
+                {name: rows.reshape(chains, count) for name, rows in chosen.rows.items()},
                 _budget(chosen, snapshot.amplitude_rpm),
-                " ".join(filter(None, [contradiction, beyond])) or None,
+                tuple(reasons),
                 notes,
             )
         )
@@ -223,28 +236,20 @@ def _log(values: FloatArray) -> FloatArray:
 
 def _extrapolation(
     curve: GapCurve, outside: FloatArray, delta_rad: FloatArray, level: float
-) -> str | None:
+) -> list[Reason]:
     """Why an answer beyond the curve's range is withheld, with a bound in its place."""
     share = float(np.mean(outside != 0.0))
     if share < LARGEST_SHARE_OUTSIDE:
-        return None
+        return []
     low, high = curve.gap_range_rad
-    if np.sum(outside > 0.0) >= np.sum(outside < 0.0):
+    above = bool(np.sum(outside > 0.0) >= np.sum(outside < 0.0))
+    if above:
         bound = min(float(np.quantile(delta_rad, 1.0 - level)), high)
-        statement = f"δ is above {bound:.3g} rad with {100.0 * level:g} % probability"
     else:
         bound = max(float(np.quantile(delta_rad, level)), low)
-        statement = f"δ is below {bound:.3g} rad with {100.0 * level:g} % probability"
-    return (
-        f"{_share(share)} of the posterior lies beyond the range of the gap curve "
-        f"({low:.3g} to {high:.3g} rad). {statement}. Use a curve that reaches farther, or ask for "
-        "extrapolation by [curve] allow_extrapolation = true."
-    )
-
-
-def _share(share: float) -> str:
-    """A share of draws in percent; a finite number of draws never shows that all lie there."""
-    return "More than 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
+    values = {"share": share, "low_rad": low, "high_rad": high, "level": level}
+    values |= {"bound_rad": bound, "is_above": above}
+    return [Reason("beyond_curve", values, withholds=True)]
 
 
 def _budget(chosen: CurveDraws, amplitude_rpm: FloatArray) -> dict[str, float]:

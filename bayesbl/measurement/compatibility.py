@@ -9,7 +9,7 @@ from typing import Any
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import ConfigError, CurveError, RecordingError
-from bayesbl.measurement.as_printed import reasons_as_printed
+from bayesbl.measurement.measurement import Reason
 from bayesbl.recording.types import Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
@@ -165,7 +165,7 @@ def require_one_speed_of_all(recordings: Sequence[Recording]) -> None:
             )
 
 
-def other_speed(recording: Recording, curve: GapCurve) -> str | None:
+def other_speed(recording: Recording, curve: GapCurve) -> Reason | None:
     """Why a curve of another speed gives no gap; ``None`` where it is of this speed."""
     if curve.reference_speed_rpm is None:
         return None
@@ -173,17 +173,15 @@ def other_speed(recording: Recording, curve: GapCurve) -> str | None:
     ratio = speed / curve.reference_speed_rpm
     if abs(ratio - 1.0) <= CURVE_APART:
         return None
-    off = 100.0 * abs(ratio**SPEED_POWER - 1.0)
-    side = "small" if ratio < 1.0 else "large"
-    return (
-        f"The gap curve is of {curve.reference_speed_rpm:g} rpm, the recording of {speed:.4g} rpm, "
-        f"where the same gap rings differently: δ would be some {off:.0f} % too {side}. Record at "
-        f"{curve.reference_speed_rpm:g} rpm, sweep a bench at this speed, or ask for extrapolation "
-        "by [curve] allow_extrapolation = true."
-    )
+    values = {
+        "curve_rpm": curve.reference_speed_rpm,
+        "recording_rpm": speed,
+        "relative_error": ratio**SPEED_POWER - 1.0,
+    }
+    return Reason("other_speed", values, withholds=True)
 
 
-def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> str | None:
+def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> Reason | None:
     """Why the rotation that was found is not the load's; ``None`` where it may be."""
     if gear_ratio is None:
         return None
@@ -192,22 +190,24 @@ def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> 
     expected_s = 60.0 * gear_ratio / speed
     if abs(found_s / expected_s - 1.0) <= ROTATION_APART:
         return None
-    fitting = found_s * speed / 60.0
-    return (
-        f"The speed repeats every {found_s:.4g} s, but with a gear ratio of {gear_ratio:g} the "
-        f"load turns once in {expected_s:.4g} s at {speed:.4g} rpm. Is the gear ratio right (the "
-        f"recording would fit one of {fitting:.4g}), and the unit of the speed?"
-    )
+    values = {
+        "rotation_s": found_s,
+        "expected_s": expected_s,
+        "gear_ratio": gear_ratio,
+        "speed_rpm": speed,
+        "fitting_ratio": found_s * speed / 60.0,
+    }
+    return Reason("other_rotation", values, withholds=True)
 
 
 def unsuited(
     recording: Recording, fit: Fit, curve: GapCurve | None, config: SnapshotConfig
-) -> list[str]:
+) -> list[Reason]:
     """Reasons why recording, estimator, curve and gear ratio do not belong together."""
     reasons = [other_rotation(recording, fit, config.joint.gear_ratio)]
     if curve is not None and not config.curve.allow_extrapolation:
         reasons.append(other_speed(recording, curve))
-    return [*reasons_as_printed(fit, curve), *(reason for reason in reasons if reason)]
+    return [reason for reason in reasons if reason]
 
 
 def _entry(key: str, meaning: Mapping[str, Any]) -> str:

@@ -30,6 +30,7 @@ from bayesbl.measurement.compatibility import (
     require_one_speed_of_all,
     require_same_estimator,
 )
+from bayesbl.measurement.measurement import Reason
 from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.measurement.task import Task, estimator_of
 from bayesbl.progress import StageProgress
@@ -85,11 +86,11 @@ class CurveSource(ABC):
         """Raises where no curve means the same amplitude as a fit of this recording."""
         return
 
-    def doubts(self, recording: Recording) -> Iterable[str]:
+    def doubts(self, recording: Recording) -> Iterable[Reason]:
         """Why δ would be withheld whatever the fit finds."""
         return ()
 
-    def question(self, recording: Recording) -> str | None:
+    def question(self, recording: Recording) -> Reason | None:
         """What to ask the user first where δ is withheld."""
         return None
 
@@ -158,16 +159,17 @@ class NamedCurve(CurveSource):
         """The curve means the same amplitude as a fit of this recording."""
         require_same_estimator(self.curve, estimator_of(self.config), recording)
 
-    def doubts(self, recording: Recording) -> Iterator[str]:
+    def doubts(self, recording: Recording) -> Iterator[Reason]:
         """The recording is of another speed than the curve."""
         if not self.config.curve.allow_extrapolation:
             against = other_speed(recording, self.curve)
             question = self.question(recording)
-            yield from (sentence for sentence in (against and question, against) if sentence)
+            yield from (reason for reason in (against and question, against) if reason)
 
-    def question(self, recording: Recording) -> str | None:
+    def question(self, recording: Recording) -> Reason | None:
         """Whether the speed is in another unit."""
-        return speed_in_another_unit(recording, self.curve.reference_speed_rpm)
+        text = speed_in_another_unit(recording, self.curve.reference_speed_rpm)
+        return None if text is None else Reason.told("speed_unit", text, withholds=True)
 
     def curves(self, task: Task) -> list[GapCurve]:
         """The same for all."""

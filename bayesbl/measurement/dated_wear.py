@@ -1,9 +1,9 @@
 """Wear in time, as ``result.nc`` and ``summary.json`` of a comparison hold it.
 
 Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
-the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`. Attributes: ``reason``
-where the answer is withheld, ``decide_before`` where that was asked, ``relative_sd_per_date`` with
-``drift_widens`` where the gaps drift, ``width_over_prior`` of the date.
+the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`, where there is a rate.
+Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with ``drift_widens``
+where the gaps drift, ``width_over_prior`` of the date.
 
 ``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.
@@ -14,19 +14,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import date as Date
 from datetime import timedelta
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig
+from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.compatibility import limit_rad_of
-from bayesbl.measurement.measurement import Snapshot
-from bayesbl.measurement.summary_types import (
-    DateInterval,
-    RateInterval,
-    WearSummary,
-    WithheldWearSummary,
-)
+from bayesbl.measurement.measurement import Answer, Reason
+from bayesbl.measurement.summary_types import DateInterval, RateInterval
 from bayesbl.measurement.wear import (
     FEWEST_FOR_SCATTER,
     LONGEST_YEARS,
@@ -41,7 +38,6 @@ from bayesbl.measurement.wear_laws import shares
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, attributes, dataset, table
-from bayesbl.units import number
 
 DAYS_PER_YEAR = 365.25
 
@@ -57,12 +53,6 @@ def date_after(first: Date, years: float) -> Date | None:
         return None
     return first + timedelta(days=round(years * DAYS_PER_YEAR))
 
-
-UNLESS_REPAIRED = (
-    "If the joint was repaired, mark the first recording after it (repaired = true); if not, are "
-    "files or dates swapped? What temperature and grease move each date's gap by belongs under "
-    "[wear]: relative_sd_per_date = 0.02 is 2 %."
-)
 
 WEAR = Group(
     "wear",
@@ -86,53 +76,48 @@ WEAR = Group(
 
 def wear_of(
     config: CompareConfig,
-    snapshots: Sequence[Snapshot],
+    answers: Sequence[Answer],
     seed: np.random.SeedSequence,
-    change_reason: str | None = None,
-) -> xr.Dataset | None:
-    """Group :data:`WEAR` of a comparison; ``None`` where not every recording has a date.
+    change_reason: Reason | None = None,
+) -> tuple[xr.Dataset | None, Reason | None]:
+    """Group :data:`WEAR` of a comparison, and why it has no rate.
 
-    ``change_reason`` is why the change of the gap is withheld, which withholds its rate too.
+    ``None`` where not every recording has a date. ``change_reason`` is why the change of the gap is
+    withheld, which withholds its rate too.
     """
     dates = config.dates
     if dates is None:
-        return None
+        return None, None
     used = since_repair([recording.repaired for recording in config.recordings])
-    since, chosen = dates[used], snapshots[used]
+    since, chosen = dates[used], answers[used]
     group = wear_group(dates, used)
     if config.joint.decide_before is not None:
         group.attrs["decide_before"] = config.joint.decide_before.isoformat()
     if since[0] == since[-1]:
-        count = "one snapshot" if len(since) == 1 else "snapshots of one day"
-        begin = "There is only" if len(since) == 1 else "There are only"
-        repair = " since the repair" if config.recordings[used.start].repaired else ""
-        group.attrs["reason"] = f"{begin} {count}{repair}: a rate needs two, at different dates."
-        return group
-    withheld = [snapshot.name for snapshot in chosen if snapshot.verdict.reason]
+        repaired = config.recordings[used.start].repaired
+        return group, Reason("one_date", {"count": len(since), "repaired": repaired})
+    withheld = [answer.name for answer in chosen if answer.is_withheld]
     if withheld:
-        group.attrs["reason"] = f"The gap is withheld for {', '.join(withheld)}."
-        return group
-    if change_reason:
-        group.attrs["reason"] = change_reason
-        return group
+        return group, Reason("gap_withheld", {"names": withheld})
+    if change_reason is not None:
+        return group, change_reason
     years = np.array([years_between(since[0], day) for day in since])
     drift_seed, wear_seed = seed.spawn(2)
-    measured = np.stack([s.delta_rad for s in chosen if s.delta_rad is not None])
+    measured = np.stack([a.delta_rad for a in chosen if a.delta_rad is not None])
     drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
     start, limit = config.wear.in_service_since, limit_rad_of(config)
     age = None if start is None else max(years_between(start, since[0]), 0.0)
     fell = fall(drawn)
     if fell.is_fall:
-        group.attrs["reason"] = (
-            f"{chosen[fell.snapshot].name} lies {number(1e3 * fell.fall_rad, 3)} mrad below the "
-            f"snapshot before it ({fell.standard_deviations:.1f} standard deviations), and wear "
-            f"does not heal. {UNLESS_REPAIRED}"
-        )
-        return group
+        values = {
+            "name": chosen[fell.snapshot].name,
+            "fall_rad": fell.fall_rad,
+            "standard_deviations": fell.standard_deviations,
+        }
+        return group, Reason("gap_fell", values)
     found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
     if found is None:
-        group.attrs["reason"] = f"The gap shrank, and wear does not heal. {UNLESS_REPAIRED}"
-        return group
+        return group, Reason("gap_shrank")
     slope = trend(drawn, years)
     group = wear_group(dates, used, found, slope).assign_attrs(group.attrs)
     if found.width_over_prior is not None:
@@ -140,7 +125,7 @@ def wear_of(
     if config.wear.relative_sd_per_date > 0.0:
         group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
         group.attrs["drift_widens"] = float(slope.std() / trend(measured, years).std())
-    return group
+    return group, None
 
 
 def _drifting(
@@ -157,13 +142,11 @@ def wear_group(
     found: Wear | None = None,
     slope_rad_per_year: FloatArray | None = None,
 ) -> xr.Dataset:
-    """Group :data:`WEAR`; without ``found`` there is no answer, and ``reason`` has to say why."""
+    """Group :data:`WEAR`; without ``found`` there is no rate."""
     chosen = np.zeros(len(dates))
     chosen[used] = 1.0
     values = {"date": [d.isoformat() for d in dates], "used": chosen, **attributes(WEAR, found)}
-    group = dataset(WEAR, values | {"trend_rad_per_year": slope_rad_per_year})
-    group.attrs = {"reason": ""}
-    return group
+    return dataset(WEAR, values | {"trend_rad_per_year": slope_rad_per_year})
 
 
 def used_dates(group: xr.Dataset) -> list[Date]:
@@ -173,16 +156,13 @@ def used_dates(group: xr.Dataset) -> list[Date]:
 
 
 def summarise_wear(
-    tree: xr.DataTree, names: Sequence[str]
-) -> WearSummary | WithheldWearSummary | None:
-    """``wear`` of the summary of a comparison (see the module)."""
-    if WEAR.name not in tree.children:
-        return None
-    group = tree[WEAR.name].to_dataset()
-    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
-    limit, before = tree.attrs.get("limit_rad"), group.attrs.get("decide_before")
+    group: xr.Dataset, names: Sequence[str], of: IntervalConfig, limit_rad: float | None
+) -> dict[str, Any]:
+    """``wear`` of the summary of a comparison (see the module), but for its ``reason``."""
+    level, kind = of.level, of.kind
+    before = group.attrs.get("decide_before")
     dates = used_dates(group)
-    withheld: WithheldWearSummary = {
+    result: dict[str, Any] = {
         "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
         "first_date": dates[0].isoformat(),
         "last_date": dates[-1].isoformat(),
@@ -195,28 +175,24 @@ def summarise_wear(
         "scatter_rad_per_root_year": None,
         "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
         "drift_widens": group.attrs.get("drift_widens"),
-        "limit_rad": None if limit is None else float(limit),
-        "limit": tree.attrs.get("limit"),
+        "limit_rad": limit_rad,
         "years_to_limit": None,
         "date_of_limit": None,
         "not_before": None,
         "decide_before": before,
         "probability_before": None,
         "forecast_from_prior": None,
-        "reason": group.attrs["reason"],
     }
-    if withheld["reason"]:
-        return withheld
+    if "law" not in group:
+        return result
     grown = group["current_rad"].values - group["first_rad"].values
     rate = grown / years_between(dates[0], dates[-1])
-    result: WearSummary = {
-        **withheld,
+    result |= {
         "probability_wear": float(np.mean(group["trend_rad_per_year"].values > 0.0)),
         "law": shares(group["law"].values),
         "rate": _rate(interval(rate, level, kind)),
         "rate_now": _rate(interval(group["rate_now_rad_per_year"].values, level, kind)),
         "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
-        "reason": None,
     }
     if len(dates) >= FEWEST_FOR_SCATTER:
         scatter = group["scatter_rad_per_root_year"].values

@@ -9,19 +9,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import EFFECT_BY_NAME
 from bayesbl.bench.flank_change import require_flank_change
+from bayesbl.bench.learned import LEARNED_TERMS
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.impacts import IMPACTS_DIFFER
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.motions import flank_changes
+from bayesbl.matching.observed import Observed, begin_of, observed
 from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import (
     GAP,
+    REFERENCE_DELAY,
     Unknown,
     drift_unknowns,
     effect_unknowns,
@@ -31,11 +40,18 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.matching.standstill import believed
+from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.bench_of import bench_of, bench_with, drifts_of
-from bayesbl.measurement.direct_groups import GROUPS, direct_groups
-from bayesbl.measurement.direct_summary import summarise_direct
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
-from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapshot
+from bayesbl.measurement.measurement import (
+    Answer,
+    Measurement,
+    Measurer,
+    Reason,
+    Route,
+    Verdict,
+    upper_bound,
+)
 from bayesbl.measurement.model_check import (
     UNEXPLAINED,
     against_the_bench,
@@ -46,16 +62,23 @@ from bayesbl.measurement.model_check import (
     undecided_change,
     undecided_gap,
 )
-from bayesbl.measurement.motion_verdict import motion_notes, unknown_start, unseen_gap
+from bayesbl.measurement.motion_verdict import (
+    EXCLUDED_END,
+    EXCLUDED_SHARE,
+    motion_notes,
+    unknown_start,
+    unseen_gap,
+)
 from bayesbl.measurement.task import Task, sampler_of
-from bayesbl.measurement.verdict import Verdict
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
+from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
 from bayesbl.sampling.chains import SamplerSettings
+from bayesbl.units import unit_of
 
 LARGEST_Z = 37.0
 """Beyond it a probability is zero in double precision."""
@@ -155,9 +178,8 @@ class DirectMeasurer(Measurer):
             DirectMatch,
         )
         level = self.config.interval.level
-        snapshots = [
-            self._snapshot(recording, index, found)
-            for index, recording in enumerate(task.recordings)
+        answers = [
+            self._answer(recording, index, found) for index, recording in enumerate(task.recordings)
         ]
         change_reason = undecided_change(
             found.joint,
@@ -165,40 +187,43 @@ class DirectMeasurer(Measurer):
             level,
             with_current=all(MOTOR_CURRENT in r.channels for r in task.recordings),
         )
-        withheld = change_reason is not None or any(s.verdict.reason for s in snapshots)
+        withheld = change_reason is not None or any(a.is_withheld for a in answers)
         return Measurement(
             "direct",
-            snapshots,
+            answers,
             attributes={"bench": self.bench.fingerprint()},
             same_joint=check_of_comparison(
                 found.joint, found.change_rad, level, is_given=not withheld
             ),
-            change_reason=change_reason,
+            change_reason=None
+            if change_reason is None
+            else Reason.told("change_undecided", change_reason),
         )
 
-    def _snapshot(self, recording: Recording, index: int, found: DirectMatch) -> Snapshot:
+    def _answer(self, recording: Recording, index: int, found: DirectMatch) -> Answer:
         posterior = found.posterior
         check = [entry for entry in found.check if entry.recording == recording.name]
         seen = posterior.fit.model.recordings[index]
-        notes = (*recording.notes, *seen.notes, *self._counted_twice(recording))
+        told = (Reason.told("recording", text) for text in (*recording.notes, *seen.notes))
+        notes = (*told, *self._counted_twice(recording))
         level = self.config.interval.level
-        return Snapshot(
+        groups = direct_groups(posterior, recording, index, check)
+        return Answer(
             recording.name,
             posterior.values(GAP, recording.name),
             direct_verdict(found, index, notes, level),
-            direct_groups(posterior, recording, index, check),
-            model_check=found.model_check(recording.name, level),
+            groups,
+            _numbers(posterior, recording, index, check, groups, self.config.interval),
+            found.model_check(recording.name, level),
+            _upper_bound(posterior, recording.name),
         )
 
-    def _counted_twice(self, recording: Recording) -> Iterator[str]:
+    def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
         """A note where the bench was identified from this very recording."""
         joint = self.bench.identified
         entry = self.config.entry_of(recording.name)
         if joint is not None and file_sha256(entry.file) in joint.sources:
-            yield (
-                f"The bench was identified from {entry.name} too, so this recording counts twice "
-                "and its interval is somewhat too narrow. Measure later recordings with that bench."
-            )
+            yield Reason("counted_twice", {"name": entry.name})
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:
@@ -262,70 +287,80 @@ def fit_directly(
 
 
 def direct_verdict(
-    found: DirectMatch, index: int, notes: Sequence[str] = (), level: float = 0.9
+    found: DirectMatch, index: int, notes: Sequence[Reason] = (), level: float = 0.9
 ) -> Verdict:
-    """Outcome of one snapshot with its reasons; ``reason``, where δ is withheld, says why alone.
+    """Outcome of one snapshot with its reasons, the gravest first.
 
     ``index``: of its recording; ``notes``: what was done to it; ``level``: of the interval.
     """
     diagnostics = found.posterior.diagnostics
-    outcome, reasons = diagnostics.outcome, list(diagnostics.reasons)
-    recording = found.posterior.fit.model.recordings[index]
+    fit = found.posterior.fit
+    recording = fit.model.recordings[index]
     gap = found.posterior.values(GAP, recording.name)
     repeating = found.repeating(recording.name)
-    against = [
-        found.posterior.beyond_tolerance(recording.name, level),
-        _disagreement_in_words(repeating, recording.motion is not None) if repeating else None,
-        None if repeating or found.joint.explained else UNEXPLAINED,
-        against_the_bench(found.joint),
-        undecided_gap(found.joint, index, gap, level, with_current=len(recording.signals) > 1),
-    ]
-    fit = found.posterior.fit
-    unseen = unseen_gap(found.posterior, index) or unknown_start(fit, index)
+    with_current = len(recording.signals) > 1
+    against = _withholding(
+        ("tolerance_decides", found.posterior.beyond_tolerance(recording.name, level)),
+        ("unexplained", None if repeating or found.joint.explained else UNEXPLAINED),
+        ("against_the_bench", against_the_bench(found.joint)),
+        (
+            "gap_undecided",
+            undecided_gap(found.joint, index, gap, level, with_current=with_current),
+        ),
+    )
+    if repeating:
+        at = int(bool(against) and against[0].code == "tolerance_decides")
+        against.insert(at, _repeats(repeating, recording.motion is not None))
+    if against:
+        orders = _withholding(("motor_orders", motor_orders_in_words(found.joint)))
+        against += [r for r in orders if r.values not in [other.values for other in against]]
+    unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
+    unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
     if found.posterior.impacts_differ(level)[index]:
-        unseen = IMPACTS_DIFFER
-    if any(against):
-        against = list(dict.fromkeys([*against, motor_orders_in_words(found.joint)]))
-    if any(against) or unseen:
-        outcome = "withheld"
-        # Where δ is not seen, its prior's range may decide: that needs no saying.
-        reasons = [*filter(None, against), *([unseen] if unseen else reasons)]
-    reason = " ".join(reasons) if outcome == "withheld" else None
-    if len(recording.signals) == 1:
-        reasons.append(
-            "There is no motor current in the recording, so the speed alone was used: with the "
-            "current δ would be several times sharper."
-        )
+        unseen = _withholding(("impacts_differ", IMPACTS_DIFFER))
+    outcome = "withheld" if against or unseen else diagnostics.outcome
+    sampling = [
+        Reason.told("sampling", text, withholds=outcome == "withheld")
+        for text in diagnostics.reasons
+    ]
+    # Where δ is not seen, its prior's range may decide: that needs no saying.
+    reasons = [*against, *(unseen or sampling)]
+    if not with_current:
+        reasons.append(Reason("no_current"))
     wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
-    if reason is None and wider > 1.0 + MATTERS:
-        reasons.append(_widened_in_words(wider))
-    reasons += motion_notes(fit, index)
-    return Verdict(outcome, (*reasons, *notes), reason)
+    if outcome != "withheld" and wider > 1.0 + MATTERS:
+        reasons.append(Reason("widened", {"times": wider}))
+    reasons += [Reason.told("motion", text) for text in motion_notes(fit, index)]
+    return Verdict(outcome, (*reasons, *notes))
 
 
-def _widened_in_words(times: float) -> str:
-    return (
-        "Noise that goes round in the speed loop, or something like it, makes the impacts differ: "
-        f"the interval is {times:.2g} times as wide for it."
-    )
+def _withholding(*each: tuple[str, str | None]) -> list[Reason]:
+    """Reasons of code and sentence, for those that have one."""
+    return [Reason.told(code, text, withholds=True) for code, text in each if text is not None]
 
 
-def _disagreement_in_words(entries: Sequence[RepeatingPower], moving: bool) -> str:
+def _repeats(entries: Sequence[RepeatingPower], is_motion: bool) -> Reason:
     worst = max(entries, key=lambda entry: entry.ratio)
-    others = sorted({f"{e.channel} of {e.recording}" for e in entries})
-    which = f"up to load order {worst.highest_order}" if worst.highest_order else "in the mean"
-    repeats, look = "repeats every rotation", "`bayesbl diagnose` looks for what is missing."
-    if moving:
-        which = which.replace("load order", "order") + " of the cycle"
-        repeats = "is left"
-        look = "`bayesbl identify` of some recordings, with --effects catalogue, finds which."
-    return (
-        "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
-        f"{worst.channel} of {worst.recording}, {which}, what {repeats} has "
-        f"{worst.ratio:.3g} times the power that noise would leave (disagreement in "
-        f"{', '.join(others)}). The bench file lacks an effect or has wrong "
-        f"values; {look}"
-    )
+    values = {
+        "channel": worst.channel,
+        "recording": worst.recording,
+        "highest_order": worst.highest_order,
+        "ratio": worst.ratio,
+        "channels": sorted({f"{e.channel} of {e.recording}" for e in entries}),
+        "is_motion": is_motion,
+    }
+    return Reason("repeats_beyond_noise", values, withholds=True)
+
+
+def _upper_bound(posterior: DirectPosterior, recording: str) -> float | None:
+    """The gap that δ is below, where the recording excludes large ones and none that is small."""
+    model = posterior.fit.model
+    unknown = model.unknowns[model.index(GAP, recording)]
+    gap = posterior.values(GAP, recording)
+    draws, end = np.log(gap), EXCLUDED_END * (unknown.high - unknown.low)
+    open_below = float(np.mean(draws < unknown.low + end)) >= EXCLUDED_SHARE
+    open_above = float(np.mean(draws > unknown.high - end)) >= EXCLUDED_SHARE
+    return upper_bound(gap) if open_below and not open_above else None
 
 
 def _item(entry: RepeatingPower) -> CheckItem:
@@ -340,9 +375,384 @@ def _item(entry: RepeatingPower) -> CheckItem:
     )
 
 
+def _numbers(
+    posterior: DirectPosterior,
+    recording: Recording,
+    index: int,
+    check: Sequence[RepeatingPower],
+    groups: Mapping[str, xr.Dataset],
+    of: IntervalConfig,
+) -> dict[str, Any]:
+    """The contract's keys, and beside them the bound and the predictive check."""
+    optimum, drawn = groups["optimum"], groups["posterior"]
+    names = list(own_unknowns(posterior, recording.name))
+    noise = posterior.fit.model.noise[index]
+    sd = groups["noise"]["sd"].values.tolist()
+    found: dict[str, Any] = {
+        "amplitude_rpm": None,
+        "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), of),
+        "optimum": {n: float(optimum[n]) for n in names},
+        "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
+        "posterior_sd": {n: float(drawn[n].std()) for n in names},
+        "noise": {
+            "kind": "ar" if noise.order else "white",
+            "order": noise.order,
+            "sd_rpm": sd[0],
+            "sd_a": sd[1] if len(sd) > 1 else None,
+            "coefficients": groups["noise"]["coefficients"].values.tolist(),
+            "degrees_of_freedom": None,
+        },
+        "predictive_check": [
+            {
+                "channel": entry.channel,
+                "highest_order": entry.highest_order,
+                "ratio": entry.ratio,
+                "probability": entry.probability,
+            }
+            for entry in check
+        ],
+        "rotations": _rotations(posterior, index),
+        "excluded_samples": shared.excluded_samples(recording),
+        "budget": dict(
+            zip(*(groups["budget"][n].values.tolist() for n in ("source", "share")), strict=True)
+        ),
+        "diagnostics": {
+            **shared.sampling_summary(posterior.diagnostics),
+            "effective_after_simulation": posterior.effective,
+            "simulated_draws": posterior.simulated,
+            "surrogate_refits": posterior.refits,
+        },
+    }
+    if "flank_changes" in groups["predictive"]:
+        motion = groups["predictive"]
+        repeats = bool(motion["repeats"])
+        found["motion"] = {
+            "cycle_s": float(motion["rotation_period_s"]) if repeats else None,
+            "cycles": found["rotations"] if repeats else None,
+            "flank_changes": round(float(motion["flank_changes"])),
+            "compared_from_s": float(motion["compared_from_s"]),
+        }
+    return found
+
+
 def prepare(config: SnapshotConfig) -> DirectMeasurer:
     """With its bench."""
     return DirectMeasurer(config, bench_of(config))
 
 
-ROUTE = Route("direct", GROUPS, summarise_direct)
+# What is stored.
+
+DELTA = shared.DELTA.name
+
+
+DRIFT = "drift__"
+"""Before the name of what may have drifted since the first snapshot."""
+
+
+def result_name(unknown: Unknown) -> str:
+    """Name of an unknown in results, ``delta_rad`` for the gap."""
+    if unknown.added:
+        return DRIFT + unknown.name
+    return DELTA if unknown.name == GAP else unknown.name
+
+
+def unit_and_meaning(name: str) -> tuple[str, str]:
+    """Unit and long name of an unknown by its name in results."""
+    if name.startswith(DRIFT):
+        unit, meaning = unit_and_meaning(name.removeprefix(DRIFT))
+        return unit, f"change since the first snapshot of: {meaning}"
+    if name == DELTA:
+        return shared.DELTA.unit, shared.DELTA.meaning
+    if name == REFERENCE_DELAY:
+        return "s", "how much later the controller was given its reference than is recorded"
+    if name in PARAMETER_INFO:
+        return PARAMETER_INFO[name].unit or "1", PARAMETER_INFO[name].meaning
+    learned = {term.block: term for term in LEARNED_TERMS}.get(name.partition("__")[0])
+    if learned is not None:
+        what = learned.block.replace("_", " ")
+        if name == learned.shift_slot:
+            return "1", f"where the variable of the {what} is at the first sample, rad or s"
+        return learned.unit, f"coefficient of the {what}: {name.partition('__')[2]}"
+    if "__" in name:
+        effect, parameter = name.split("__")
+        for item in EFFECT_BY_NAME[effect].parameters:
+            if item.name == parameter:
+                return item.unit or "1", f"{item.meaning} of {effect}"
+    return "rad", "load angle at the first sample, 0 hangs straight down"
+
+
+def _unknown(*dims: str) -> Callable[[str], Variable]:
+    """Declares each unknown by its name in results."""
+    return lambda name: Variable(name, dims, *unit_and_meaning(name))
+
+
+def _predicted(name: str) -> Variable | None:
+    kind, _, channel = name.partition("_")
+    meanings = {"simulated": "simulation at the optimum", "residual": "recording minus simulation"}
+    if kind not in meanings:
+        return None
+    return Variable(name, ("sample",), unit_of(channel), meanings[kind])
+
+
+POSTERIOR = Group(
+    "posterior", (shared.DELTA,), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS)
+)
+
+SAMPLE_STATS = Group(
+    "sample_stats",
+    (
+        *table("""
+            lp (chain, draw) | 1 | log likelihood less its largest, by full simulation,
+                all recordings together
+        """),
+        shared.ACCEPTANCE,
+    ),
+)
+
+PREDICTIVE = Group(
+    "predictive",
+    table("""
+        rotation_period_s | s | one load rotation, or one cycle of a motion
+        reference_speed_rpm? (sample) | rpm | what the motor of a motion was asked for
+        compared_from_s? | s | begin of what was compared of a motion, from the first sample
+        repeats? | 1 | 1 where a motion repeats, 0 where it does not
+        flank_changes? | 1 | how often the load passed from one flank to the other
+        flank_left_s? (flank) | s | when the teeth parted, from the first sample
+        flank_met_s? (flank) | s | when they met on the other side
+        flank_side? (flank) | 1 | flank met: 1 where the motor pushes forward, −1 backward
+    """),
+    named=_predicted,
+)
+
+OPTIMUM = Group(
+    "optimum",
+    table("""
+        cramer_rao_sd (parameter) | each parameter's own
+            | Cramér-Rao bound on the standard deviation, priors left out
+        covariance (parameter, parameter_) | products of units
+            | covariance of the normal approximation, priors included
+    """),
+    (labels("parameter", "unknown"), labels("parameter_", "unknown")),
+    named=_unknown(),
+)
+
+NOISE = Group(
+    "noise",
+    (
+        *table("""
+            sd (channel) | each channel's own | standard deviation of the noise
+            coefficients (lag, channel, channel_) | ratios of units
+                | vector autoregressive coefficients
+            innovation_root (channel, channel_) | each channel's own
+                | lower triangular root of the innovations' covariance
+        """),
+        shared.NOISE_ORDER,
+        shared.DIFFERENCES,
+    ),
+    (labels("channel", "channel"), labels("channel_", "channel")),
+)
+
+PREDICTIVE_CHECK = Group(
+    "predictive_check",
+    table("""
+        ratio (channel, highest_order) | 1 | power that repeats every rotation over that of noise
+        probability (channel, highest_order) | 1 | probability of a ratio as large from noise alone
+    """),
+    (
+        labels("channel", "channel"),
+        *table("highest_order (highest_order) | 1 | highest load order of the band"),
+    ),
+)
+
+DIAGNOSTICS = Group(
+    "diagnostics",
+    (
+        *shared.SAMPLING,
+        *table("""
+            effective | 1 | effective draws after full simulation
+            simulated | 1 | draws simulated in full
+            refits | 1 | times the surrogate was fitted again
+        """),
+    ),
+    (shared.SAMPLED_SYMBOLS,),
+)
+
+GROUPS = (
+    POSTERIOR,
+    SAMPLE_STATS,
+    shared.OBSERVED,
+    shared.CONSTANT,
+    PREDICTIVE,
+    OPTIMUM,
+    NOISE,
+    PREDICTIVE_CHECK,
+    DIAGNOSTICS,
+    shared.BUDGET,
+)
+
+
+def direct_groups(
+    posterior: DirectPosterior,
+    recording: Recording,
+    index: int,
+    check: Sequence[RepeatingPower],
+) -> dict[str, xr.Dataset]:
+    """All groups of one snapshot, without a ``snapshot`` dimension.
+
+    Parameters
+    ----------
+    index
+        Place of the recording in the posterior's model.
+    check
+        Entries of the predictive check that belong to this recording.
+    """
+    seen = posterior.fit.model.recordings[index]
+    return {
+        "posterior": _posterior(posterior, recording.name),
+        "sample_stats": _sample_stats(posterior),
+        **shared.recorded(recording, {c: recording.channels[c] for c in seen.channels}),
+        "predictive": _predictive(posterior, index),
+        "optimum": _optimum(posterior, recording.name),
+        "noise": _noise(posterior, index),
+        "predictive_check": _check(check),
+        "diagnostics": _diagnostics(posterior, index),
+        "budget": shared.budget_group(_budget(posterior, recording.name)),
+    }
+
+
+def own_unknowns(posterior: DirectPosterior, recording: str) -> dict[str, int]:
+    """Name in results to place in a point, of everything that a recording depends on."""
+    return {
+        result_name(u): i
+        for i, u in enumerate(posterior.fit.model.unknowns)
+        if u.recording in (None, recording)
+    }
+
+
+def _posterior(posterior: DirectPosterior, recording: str) -> xr.Dataset:
+    unknowns = posterior.fit.model.unknowns
+    places = own_unknowns(posterior, recording)
+    draws = {name: unknowns[i].value(posterior.draws[..., i]) for name, i in places.items()}
+    return dataset(POSTERIOR, draws, shared.numbered(posterior.draws.shape))
+
+
+def _sample_stats(posterior: DirectPosterior) -> xr.Dataset:
+    return dataset(
+        SAMPLE_STATS,
+        {
+            "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
+            "acceptance_rate": posterior.diagnostics.acceptance,
+        },
+    )
+
+
+def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:
+    fit = posterior.fit
+    seen = fit.model.recordings[index]
+    simulated = fit.model.signals(fit.point, index)[0]
+    values: dict[str, object] = {"rotation_period_s": seen.rotation_period_s, **_motion(fit, index)}
+    for channel, measured, model in zip(seen.channels, seen.signals, simulated, strict=True):
+        values[f"simulated_{channel}"] = model
+        values[f"residual_{channel}"] = measured - model
+    return dataset(PREDICTIVE, values)
+
+
+def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
+    """What a motion has beside: its reference, what was compared, its changes of flank."""
+    seen = fit.model.recordings[index]
+    if seen.motion is None:
+        return {}
+    changes = flank_changes(fit, index)
+    found: dict[str, object] = {
+        "reference_speed_rpm": seen.motion.speed_rpm(np.arange(seen.samples) / seen.sampling_hz),
+        "compared_from_s": begin_of(seen) / seen.sampling_hz,
+        "repeats": float(seen.cycle is not None),
+        "flank_changes": float(len(changes)),
+    }
+    if changes:
+        found["flank_left_s"] = np.array([change.left_s for change in changes])
+        found["flank_met_s"] = np.array([change.met_s for change in changes])
+        found["flank_side"] = np.array([float(change.side) for change in changes])
+    return found
+
+
+def _optimum(posterior: DirectPosterior, recording: str) -> xr.Dataset:
+    """Values at the optimum; the bound in each parameter's own unit, of δ in rad."""
+    fit = posterior.fit
+    places = own_unknowns(posterior, recording)
+    values = {name: float(fit.model.unknowns[i].value(fit.point[i])) for name, i in places.items()}
+    slopes = np.array(
+        [values[n] if fit.model.unknowns[i].logarithmic else 1.0 for n, i in places.items()]
+    )
+    index = np.array(list(places.values()))
+    return dataset(
+        OPTIMUM,
+        {
+            **values,
+            "cramer_rao_sd": slopes * fit.bound[index],
+            "covariance": np.outer(slopes, slopes) * fit.covariance[np.ix_(index, index)],
+        },
+        {"parameter": list(places), "parameter_": list(places)},
+    )
+
+
+def _noise(posterior: DirectPosterior, index: int) -> xr.Dataset:
+    noise = posterior.fit.model.noise[index]
+    channels = list(posterior.fit.model.recordings[index].channels)
+    return dataset(
+        NOISE,
+        {
+            **attributes(NOISE, noise),
+            "innovation_root": noise.root,
+            "channel": channels,
+            "channel_": channels,
+        },
+    )
+
+
+def _check(check: Sequence[RepeatingPower]) -> xr.Dataset:
+    """Ratio and probability by channel and band; see :mod:`bayesbl.matching.predictive_check`."""
+    channels = list(dict.fromkeys(entry.channel for entry in check))
+    orders = list(dict.fromkeys(entry.highest_order for entry in check))
+    shape = (len(channels), len(orders))
+    return dataset(
+        PREDICTIVE_CHECK,
+        {
+            "ratio": np.array([entry.ratio for entry in check]).reshape(shape),
+            "probability": np.array([entry.probability for entry in check]).reshape(shape),
+        },
+        {"channel": channels, "highest_order": orders},
+    )
+
+
+def _diagnostics(posterior: DirectPosterior, index: int) -> xr.Dataset:
+    return dataset(
+        DIAGNOSTICS,
+        {
+            **attributes(DIAGNOSTICS, posterior),
+            **shared.sampling_values(posterior.diagnostics, _rotations(posterior, index)),
+        },
+        {"symbol": list(posterior.diagnostics.r_hat)},
+    )
+
+
+def _rotations(posterior: DirectPosterior, index: int) -> float:
+    seen = posterior.fit.model.recordings[index]
+    return seen.samples / seen.sampling_hz / seen.rotation_period_s
+
+
+def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
+    """How much of the variance of ln δ would be there if the bench were known exactly."""
+    fit = posterior.fit
+    place = own_unknowns(posterior, recording)[DELTA]
+    free = np.array([i for i, u in enumerate(fit.model.unknowns) if u.recording is not None])
+    if free.size == len(fit.model.unknowns):
+        return {"noise": 1.0}
+    known = fit.curvature + fit.model.prior_precision()
+    alone = np.linalg.inv(known[np.ix_(free, free)])
+    noise = float(alone[list(free).index(place), list(free).index(place)])
+    share = min(1.0, noise / float(posterior.draws[..., place].var()))
+    return {"noise": share, "bench": 1.0 - share}
+
+
+ROUTE = Route("direct", GROUPS)

@@ -1,126 +1,196 @@
-"""What every route of measurement returns: the snapshots of one joint, each with its gap."""
+"""What every route of measurement returns: its answer for each recording of one joint.
+
+An answer holds numbers, and reasons as codes with numbers; nothing here makes a sentence of its
+own. Several routes may answer the same recordings: one is *the* answer, the others stand beside it.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
+import numpy as np
 import xarray as xr
 
 from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
-from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
-from bayesbl.measurement.stored_snapshot import StoredSnapshot
-from bayesbl.measurement.summary_types import SnapshotSummary
 from bayesbl.measurement.task import Task, recording_of
-from bayesbl.measurement.verdict import Verdict
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.variables import Group
 from bayesbl.sampling.convergence import Outcome
 
 MeasurementOutcome = Outcome | Literal["no_curve"]
 
-NO_CURVE = (
-    "The same ringing belongs to other gaps on other joints, so there is no δ without a bench of "
-    "this joint (--bench FILE) or the curve of a sweep (--curve RESULT)."
-)
+UPPER_BOUND_LEVEL = 0.95
+"""Of the one-sided bound that is given where a gap is not told from none."""
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
-    """One recording of the joint.
+class Reason:
+    """Why an answer is withheld or limited, for :mod:`bayesbl.sentences` to say.
+
+    Attributes
+    ----------
+    code
+        A key of :data:`bayesbl.sentences.SENTENCES`.
+    values
+        Numbers and names that its sentence needs.
+    withholds
+        Whether it withholds the answer.
+    """
+
+    code: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+    withholds: bool = False
+
+    @classmethod
+    def told(cls, code: str, text: str, *, withholds: bool = False) -> Reason:
+        """One that a room below has already put into a sentence."""
+        return cls(code, {"text": text}, withholds)
+
+    @property
+    def withholding(self) -> Reason:
+        """The same, withholding the answer."""
+        return replace(self, withholds=True)
+
+
+NO_CURVE = Reason("no_curve")
+"""There is no δ for want of a curve; the ringing alone is an answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether an answer can be trusted.
+
+    Attributes
+    ----------
+    reasons
+        All that is to be known of the answer, the gravest first.
+    """
+
+    outcome: Outcome = "converged"
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def withholding(self) -> tuple[Reason, ...]:
+        """Why the answer is withheld; empty where it is not."""
+        return tuple(reason for reason in self.reasons if reason.withholds)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What one route says of one recording.
 
     Attributes
     ----------
     delta_rad
-        Draws of δ, shape (chain, draw), paired by draw between the snapshots of a measurement;
+        Draws of δ, shape (chain, draw), paired by draw between the answers of a measurement;
         ``None`` without a curve.
     groups
         What is stored of it, by name of the group.
-    group_reasons
-        Group to why what it holds is no answer, or ``None``; stored as its attribute ``reasons``.
+    numbers
+        Its part of ``summary.json``, beside what every answer has.
     model_check
         The recording against what the bench predicts at its gap.
+    upper_bound_rad
+        δ is below it with a probability of 95 %, where it is not told from none.
     """
 
     name: str
     delta_rad: FloatArray | None
-    verdict: Verdict
-    groups: Mapping[str, xr.Dataset]
-    group_reasons: Mapping[str, str | None] = field(default_factory=dict)
+    verdict: Verdict = Verdict()
+    groups: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    numbers: Mapping[str, Any] = field(default_factory=dict)
     model_check: JointCheck = NOTHING_COMPARED
+    upper_bound_rad: float | None = None
+
+    @property
+    def is_withheld(self) -> bool:
+        """Whether δ must not be read."""
+        return bool(self.verdict.withholding)
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Snapshots of one joint, measured together.
+    """Answers of one route for recordings of one joint, with those of others beside them.
 
     Attributes
     ----------
     route
         Name of the route that made it.
-    snapshots
+    answers
         In order of time.
-    curves
-        From amplitude to gap, one for each snapshot; none where the amplitude was not used.
+    shared
+        What is stored of the route beside its answers, by name of the group.
+    curve
+        Name of the gap curve; empty without one.
     warnings
         Beside those of the recordings.
     attributes
-        Of the route, stored at the root of the result.
+        Stored at the root of the result.
+    ringing_change
+        Draws of the change of the ringing from first to last, as a share of the first.
     same_joint
-        The snapshots against one another.
+        The recordings against one another.
     change_reason
-        Why the change between them is withheld, where its gaps are not; ``None`` where it is not.
+        Why the change between them is withheld, where its gaps are not.
+    why
+        Why this route is the one that answers.
+    beside
+        What other routes answer.
+    refused
+        Why another route could not be run, by its name.
     """
 
     route: str
-    snapshots: Sequence[Snapshot]
-    curves: Sequence[GapCurve] = ()
+    answers: Sequence[Answer]
+    shared: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    curve: str = ""
     warnings: Sequence[str] = ()
     attributes: Mapping[str, str] = field(default_factory=dict)
+    ringing_change: FloatArray | None = None
     same_joint: JointCheck = NOTHING_COMPARED
-    change_reason: str | None = None
+    change_reason: Reason | None = None
+    why: Reason = Reason("only_route")
+    beside: Sequence[Measurement] = ()
+    refused: Mapping[str, Reason] = field(default_factory=dict)
 
     @property
     def outcome(self) -> MeasurementOutcome:
-        """The worst of its snapshots' outcomes; withheld where the change alone is.
+        """The worst of its answers' outcomes; withheld where the change alone is.
 
         ``no_curve`` where all is well but δ, for want of a curve.
         """
         if self.change_reason is not None:
             return "withheld"
         ordered: list[Outcome] = ["converged", "usable", "withheld"]
-        worst = max((s.verdict.outcome for s in self.snapshots), key=ordered.index)
+        worst = max((answer.verdict.outcome for answer in self.answers), key=ordered.index)
         return "no_curve" if self.without_gap and worst != "withheld" else worst
 
     @property
     def without_gap(self) -> bool:
         """Whether there is no δ, for want of a curve."""
-        return any(snapshot.delta_rad is None for snapshot in self.snapshots)
+        return any(answer.delta_rad is None for answer in self.answers)
 
     @property
     def by_other_joint(self) -> bool:
         """Whether the gaps are read from the curve of the paper's test bench."""
-        return self.route == "amplitude" and any(c.name == PUBLISHED for c in self.curves)
+        return self.curve == PUBLISHED
 
     @property
-    def reason(self) -> str:
-        """Why answers are withheld: each reason once, behind the names that it holds for."""
-        names: dict[str, list[str]] = {}
-        for snapshot in self.snapshots:
-            if snapshot.verdict.reason:
-                names.setdefault(snapshot.verdict.reason, []).append(snapshot.name)
-        sentences = [
-            reason if len(who) == len(self.snapshots) else f"{', '.join(who)}: {reason}"
-            for reason, who in names.items()
-        ]
-        if self.without_gap:
-            sentences.append(NO_CURVE)
-        return " ".join([*sentences, *filter(None, [self.change_reason])])
+    def change_rad(self) -> FloatArray | None:
+        """Draws of the change of δ from first to last, withheld or not."""
+        first, last = self.answers[0].delta_rad, self.answers[-1].delta_rad
+        return None if first is None or last is None else last - first
+
+
+def upper_bound(delta_rad: FloatArray) -> float:
+    """The gap below which δ lies with a probability of :data:`UPPER_BOUND_LEVEL`, rad."""
+    return float(np.quantile(delta_rad, UPPER_BOUND_LEVEL))
 
 
 class Measurer(ABC):
@@ -149,7 +219,7 @@ class Measurer(ABC):
     def require_usable(self, recording: Recording) -> None:
         """Raises where this recording cannot be measured."""
 
-    def doubts(self, recording: Recording) -> Iterable[str]:
+    def doubts(self, recording: Recording) -> Iterable[Reason]:
         """Why δ of this recording would be withheld, where that is known before it is measured."""
         return ()
 
@@ -166,14 +236,8 @@ class Measurer(ABC):
 class Route:
     """A way from recordings to gaps; its module has a ``prepare`` that gives its :class:`Measurer`.
 
-    Attributes
-    ----------
-    groups
-        What it stores of a snapshot.
-    summarise
-        ``summary.json`` of a stored snapshot.
+    ``groups``: what it stores, in a group of its own name.
     """
 
     name: str
     groups: tuple[Group, ...]
-    summarise: Callable[[StoredSnapshot], SnapshotSummary]

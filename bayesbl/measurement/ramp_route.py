@@ -8,25 +8,36 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
-from bayesbl.measurement.held_compliance import Held, held_alike
-from bayesbl.measurement.measurement import Measurement, Measurer, Route, Snapshot
-from bayesbl.measurement.ramp_groups import GROUPS, RampAnswer, ramp_groups
-from bayesbl.measurement.ramp_summary import summarise_ramps
-from bayesbl.measurement.ramp_words import against, notes_on
+from bayesbl.measurement import shared_groups as shared
+from bayesbl.measurement.held_compliance import HELD, Held, held_alike
+from bayesbl.measurement.measurement import (
+    UPPER_BOUND_LEVEL,
+    Answer,
+    Measurement,
+    Measurer,
+    Reason,
+    Route,
+    Verdict,
+    upper_bound,
+)
 from bayesbl.measurement.task import Task, sampler_of
-from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
 from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, observations, of_cycles
+from bayesbl.ramps.loop import LoopModel
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
-from bayesbl.ramps.torque_cycles import Ramps, find_ramps
+from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import (
@@ -36,9 +47,26 @@ from bayesbl.recording.types import (
     Recording,
     Source,
 )
+from bayesbl.results.variables import Group, dataset, table
+from bayesbl.sampling.convergence import Diagnostics
 
 LOST_MOTION_SHARE = 0.03
 """Of the rated torque: where makers of reducers state lost motion."""
+
+GOOD_PART = 0.5
+"""Of the gap that soft flanks may make up, from which a reader is told."""
+
+UNSURE = 0.05
+"""Probability of play, and of none, from which both are told."""
+
+QUANTITIES = (
+    "lost_motion_rad",
+    "compliance_rad_per_nm",
+    "friction_torque_nm",
+    "held_windup_rad",
+)
+
+PRELOAD = "preload_torque_nm"
 
 FILE_STARTS = "file_starts"
 """Entry of a recording's metadata: the first sample of each of its files."""
@@ -98,7 +126,7 @@ class RampMeasurer(Measurer):
             "the joint on one flank and on the other",
         )
 
-    def doubts(self, recording: Recording) -> Iterable[str]:
+    def doubts(self, recording: Recording) -> Iterable[Reason]:
         """Why δ will be withheld."""
         why = against(self._flanks(recording))
         return () if why is None else (why,)
@@ -128,7 +156,7 @@ class RampMeasurer(Measurer):
         return Measurement(
             "torque_ramp",
             [
-                self._snapshot(recording, answer, elsewhere=elsewhere)
+                self._answered(recording, answer, elsewhere=elsewhere)
                 for recording, answer in zip(task.recordings, answers, strict=True)
             ],
             same_joint=held_alike(
@@ -172,27 +200,31 @@ class RampMeasurer(Measurer):
             stated_nm,
         )
 
-    def _snapshot(self, recording: Recording, answer: RampAnswer, *, elsewhere: bool) -> Snapshot:
+    def _answered(self, recording: Recording, answer: RampAnswer, *, elsewhere: bool) -> Answer:
         why = against(answer.flanks)
         outcome = "withheld" if why is not None else answer.diagnostics.outcome
-        reasons = [*filter(None, [why]), *answer.diagnostics.reasons]
+        withheld = outcome == "withheld"
+        sampling = [
+            Reason.told("sampling", text, withholds=withheld) for text in answer.diagnostics.reasons
+        ]
+        reasons = [*([why] if why else []), *sampling]
         given = self.config.joint.gear_ratio is not None
-        notes = notes_on(
-            answer.files,
-            answer.flanks,
-            answer.draws,
-            ratio_given=given,
-            elsewhere=elsewhere,
+        reasons += notes_on(
+            answer.files, answer.flanks, answer.draws, ratio_given=given, elsewhere=elsewhere
         )
-        return Snapshot(
+        reasons += [Reason.told("recording", text) for text in recording.notes]
+        groups = ramp_groups(answer, recording)
+        gap = answer.draws["delta_rad"]
+        told_from_none = answer.flanks.probability_of_play >= UPPER_BOUND_LEVEL
+        return Answer(
             recording.name,
-            answer.draws["delta_rad"],
-            Verdict(
-                outcome,
-                (*reasons, *notes, *recording.notes),
-                " ".join(reasons) if outcome == "withheld" else None,
+            gap,
+            Verdict(outcome, tuple(reasons)),
+            groups,
+            _numbers(
+                answer, groups["posterior"], recording, self.config.interval, is_withheld=withheld
             ),
-            ramp_groups(answer, recording),
+            upper_bound_rad=None if told_from_none or withheld else upper_bound(gap),
         )
 
     def _rated(self, flanks: Flanks) -> float:
@@ -225,6 +257,132 @@ class RampMeasurer(Measurer):
         return tuple(
             find_ramps(torque[a:b], position[a:b]) for a, b in zip(starts, stops, strict=True)
         )
+
+
+def against(flanks: Flanks) -> Reason | None:
+    """Why δ is withheld; ``None`` where it is not."""
+    level = flanks.level
+    if flanks.answered or level is None:
+        return None
+    values = {
+        "skipped_nm": list(flanks.skipped_nm),
+        "amplitude_nm": level.amplitude_nm,
+        "needed_nm": flanks.needed_nm,
+        "friction_nm": level.friction_nm,
+    }
+    return Reason("ramps_held", values, withholds=True)
+
+
+def notes_on(
+    files: Sequence[Ramps],
+    flanks: Flanks,
+    draws: Mapping[str, FloatArray],
+    *,
+    ratio_given: bool,
+    elsewhere: bool,
+) -> Iterator[Reason]:
+    """What a reader should know of how δ came about.
+
+    ``draws``: of ``width_rad`` and ``preload_torque_nm``. ``elsewhere``: one file a snapshot, and
+    not at the same position of the turn.
+    """
+    yield from _on_flanks(flanks, draws)
+    moved = [file.offset_nm for file in files if file.offset_nm]
+    if moved:
+        yield Reason("torque_offset", {"low_nm": min(moved), "high_nm": max(moved)})
+    if any(file.turned for file in files):
+        yield Reason("torque_turned")
+    if not ratio_given:
+        yield Reason("no_gear_ratio")
+    yield from _on_positions(files, flanks, elsewhere=elsewhere)
+
+
+def _on_flanks(flanks: Flanks, draws: Mapping[str, FloatArray]) -> Iterator[Reason]:
+    """Whether they play, carry a preload or are soft, and which ramps told it."""
+    level, relative = flanks.level, flanks.relative_compliance
+    assert level is not None
+    if flanks.finding == "preloaded":
+        lifts = float(np.median(draws["preload_torque_nm"]))
+        values = {
+            "relative_compliance": relative,
+            "lifts_nm": None if np.isnan(lifts) else lifts,
+            "width_rad": float(np.median(draws["width_rad"])),
+        }
+        yield Reason("no_play", values)
+    if UNSURE < flanks.probability_of_play < 1.0 - UNSURE:
+        values = {"probability": flanks.probability_of_play, "relative_compliance": relative}
+        yield Reason("play_unsure", values)
+    soft = HELD / relative
+    if flanks.finding == "play" and soft > GOOD_PART:
+        yield Reason("soft_flanks", {"relative_compliance": relative, "times": HELD, "share": soft})
+    if flanks.skipped_nm and flanks.answered:
+        skipped = {"skipped_nm": list(flanks.skipped_nm), "amplitude_nm": level.amplitude_nm}
+        yield Reason("ramps_skipped", skipped)
+
+
+def _on_positions(files: Sequence[Ramps], flanks: Flanks, *, elsewhere: bool) -> Iterator[Reason]:
+    """How many of the turn δ is known at, and by how many cycles."""
+    level = flanks.level
+    assert level is not None
+    missing = sum(not file for file in level.files)
+    if missing:
+        values = {"missing": missing, "files": len(files), "amplitude_nm": level.amplitude_nm}
+        yield Reason("files_without_cycle", values)
+    if elsewhere:
+        yield Reason("positions_differ")
+    elif len(files) - missing == 1:
+        yield Reason("one_position")
+        if len(level.cycles) == 1:
+            yield Reason("one_cycle")
+
+
+def _numbers(
+    answer: RampAnswer,
+    posterior: xr.Dataset,
+    recording: Recording,
+    of: IntervalConfig,
+    *,
+    is_withheld: bool,
+) -> dict[str, Any]:
+    """The contract's keys, and beside them what the play was read from."""
+    flanks, level = answer.flanks, answer.flanks.level
+    assert level is not None
+    found = shared.intervals(posterior, QUANTITIES, of)
+    # All NaN where no flank is seen to lift.
+    if np.isfinite(posterior[PRELOAD].values).any():
+        found |= shared.intervals(posterior, [PRELOAD], of)
+    used = [file for file in level.files if file]
+    return {
+        "amplitude_rpm": None,
+        **{name: found[name] for name in QUANTITIES},
+        "lost_motion_torque_nm": answer.lost_motion_torque_nm,
+        "preload_torque_nm": found.get(PRELOAD),
+        "preloaded": flanks.probability_of_play <= 0.5 and not is_withheld,
+        "probability_of_play": flanks.probability_of_play,
+        "relative_compliance": flanks.relative_compliance,
+        "ramps": {
+            "positions": len(used),
+            "cycles": len(level.cycles),
+            "torque_nm": float(np.mean([cycle.amplitude_nm for cycle in level.cycles])),
+            "width_rad": [float(np.mean([c.width_rad for c in file])) for file in used],
+        },
+        "parameters": {
+            **found,
+            **shared.intervals(posterior, ("width_rad", "scatter_rad"), of),
+        },
+        "optimum": {},
+        "noise": {
+            "kind": "repeated",
+            "order": 0,
+            "sd_rpm": 0.0,
+            "coefficients": [],
+            "degrees_of_freedom": None,
+        },
+        "rotations": 0.0,
+        "excluded_samples": shared.excluded_samples(recording),
+        "budget": dict(answer.budget),
+        "diagnostics": shared.sampling_summary(answer.diagnostics),
+    }
 
 
 def _elsewhere(flanks: Sequence[Flanks]) -> bool:
@@ -353,4 +511,196 @@ def prepare(config: SnapshotConfig) -> RampMeasurer:
     return RampMeasurer(config)
 
 
-ROUTE = Route("torque_ramp", GROUPS, summarise_ramps)
+# What is stored.
+
+MOST_POINTS = 1500
+"""Of a file's path in ``loop``."""
+
+POSTERIOR = Group(
+    "posterior",
+    (
+        shared.DELTA,
+        *table("""
+            width_rad (chain, draw) | rad
+                | between the positions that ramps leave on either flank, at zero torque
+            scatter_rad (chain, draw) | rad
+                | standard deviation of that width round the turn, or of repeated ramps of one file
+            shared_pattern? (chain, draw) | 1
+                | correlation of the widths round the turn between snapshots
+            lost_motion_rad (chain, draw) | rad
+                | between the middles of the loop of the largest ramps at the stated torques
+            compliance_rad_per_nm (chain, draw) | rad/(N m) | of the loaded joint at the output
+            friction_torque_nm (chain, draw) | N m | at the output, over the range of the ramps
+            held_windup_rad (chain, draw) | rad
+                | of the gap: compliance that friction holds at zero torque, if flanks do not harden
+            preload_torque_nm (chain, draw) | N m
+                | at which one flank of a preloaded joint lifts; 0 with play, NaN where not seen
+        """),
+    ),
+    (shared.CHAIN, shared.DRAW),
+)
+
+SAMPLE_STATS = Group(
+    "sample_stats",
+    (
+        *table("""
+            lp (chain, draw) | 1 | log density of the scatter, widths integrated out, all snapshots
+        """),
+        shared.ACCEPTANCE,
+    ),
+)
+
+CYCLES = Group(
+    "cycles",
+    table("""
+        file (cycle) | 1 | number of the file, from 0
+        amplitude_nm (cycle) | N m | largest torque
+        width_rad (cycle) | rad | between the positions left at zero torque
+        range_rad (cycle) | rad | between the farthest positions
+        elastic_nm (cycle) | N m | torque without friction between the positions left
+        friction_nm (cycle) | N m | half the mean height of the loop
+        used (cycle) | 1 | whether the width counts (1): the smallest ramps that reach both flanks
+        relative_compliance | 1 | between the positions left over that of larger ramps
+        probability_of_play | 1 | that it is above one
+        lost_motion_torque_nm | N m | torque, both ways, at which lost motion is stated
+    """),
+)
+
+LOOP = Group(
+    "loop",
+    table("""
+        torque_nm (point) | N m | averaged torque along the cycles of each file, at the output
+        position_rad (point) | rad | averaged position
+        model_rad (point) | rad | position by play, compliance and friction
+        file (point) | 1 | number of the file, from 0
+        last (point) | 1 | whether the point is of the file's last cycle to and fro (1)
+        model_misfit_rad (position) | rad | root mean square of position less model, by file
+        left_low_rad (position) | rad | mean position left by torque below zero
+        left_high_rad (position) | rad | mean position left by torque above zero
+    """),
+)
+
+DIAGNOSTICS = Group("diagnostics", (*shared.SAMPLING,), (shared.SAMPLED_SYMBOLS,))
+
+GROUPS = (
+    POSTERIOR,
+    SAMPLE_STATS,
+    shared.OBSERVED,
+    shared.CONSTANT,
+    CYCLES,
+    LOOP,
+    DIAGNOSTICS,
+    shared.BUDGET,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RampAnswer:
+    """What one snapshot stores beside its recording.
+
+    Attributes
+    ----------
+    draws
+        Variables of :data:`POSTERIOR`.
+    measured
+        What all but the play was drawn from, by file and cycle.
+    """
+
+    files: tuple[Ramps, ...]
+    flanks: Flanks
+    draws: Mapping[str, FloatArray]
+    measured: Mapping[str, Sequence[FloatArray]]
+    log_density: FloatArray
+    diagnostics: Diagnostics
+    budget: Mapping[str, float]
+    lost_motion_torque_nm: float
+
+
+def ramp_groups(answer: RampAnswer, recording: Recording) -> dict[str, xr.Dataset]:
+    """All groups of one snapshot, without a ``snapshot`` dimension."""
+    shape = answer.log_density.shape
+    lengths = [ramps.torque_nm.size for ramps in answer.files]
+    file = np.repeat(np.arange(len(lengths), dtype=float), lengths)
+    observed = {name: recording.channels[name] for name in (MOTOR_POSITION, MOTOR_TORQUE)}
+    return {
+        "posterior": dataset(POSTERIOR, answer.draws, shared.numbered(shape)),
+        "sample_stats": dataset(
+            SAMPLE_STATS,
+            {"lp": answer.log_density, "acceptance_rate": answer.diagnostics.acceptance},
+        ),
+        **shared.recorded(recording, observed, file=file),
+        "cycles": _cycles(answer),
+        "loop": _loop(answer),
+        "diagnostics": dataset(
+            DIAGNOSTICS,
+            shared.sampling_values(answer.diagnostics, 0.0),
+            {"symbol": list(answer.diagnostics.r_hat)},
+        ),
+        "budget": shared.budget_group(answer.budget),
+    }
+
+
+def _cycles(answer: RampAnswer) -> xr.Dataset:
+    level = answer.flanks.level
+    used = [] if level is None else level.cycles
+    each = [(n, c) for n, file in enumerate(answer.files) for c in file.cycles]
+    names = ("amplitude_nm", "width_rad", "range_rad", "elastic_nm", "friction_nm")
+    return dataset(
+        CYCLES,
+        {
+            "file": np.array([n for n, _ in each], dtype=float),
+            **{name: np.array([getattr(c, name) for _, c in each]) for name in names},
+            "used": np.array([any(c is other for other in used) for _, c in each], dtype=float),
+            "relative_compliance": answer.flanks.relative_compliance,
+            "probability_of_play": answer.flanks.probability_of_play,
+            "lost_motion_torque_nm": answer.lost_motion_torque_nm,
+        },
+    )
+
+
+def _loop(answer: RampAnswer) -> xr.Dataset:
+    level = answer.flanks.level
+    assert level is not None
+    parts: dict[str, list[FloatArray]] = {
+        name: [] for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
+    }
+    misfit, low, high = [], [], []
+    for n, (ramps, cycles) in enumerate(zip(answer.files, level.files, strict=True)):
+        if not cycles:
+            continue
+        torque, position, last = _path(ramps, cycles)
+        model = LoopModel.fitted(cycles, torque, position)
+        modelled = model.follow(torque, position[0])
+        left = {
+            side: [e.left_rad for c in cycles for e in (c.first, c.last) if e.side == side]
+            for side in (-1, 1)
+        }
+        parts["torque_nm"].append(torque)
+        parts["position_rad"].append(position)
+        parts["model_rad"].append(modelled)
+        parts["file"].append(np.full(torque.size, float(n)))
+        parts["last"].append(last)
+        misfit.append(float(np.sqrt(np.mean((position - modelled) ** 2))))
+        low.append(float(np.mean(left[-1])))
+        high.append(float(np.mean(left[1])))
+    return dataset(
+        LOOP,
+        {
+            **{name: np.concatenate(values) for name, values in parts.items()},
+            "model_misfit_rad": np.array(misfit),
+            "left_low_rad": np.array(low),
+            "left_high_rad": np.array(high),
+        },
+    )
+
+
+def _path(ramps: Ramps, cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Torque and position of all cycles of a file in order, thinned, and which are of the last."""
+    path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
+    torque, position = ramps.torque_nm[path], ramps.position_rad[path]
+    step = max(1, -(-torque.size // MOST_POINTS))
+    last = np.arange(path.start, path.stop) >= cycles[-1].first.begin
+    return torque[::step], position[::step], last[::step].astype(float)
+
+
+ROUTE = Route("torque_ramp", GROUPS)

@@ -7,6 +7,7 @@ row in :data:`ROUTES`. ``auto`` is of two routes, one of which answers: its resu
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 
 import xarray as xr
@@ -16,10 +17,9 @@ from bayesbl.errors import ResultError
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit
 from bayesbl.measurement.dated_wear import WEAR
 from bayesbl.measurement.measurement import Measurer, Route
-from bayesbl.measurement.shared_groups import CHANGE
-from bayesbl.measurement.stored_curve import CURVE
+from bayesbl.measurement.shared_groups import CHANGE, GAP
+from bayesbl.measurement.stored import measurement_tree, routes_of
 from bayesbl.measurement.task import Seeds, Task
-from bayesbl.measurement.tree import measurement_tree
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import Recording
 from bayesbl.results.variables import Group
@@ -53,28 +53,25 @@ def measurer_of(config: SnapshotConfig) -> Measurer:
     return prepared
 
 
-def route_of_result(tree: xr.DataTree) -> Route:
-    """The route that a stored result was made by.
+def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of a stored fit or comparison, those of a route by their path.
 
     Raises
     ------
     ResultError
-        If there is no such route.
+        If it was made by no known route.
     """
-    name = tree.attrs.get("route")
-    if not isinstance(name, str) or name not in ROUTES:
+    names = routes_of(tree)
+    unknown = [name for name in names if name not in ROUTES]
+    if unknown or not names:
         raise ResultError(
             "This result was made by no known route.",
-            found=f"route {name!r}",
+            found=f"routes {', '.join(unknown) or 'none'}",
             expected=" or ".join(ROUTES),
         )
-    return route_of(name)
-
-
-def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
-    """All groups of a stored fit or comparison."""
     compared = (CHANGE, WEAR) if tree.attrs["kind"] == "compare" else ()
-    return (*route_of_result(tree).groups, CURVE, *compared)
+    of_routes = [replace(g, name=f"{n}/{g.name}") for n in names for g in route_of(n).groups]
+    return (*of_routes, GAP, *compared)
 
 
 def measure(

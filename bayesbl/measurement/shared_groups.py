@@ -1,20 +1,21 @@
-"""Groups and variables of ``result.nc`` that both routes of measurement store.
+"""Groups and variables of ``result.nc`` that every route of measurement stores.
 
-A fit has arviz's groups at the root (``posterior``, ``sample_stats``, ``observed_data``) and
-groups of its route beside them. A comparison has the same with a dimension ``snapshot`` in front,
-and ``change``; where the recordings are dated also ``wear``. ``curve`` holds the gap curve over its
-range in both.
+Each route has a group of its own name, with ArviZ's groups inside (``posterior``, ``sample_stats``,
+``observed_data``, …) and those of its science. At the root are ``gap``, the draws of the route that
+answers, and of a comparison ``change``, and ``wear`` where the recordings are dated. In a
+comparison all that is of one recording has a dimension ``snapshot`` in front.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import xarray as xr
 
-from bayesbl.measurement.change import Change
-from bayesbl.recording.types import CHANNELS, FloatArray, Recording
+from bayesbl.config.sections import Interval as IntervalConfig
+from bayesbl.recording.types import CHANNELS, Recording
+from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, Variable, dataset, labels, table
 from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.units import unit_of
@@ -48,8 +49,11 @@ def _channel(name: str) -> Variable:
     return Variable(name, ("sample",), unit_of(name), CHANNELS.get(name, name))
 
 
-OBSERVED = Group(
-    "observed_data",
+OBSERVED = Group("observed_data", named=_channel)
+"""Channels that the route goes by, as they were compared."""
+
+CONSTANT = Group(
+    "constant_data",
     table("""
         time_s (sample) | s | time
         excluded? (sample) | 1 | sample that was lost or cannot be trusted (1), bridged and left
@@ -58,12 +62,16 @@ OBSERVED = Group(
     """),
     named=_channel,
 )
+"""Time, and all other channels of the recording: later figures lay simulations over them."""
 
-GAP = Group(
-    "gap",
-    table("budget (source) | 1 | share of the variance of ln δ"),
+BUDGET = Group(
+    "budget",
+    table("share (source) | 1 | share of the variance of ln δ"),
     (labels("source", "source of the uncertainty of δ"),),
 )
+
+GAP = Group("gap", (DELTA,), (CHAIN, DRAW), optional=True)
+"""The draws of δ of the route that answers; absent without a curve."""
 
 CHANGE = Group(
     "change",
@@ -71,7 +79,7 @@ CHANGE = Group(
         change_rad? (chain, draw) | rad | change of the backlash gap from first to last
         step_change_rad? (step, chain, draw) | rad
             | change of the backlash gap between neighbouring snapshots
-        ringing_change? (chain, draw) | 1
+        ringing_change? (ringing_chain, ringing_draw) | 1
             | change of the ringing's amplitude from first to last, as a share of the first
     """),
     table("""
@@ -81,15 +89,21 @@ CHANGE = Group(
 )
 
 
-def observed_group(recording: Recording, **beside: object) -> xr.Dataset:
-    """Every channel that was recorded: later figures lay simulations over them.
+def recorded(
+    recording: Recording, observed: Mapping[str, object], **beside: object
+) -> dict[str, xr.Dataset]:
+    """Groups :data:`OBSERVED`, with what a route went by, and :data:`CONSTANT`, with all else.
 
-    ``beside``: further variables of :data:`OBSERVED`.
+    ``beside``: further variables of :data:`CONSTANT`.
     """
     excluded = np.zeros(recording.samples) if recording.excluded is None else recording.excluded
-    channels = {"time_s": recording.time_s, **recording.channels}
+    others = {name: row for name, row in recording.channels.items() if name not in observed}
     values = {"excluded": np.asarray(excluded, dtype=np.float64), **beside}
-    return dataset(OBSERVED, channels | values)
+    constant = {"time_s": recording.time_s, **others, **values}
+    return {
+        OBSERVED.name: dataset(OBSERVED, observed),
+        CONSTANT.name: dataset(CONSTANT, constant),
+    }
 
 
 def sampling_values(diagnostics: Diagnostics, rotations: float) -> dict[str, object]:
@@ -108,25 +122,25 @@ def numbered(shape: tuple[int, ...]) -> dict[str, object]:
     return {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
 
 
-def gap_group(budget: Mapping[str, float]) -> xr.Dataset:
+def budget_group(budget: Mapping[str, float]) -> xr.Dataset:
     """Share of each source in the variance of ln δ."""
-    return dataset(GAP, {"budget": list(budget.values())}, {"source": list(budget)})
+    return dataset(BUDGET, {"share": list(budget.values())}, {"source": list(budget)})
 
 
-def change_group(
-    total: Change | None, steps: Sequence[Change], ringing_change: FloatArray | None
-) -> xr.Dataset:
-    """Draws of the change from first to last, and of each step; what there is not is left out."""
-    values: dict[str, object] = {"ringing_change": ringing_change}
-    if total is None:
-        return dataset(CHANGE, values)
-    values["change_rad"] = total.change_rad
-    values["step_change_rad"] = np.stack([step.change_rad for step in steps])
-    return dataset(
-        CHANGE,
-        values,
-        {
-            "step_from": [step.first for step in steps],
-            "step_to": [step.last for step in steps],
-        },
-    )
+def intervals(
+    posterior: xr.Dataset, names: Iterable[str], of: IntervalConfig
+) -> dict[str, Interval]:
+    """Interval of each of these variables of a posterior, as configured."""
+    return {name: interval(posterior[name].values, of.level, of.kind) for name in names}
+
+
+def excluded_samples(recording: Recording) -> int:
+    """Samples that were lost or cannot be trusted."""
+    return 0 if recording.excluded is None else int(recording.excluded.sum())
+
+
+def sampling_summary(diagnostics: Diagnostics) -> dict[str, float]:
+    """How the sampling ended, by the worst of all symbols."""
+    worst = np.fmax.reduce(list(diagnostics.r_hat.values()))
+    fewest = np.fmin.reduce(list(diagnostics.ess_bulk.values()))
+    return {"r_hat": float(worst), "ess_bulk": float(fewest)}

@@ -5,8 +5,28 @@ from __future__ import annotations
 from typing import Literal, NotRequired, TypedDict
 
 from bayesbl.results.intervals import Interval
-from bayesbl.results.summary_types import Head
+from bayesbl.results.summary_types import Origin
 from bayesbl.sampling.convergence import Outcome
+
+
+class ReasonSummary(TypedDict):
+    """Why an answer is withheld or limited: programs go by ``code``.
+
+    Beside these it has the numbers and names that the sentence is made of, by name; ``recordings``
+    where it holds for some of them alone, ``also`` where there are further reasons, which ``text``
+    includes.
+    """
+
+    code: str
+    text: str
+    also: NotRequired[list[ReasonSummary]]
+    recordings: NotRequired[list[str]]
+
+
+class ListedReason(ReasonSummary):
+    """One of all that is to be known of an answer; ``withholds`` where it withholds δ."""
+
+    withholds: bool
 
 
 class NoiseSummary(TypedDict):
@@ -32,7 +52,7 @@ class DiagnosticsSummary(TypedDict):
     simulated_draws: NotRequired[int]
     surrogate_refits: NotRequired[int]
     outcome: Outcome
-    reasons: list[str]
+    reasons: list[ListedReason]
 
 
 class SymbolCheck(TypedDict):
@@ -91,18 +111,11 @@ class JointCheckSummary(TypedDict):
     blind_spots: list[BlindSpotSummary]
 
 
-class RouteSummary(TypedDict):
-    """What one route answers of a snapshot; ``reason``: why it has no δ."""
-
-    delta_rad: Interval | None
-    reason: str | None
-    amplitude_rpm: NotRequired[Interval | None]
-    curve: NotRequired[str]
-
-
 class _FromRinging(TypedDict, total=False):
-    """Of the fit of the ringing's waveform."""
+    """Of the fit of the ringing's waveform; RMSE is also relative to the speed's scatter."""
 
+    rmse_rpm: float
+    relative_rmse: float
     misfit_rms_rpm: float
     start: str
     box_search: dict[str, float]
@@ -168,15 +181,18 @@ class StatedLimit(TypedDict):
     measured: Interval | None
 
 
-class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
-    """One snapshot; every route gives the keys here, and some of its own.
+class RouteSummary(_FromRinging, _FromSimulation, _FromRamps):
+    """What one route says of one recording; every route gives the keys here, and some of its own.
 
-    ``route`` is the one that answers, ``routes`` has the answer of each that was run.
+    A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone.
+    ``delta_upper_bound_rad``: δ is below it with a probability of 95 %, where it is not told from
+    none.
     """
 
     route: str
-    routes: dict[str, RouteSummary]
+    curve: str | None
     delta_rad: Interval | None
+    delta_upper_bound_rad: float | None
     amplitude_rpm: Interval | None
     parameters: dict[str, Interval]
     optimum: dict[str, float]
@@ -185,11 +201,17 @@ class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
     excluded_samples: int
     budget: dict[str, float]
     diagnostics: DiagnosticsSummary
-    reason: str | None
+    reason: ReasonSummary | None
     model_check: JointCheckSummary
     limit_rad: NotRequired[float]
     limit: NotRequired[StatedLimit]
     probability_above_limit: NotRequired[float | None]
+
+
+class SnapshotSummary(RouteSummary):
+    """The answer for one recording, and under ``routes`` what each route that ran says of it."""
+
+    routes: dict[str, RouteSummary]
 
 
 class NamedSnapshotSummary(SnapshotSummary):
@@ -198,11 +220,24 @@ class NamedSnapshotSummary(SnapshotSummary):
     name: str
 
 
-class FitSummary(Head, SnapshotSummary):
+class AnswerSummary(ReasonSummary):
+    """Which route's answer is the answer; ``code`` and ``text`` say why."""
+
+    route: str
+
+
+class _Measured(Origin):
+    """Of a fit and of a comparison: how it ended, and which route answers."""
+
+    outcome: str
+    warnings: list[str]
+    answer: AnswerSummary
+
+
+class FitSummary(_Measured, SnapshotSummary):
     """``summary.json`` of a fit."""
 
     kind: Literal["fit"]
-    curve: str | None
 
 
 StepSummary = TypedDict(
@@ -263,8 +298,27 @@ class ForecastFromPrior(TypedDict):
     probability_change_ahead: float
 
 
-class _DatedSummary(TypedDict):
-    """Of dated snapshots since the last repair."""
+class ChangeSummary(TypedDict):
+    """What one route alone says of the change from first to last."""
+
+    change_rad: Interval | None
+    probability_increase: float | None
+    outcome: str
+    reason: ReasonSummary | None
+    same_joint: JointCheckSummary
+
+
+class WearSummary(TypedDict):
+    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
+
+    Of dated snapshots since the last repair. ``probability_wear`` that the gap grows has not ruled
+    out healing, all that follows has. ``law`` is the posterior probability of each law of wear,
+    ``rate`` the mean since the first snapshot, ``rate_now`` that at the last one by the laws.
+    ``scatter_rad_per_root_year`` is irregular wear, ``None`` under four snapshots.
+    ``relative_sd_per_date`` is what the gap may drift, as configured, and ``drift_widens`` by what
+    factor that widens the rate. ``years_to_limit`` count from the last snapshot.
+    ``forecast_from_prior`` is ``None`` without a limit ahead.
+    """
 
     snapshots: list[str]
     first_date: str
@@ -275,19 +329,6 @@ class _DatedSummary(TypedDict):
     relative_sd_per_date: float
     drift_widens: float | None
     decide_before: str | None
-
-
-class WearSummary(_DatedSummary):
-    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
-
-    ``probability_wear`` that the gap grows has not ruled out healing, all that follows has. ``law``
-    is the posterior probability of each law of wear, ``rate`` the mean since the first snapshot,
-    ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is irregular wear,
-    ``None`` under four snapshots. ``relative_sd_per_date`` is what the gap may drift, as
-    configured, and ``drift_widens`` by what factor that widens the rate. ``years_to_limit`` count
-    from the last snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead.
-    """
-
     probability_wear: float
     law: dict[str, float]
     rate: RateInterval
@@ -302,32 +343,27 @@ class WearSummary(_DatedSummary):
     reason: None
 
 
-class WithheldWearSummary(_DatedSummary):
-    """As :class:`WearSummary` where no rate can be given; ``reason`` says why."""
+class WithheldWearSummary(TypedDict):
+    """Wear in time where no rate can be given: all of it is null, and ``reason`` says why."""
 
-    probability_wear: None
-    law: None
-    rate: None
-    rate_now: None
-    rate_at_most_rad_per_year: None
-    scatter_rad_per_root_year: None
-    years_to_limit: None
-    date_of_limit: None
-    not_before: None
-    probability_before: None
-    forecast_from_prior: None
-    reason: str
+    snapshots: list[str]
+    first_date: str
+    last_date: str
+    level: float
+    limit_rad: float | None
+    reason: ReasonSummary
 
 
-class ComparisonSummary(Head):
+class ComparisonSummary(_Measured):
     """``summary.json`` of a comparison.
 
     ``ringing_change`` is that of the amplitude from first to last as a share of the first, where it
-    was measured at one speed and rate, else ``None``.
+    was measured at one speed and rate, else ``None``. ``routes`` has the change by each route.
     """
 
     kind: Literal["compare"]
     curve: str | None
+    reason: ReasonSummary | None
     snapshots: list[NamedSnapshotSummary]
     change_rad: Interval | None
     changes: list[StepSummary]
@@ -335,6 +371,7 @@ class ComparisonSummary(Head):
     ringing_change: Interval | None
     probability_ringing_grew: float | None
     same_joint: JointCheckSummary
+    routes: dict[str, ChangeSummary]
     wear: WearSummary | WithheldWearSummary | None
 
 

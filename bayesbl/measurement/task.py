@@ -29,12 +29,13 @@ class Seeds:
     recordings: tuple[np.random.SeedSequence, ...]
     direct: np.random.SeedSequence
     wear: np.random.SeedSequence
+    predictive: np.random.SeedSequence
 
     @classmethod
     def spawn(cls, seed: int, recordings: int) -> Seeds:
         """The same seeds whatever the number of workers."""
-        curve, gap, fits, direct, wear = np.random.SeedSequence(seed).spawn(5)
-        return cls(curve, gap, tuple(fits.spawn(recordings)), direct, wear)
+        curve, gap, fits, direct, wear, predictive = np.random.SeedSequence(seed).spawn(6)
+        return cls(curve, gap, tuple(fits.spawn(recordings)), direct, wear, predictive)
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,13 +150,17 @@ def _of_ringing(summary: MeasuredSummary) -> Advice:
         return Advice(
             "watch",
             "Find out what changed besides the gap.",
-            (*summary["same_joint"]["sentences"], summary["reason"] or ""),
+            (*summary["same_joint"]["sentences"], _why(summary)),
         )
     grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
     title = "The ringing grew: describe the joint in a bench file to learn by how much gap."
     if not grew:
         title = "Describe the joint in a bench file to learn the gap."
-    return Advice("watch" if grew else "note", title, (summary["reason"] or "",))
+    return Advice("watch" if grew else "note", title, (_why(summary),))
+
+
+def _why(summary: MeasuredSummary) -> str:
+    return "" if summary["reason"] is None else summary["reason"]["text"]
 
 
 def _by_forecast(found: WearSummary, last: SnapshotSummary, unless: str) -> Advice | None:
@@ -232,7 +236,7 @@ def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Ite
             yield from _growth_again(last, change["median"])
         return
     if found["reason"] is not None:
-        yield found["reason"]
+        yield found["reason"]["text"]
     if len(found["snapshots"]) == 2:
         yield "Two snapshots cannot show whether the wear is steady: take a third."
 

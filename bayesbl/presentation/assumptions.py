@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route, ringing, torque_ramps
+from bayesbl.presentation import answer, torque_ramps
 from bayesbl.presentation.words import interval_kind
 
 if TYPE_CHECKING:
@@ -54,9 +54,9 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
         yield (
             "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
         )
-    if direct_route.is_direct(summary):
+    if answer.is_simulated(summary):
         yield "The joint behaves as its bench file says, within the tolerances given there."
-    elif ringing.is_alone(summary):
+    elif answer.is_ringing_alone(summary):
         yield "More ringing may be more gap, or another load, stiffness, damping or controller."
     elif answer.is_by_other_machine(summary):
         yield "The joint rings like the paper's test bench (curve published, eq. 4)."
@@ -65,7 +65,7 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
         yield f"The joint rings like the bench of its gap curve ({summary['curve']})."
     again = "cycle" if "motion" in last else "rotation"
     yield f"Noise is what does not repeat from one {again} to the next, and is steady."
-    if not ringing.is_alone(summary):
+    if not answer.is_ringing_alone(summary):
         yield "Before the recording every gap is equally likely in ln δ."
     if summary["kind"] == "compare":
         yield "Nothing but the gap changed between the snapshots: same joint, controller and load."

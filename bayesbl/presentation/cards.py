@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, diagnosis, ringing, wear, words
+from bayesbl.presentation import answer, diagnosis, wear, words
 from bayesbl.units import number
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[Card]:
     if summary["kind"] == "compare" and (rated := wear.with_rate(summary)) is not None:
         yield from _of_wear(summary, rated)
         return
-    if ringing.is_alone(summary):
+    if answer.is_ringing_alone(summary):
         yield from _of_ringing(summary)
         return
     labelled = [

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route
+from bayesbl.presentation import answer
 from bayesbl.presentation.blocks import Block, Heading, Sentence
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.presentation.terminal import print_blocks
@@ -68,6 +68,6 @@ def _curve(summary: Summary) -> str | None:
     """The curve that a sweep made, or that gaps were read from."""
     if summary["kind"] == "sweep":
         return summary["curve"]
-    if answer.is_measured(summary) and not direct_route.is_direct(summary):
+    if answer.is_measured(summary):
         return summary["curve"]
     return None

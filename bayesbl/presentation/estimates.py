@@ -5,30 +5,51 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route, torque_ramps, words
+from bayesbl.presentation import answer, torque_ramps, words
 from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
+    from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary
     from bayesbl.results.intervals import Interval
+
+
+BOUND_EXPLAINED = (
+    "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
+    "can have without prior knowledge of the bench."
+)
+
+CHECK_EXPLAINED = (
+    "Power of the difference between recording and simulation that repeats every rotation, over "
+    "the power expected from noise; the probability that noise alone gives as much."
+)
+
+
+CHECK_OF_MOTION = (
+    "Power of the difference between recording and simulation that repeats every cycle, or is slow "
+    "where the motion does not repeat, over the power expected from noise; the probability that "
+    "noise alone gives as much."
+)
 
 
 def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
     """Parameters and diagnostics of every snapshot."""
     for name, part in answer.snapshots(summary):
-        yield Heading(f"Snapshot {name}" if name else "Fit")
-        if "cramer_rao_sd" in part:
-            yield from direct_route.blocks(part)
-        elif "ramps" in part:
-            yield from torque_ramps.blocks(part)
-        else:
-            yield from _of_amplitude(part, "; ".join(_rivals(tree, name)) or "none")
+        routes = answer.answering(part)
+        for route in routes:
+            by = f", by {words.route_in_words(route['route'])}" if len(routes) > 1 else ""
+            yield Heading((f"Snapshot {name}" if name else "Fit") + by)
+            if "cramer_rao_sd" in route:
+                yield from _of_simulation(route)
+            elif "ramps" in route:
+                yield from torque_ramps.blocks(route)
+            else:
+                yield from _of_amplitude(route, "; ".join(_rivals(tree, route, name)) or "none")
 
 
-def noise(part: SnapshotSummary) -> str:
+def noise(part: RouteSummary) -> str:
     """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
@@ -49,12 +70,12 @@ def noise(part: SnapshotSummary) -> str:
     return text
 
 
-def _of_amplitude(part: SnapshotSummary, rivals: str) -> Iterator[Block]:
+def _of_amplitude(part: RouteSummary, rivals: str) -> Iterator[Block]:
     yield _parameter_table(part)
     lines = {
         **({"Search": part["start"]} if "start" in part else {}),
         **({"Table 2's ranges": _box_search(part)} if "box_search" in part else {}),
-        "Fit": f"RMSE {part['optimum']['rmse_rpm']:.3f} rpm",
+        "Fit": f"RMSE {part['rmse_rpm']:.3f} rpm, relative {part['relative_rmse']:.3f}",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
         "Noise": noise(part),
         "Sampling": words.sampling(part),
@@ -64,7 +85,7 @@ def _of_amplitude(part: SnapshotSummary, rivals: str) -> Iterator[Block]:
         yield Sentence(sentence, label=label)
 
 
-def _box_search(part: SnapshotSummary) -> str:
+def _box_search(part: RouteSummary) -> str:
     found = part["box_search"]
     return (
         f"the search ended at A = {found['amplitude_rpm']:.3g} rpm, RMSE {found['rmse_rpm']:.3g} "
@@ -72,7 +93,7 @@ def _box_search(part: SnapshotSummary) -> str:
     )
 
 
-def _parameter_table(part: SnapshotSummary) -> Table:
+def _parameter_table(part: RouteSummary) -> Table:
     """All nine symbols and the time constant, with intervals or as fixed."""
     from bayesbl.ringing.symbols import DECAY, SYMBOLS
 
@@ -83,7 +104,7 @@ def _parameter_table(part: SnapshotSummary) -> Table:
     return table(columns, rows)
 
 
-def _time_constant(part: SnapshotSummary) -> tuple[str, ...]:
+def _time_constant(part: RouteSummary) -> tuple[str, ...]:
     """The decay rate as the time constant that its symbol τ is often taken for."""
     from bayesbl.ringing.symbols import DECAY
 
@@ -102,7 +123,7 @@ def _time_constant(part: SnapshotSummary) -> tuple[str, ...]:
     return name, *shown, words.bounds(inverse, places=places), "ms"
 
 
-def _row(part: SnapshotSummary, name: str, unit: str) -> tuple[str, ...]:
+def _row(part: RouteSummary, name: str, unit: str) -> tuple[str, ...]:
     best, found = part["optimum"][name], part["parameters"].get(name)
     if found is None:
         return name, f"{best:g}", "", "fixed", unit
@@ -111,9 +132,9 @@ def _row(part: SnapshotSummary, name: str, unit: str) -> tuple[str, ...]:
     return name, *shown, words.bounds(found, places=places), unit
 
 
-def _rivals(tree: xr.DataTree, name: str) -> list[str]:
+def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
     """Other local optima of one snapshot, as amplitude and RMSE."""
-    optimum = tree["optimum"].to_dataset()
+    optimum = tree.children[part["route"]].children["optimum"].to_dataset()
     if name:
         optimum = optimum.sel(snapshot=name)
     amplitudes, errors = optimum["rival_amplitude_rpm"].values, optimum["rival_rmse_rpm"].values
@@ -122,3 +143,66 @@ def _rivals(tree: xr.DataTree, name: str) -> list[str]:
         for a, e in zip(amplitudes, errors, strict=True)
         if a == a  # padding of snapshots with fewer rivals is NaN
     ]
+
+
+def _of_simulation(part: RouteSummary) -> Iterator[Block]:
+    """Every unknown with its interval and its bound, the predictive check, noise and sampling."""
+    yield _unknown_table(part)
+    yield Sentence(BOUND_EXPLAINED, "aside")
+    yield _check_table(part)
+    yield Sentence(CHECK_OF_MOTION if "motion" in part else CHECK_EXPLAINED, "aside")
+    lines = {
+        "Noise": joint_noise(part),
+        "Sampling": words.sampling(part),
+        "Full simulation": simulated(part),
+    }
+    for label, sentence in lines.items():
+        yield Sentence(sentence, label=label)
+
+
+def joint_noise(part: RouteSummary) -> str:
+    """``AR(1), standard deviation 1.51 rpm in speed, 0.0501 A in current``."""
+    found = part["noise"]
+    kind = f"AR({found['order']})" if found["order"] else "white"
+    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm in speed"
+    return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
+
+
+def simulated(part: RouteSummary) -> str:
+    """What full simulations say of the draws of the surrogate."""
+    found = part["diagnostics"]
+    return (
+        f"{found['effective_after_simulation']:.0f} effective draws by {found['simulated_draws']} "
+        f"simulations, surrogate fitted again {found['surrogate_refits']} times"
+    )
+
+
+def _unknown_table(part: RouteSummary) -> Table:
+    kind = words.short_kind(next(iter(part["parameters"].values())))
+    titles = ("Optimum", "Posterior sd", "Cramér-Rao", kind)
+    rows = [_unknown_row(part, name) for name in part["optimum"]]
+    return table((text("Parameter"), *map(numbers, titles)), rows)
+
+
+def _unknown_row(part: RouteSummary, name: str) -> tuple[str, ...]:
+    found = part["delta_rad"] if name == "delta_rad" else part["parameters"][name]
+    errors = (words.significant(part[key][name], 3) for key in ("posterior_sd", "cramer_rao_sd"))
+    if found is None:
+        return name, "withheld", *errors, "withheld"
+    best = f"{part['optimum'][name]:.6g}"
+    return name, best, *errors, words.bounds(found, places=words.decimals(found))
+
+
+def _check_table(part: RouteSummary) -> Table:
+    orders = "Orders of the\ncycle up to" if "motion" in part else "Load orders\nup to"
+    titles = (orders, "Repeating\nover noise", "Probability")
+    rows = [
+        (
+            entry["channel"],
+            entry["highest_order"] or "mean",
+            words.significant(entry["ratio"], 3),
+            words.probability(entry["probability"]),
+        )
+        for entry in part["predictive_check"]
+    ]
+    return table((text("Channel"), *map(numbers, titles)), rows)

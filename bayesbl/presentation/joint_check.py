@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import torque_ramps
@@ -72,8 +72,11 @@ def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:
     return None if change is None else (change["low"], change["high"])
 
 
-def blocks(summary: MeasuredSummary) -> Iterator[Block]:
-    """A warning for every finding, then what none of the checks can see."""
+def blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Block]:
+    """A warning for every finding, then what none of the checks can see.
+
+    ``codes``: why the answer is withheld, which may have said it.
+    """
     if summary["kind"] == "compare":
         checks = [(snapshot["name"], snapshot["model_check"]) for snapshot in summary["snapshots"]]
         checks.append(("", summary["same_joint"]))
@@ -81,7 +84,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         checks = [("", summary["model_check"])]
     for name, check in checks:
         # What the change is withheld for has been said.
-        for sentence in (s for s in check["sentences"] if s not in (summary["reason"] or "")):
+        for sentence in () if "joint_changed" in codes and not name else check["sentences"]:
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
     for label, known in (("Could pass for wear", True), ("Would pass unseen", False)):

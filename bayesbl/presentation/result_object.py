@@ -86,7 +86,7 @@ class Result:
     """A result of any kind.
 
     ``print(result)`` gives the answer as the command does, a notebook shows it as a page would,
-    and ``result["posterior"]`` is a group of the tree.
+    and ``result["gap"]`` is a group of the tree.
     """
 
     def __init__(self, tree: xr.DataTree) -> None:
@@ -131,7 +131,7 @@ class Result:
         return self._tree.attrs
 
     def __getitem__(self, path: str) -> xr.DataTree | xr.DataArray:
-        """A group or a variable of the tree: ``result["posterior"]``, ``result["posterior/…"]``."""
+        """A group or a variable of the tree: ``result["gap"]``, ``result["gap/delta_rad"]``."""
         return self._tree[path]
 
     def __repr__(self) -> str:
@@ -158,11 +158,96 @@ class Result:
     """From the summary to the rows of the table."""
 
 
-class FitResult(Result):
+class RouteResult:
+    """What one route of a fit or a comparison stores, whole: its groups are attributes.
+
+    ``route.posterior["amplitude_rpm"]``, ``route.optimum``, ``route.noise``, ``route.curve``, each
+    an xarray dataset with units on every variable.
+    """
+
+    def __init__(self, tree: xr.DataTree) -> None:
+        self._tree = tree
+
+    def to_datatree(self) -> xr.DataTree:
+        """All groups, those that ArviZ knows by its names."""
+        return self._tree
+
+    def to_arviz(self) -> Any:
+        """As the installed ArviZ takes it: a data tree from its version 1 on."""
+        import arviz
+
+        if not hasattr(arviz, "InferenceData"):
+            return self._tree
+        known = set(arviz.data.inference_data.SUPPORTED_GROUPS_ALL)
+        groups: Any = {
+            n: node.to_dataset() for n, node in self._tree.children.items() if n in known
+        }
+        return arviz.InferenceData(**groups)
+
+    def snapshot(self, name: str) -> RouteResult:
+        """The same of one recording of a comparison, without the padding of shorter ones."""
+        import xarray
+
+        groups = {}
+        for group, node in self._tree.children.items():
+            data = node.to_dataset()
+            if "snapshot" in data.dims:
+                known = [str(n) for n in data["snapshot"].values]
+                if name not in known:
+                    raise ResultError(
+                        "There is no such snapshot.", found=name, expected=", ".join(known)
+                    )
+                data = data.sel(snapshot=name, drop=True)
+            for dim in set(data.dims) - {"chain", "draw"}:
+                data = data.dropna(dim, how="all")
+            groups[group] = data
+        return RouteResult(xarray.DataTree.from_dict(groups))
+
+    def __getattr__(self, name: str) -> xr.Dataset:
+        if name.startswith("_") or name not in self._tree.children:
+            raise AttributeError(f"there is no group {name!r}: {', '.join(self._tree.children)}")
+        return self._tree.children[name].to_dataset()
+
+    def __dir__(self) -> Iterable[str]:
+        return [*super().__dir__(), *self._tree.children]
+
+    def __repr__(self) -> str:
+        return f"<RouteResult: {', '.join(self._tree.children)}>"
+
+
+class MeasuredResult(Result):
+    """Gaps in recordings; its routes are attributes: ``result.amplitude``, ``result.direct``.
+
+    A group's name gives it of the first route that has it, the one that answers before others:
+    ``result.curve``, ``result.noise``.
+    """
+
+    def to_datatree(self) -> xr.DataTree:
+        """Everything, each route in a group of its own."""
+        return self._tree
+
+    def __getattr__(self, name: str) -> Any:
+        from bayesbl.measurement.stored import routes_of
+
+        routes = [] if name.startswith("_") else routes_of(self._tree)
+        if name in routes:
+            return RouteResult(self._tree.children[name])
+        for route in routes:
+            if name in self._tree.children[route].children:
+                return self._tree.children[route].children[name].to_dataset()
+        raise AttributeError(f"there is no {name!r}; routes: {', '.join(routes)}")
+
+    def __dir__(self) -> Iterable[str]:
+        from bayesbl.measurement.stored import routes_of
+
+        return [*super().__dir__(), *routes_of(self._tree)]
+
+
+class FitResult(MeasuredResult):
     """The gap in one recording."""
 
 
-class ComparisonResult(Result):
+class ComparisonResult(MeasuredResult):
     """The gap in each recording of one joint, and its change: a row a snapshot."""
 
     _rows = staticmethod(lambda summary: summary["snapshots"])

@@ -9,7 +9,7 @@ from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import MeasuredSummary, SnapshotSummary
+    from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary, SnapshotSummary
     from bayesbl.results.intervals import Interval
 
 RELATIVE_EXPLAINED = (
@@ -92,7 +92,7 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
             )
 
 
-def blocks(part: SnapshotSummary) -> Iterator[Block]:
+def blocks(part: RouteSummary) -> Iterator[Block]:
     """Every quantity with its interval, and what says whether there is play."""
     first = part["friction_torque_nm"]
     units = {
@@ -112,9 +112,7 @@ def blocks(part: SnapshotSummary) -> Iterator[Block]:
     columns = (text("Quantity"), numbers("Median"), numbers(words.short_kind(first)), text("Unit"))
     yield table(columns, rows)
     relative = part["relative_compliance"]
-    shown = (
-        "not known, without larger ramps" if relative != relative else words.significant(relative)
-    )
+    shown = "not known, without larger ramps" if relative is None else words.significant(relative)
     sure = words.probability(part["probability_of_play"])
     yield Sentence(f"{shown}; probability that it is above 1: {sure}", label="Relative compliance")
     yield Sentence(RELATIVE_EXPLAINED, "aside")

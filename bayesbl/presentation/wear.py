@@ -39,7 +39,7 @@ def blocks(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) 
     if spans_repair(summary, wear):
         yield Sentence(repaired(wear))
     if wear["reason"] is not None:
-        yield Sentence(wear["reason"], "warning", "No rate of wear")
+        yield Sentence(wear["reason"]["text"], "warning", "No rate of wear")
         return
     for sentence in sentences(wear, unless=joint_check.unless(summary)):
         yield Sentence(sentence)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import SnapshotSummary
+    from bayesbl.measurement.summary_types import RouteSummary
     from bayesbl.results.intervals import Interval
 
 RAREST = 1e-3
@@ -133,7 +133,28 @@ def source_in_words(source: str) -> str:
     return _SOURCES.get(source, source.replace("_", " "))
 
 
-def sampling(part: SnapshotSummary) -> str:
+ROUTES = {
+    "amplitude": "the ringing",
+    "direct": "simulation",
+    "torque_ramp": "torque ramps",
+    "two_encoders": "two encoders",
+}
+
+
+def route_in_words(route: str) -> str:
+    """What a route goes by."""
+    return ROUTES.get(route, route.replace("_", " "))
+
+
+SHORT = {"amplitude": "ringing", "direct": "simulation"}
+
+
+def short_route(route: str) -> str:
+    """The same for the head of a column."""
+    return SHORT.get(route, route_in_words(route))
+
+
+def sampling(part: RouteSummary) -> str:
     """Convergence in one line."""
     found = part["diagnostics"]
     return (

@@ -25,7 +25,7 @@ from bayesbl.recording.input_bytes import LIMIT_VARIABLE, memory_bytes
 from bayesbl.results.atomic import replacing
 from bayesbl.results.seal import has_seal, is_intact, seal
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 OUTCOME = "outcome"
 """Root attribute that tells how a run ended; absent or :data:`RUNNING` while it has not."""
@@ -190,6 +190,14 @@ def _require_this_version(tree: xr.DataTree, file: Path) -> None:
             file=file,
             found=f"{RESULT_MARK} {version}",
             expected=f"at most {FORMAT_VERSION}",
+        )
+    if version < FORMAT_VERSION:
+        raise ResultError(
+            "This result was written by an earlier version of bayesbl, in another layout.",
+            file=file,
+            found=f"version {tree.attrs.get('bayesbl_version', 'unknown')}",
+            expected=f"one of this version; `bayesbl run "
+            f"{shlex.quote(str(file.with_name('config.toml')))} --force` makes it again",
         )
 
 

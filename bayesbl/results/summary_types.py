@@ -9,15 +9,29 @@ import xarray as xr
 from bayesbl.results.store import texts
 
 
-class Head(TypedDict):
+class Origin(TypedDict):
+    """Where a result comes from."""
+
+    version: str | None
+    commit: str | None
+    seed: int | None
+
+
+class Head(Origin):
     """How a run ended and where it came from; ``reason`` says why answers are withheld."""
 
     outcome: str
     reason: str | None
     warnings: list[str]
-    version: str | None
-    commit: str | None
-    seed: int | None
+
+
+def origin(tree: xr.DataTree) -> Origin:
+    """Where a result comes from, by its attributes."""
+    return {
+        "version": tree.attrs.get("bayesbl_version"),
+        "commit": tree.attrs.get("git_commit"),
+        "seed": tree.attrs.get("seed"),
+    }
 
 
 def head(tree: xr.DataTree) -> Head:
@@ -26,7 +40,5 @@ def head(tree: xr.DataTree) -> Head:
         "outcome": tree.attrs["outcome"],
         "reason": tree.attrs.get("reason") or None,
         "warnings": texts(tree.attrs.get("warnings")),
-        "version": tree.attrs.get("bayesbl_version"),
-        "commit": tree.attrs.get("git_commit"),
-        "seed": tree.attrs.get("seed"),
+        **origin(tree),
     }

@@ -178,12 +178,13 @@ def require_declared(
     ResultError
         With all that is missing or has other dimensions or another kind, in one message.
     """
+    paths = dict(tree.subtree_with_keys)
     problems = [
         f"{group.name}: {problem}"
         for group in groups
         for problem in (
-            _problems(group, tree[group.name].to_dataset())
-            if group.name in tree.children
+            _problems(group, paths[group.name].to_dataset(inherit=False))
+            if group.name in paths
             else _absent(group)
         )
     ]

@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, TypeAlias
 
 from bayesbl.arguments import Tree, checked
+from bayesbl.sentences import told
 
 if TYPE_CHECKING:
     from bayesbl.diagnosis.summary import DiagnosisSummary
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
     )
 
 _SUMMARISE = {
-    "fit": ("bayesbl.measurement.summary", "summarise_fit"),
-    "compare": ("bayesbl.measurement.summary", "summarise_comparison"),
+    "fit": ("bayesbl.measurement.stored", "summary_of"),
+    "compare": ("bayesbl.measurement.stored", "summary_of"),
     "sweep": ("bayesbl.runs.sweep_summary", "summarise_sweep"),
     "plan": ("bayesbl.runs.plan", "summarise_plan"),
     "identify": ("bayesbl.identification.summary", "summarise_identification"),
@@ -46,5 +47,5 @@ def summarise(tree: Tree) -> Summary:
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
     module, function = _SUMMARISE[tree.attrs["kind"]]
-    summary: Summary = getattr(import_module(module), function)(tree)
+    summary: Summary = told(getattr(import_module(module), function)(tree))
     return summary

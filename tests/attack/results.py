@@ -113,8 +113,9 @@ def without_variable(file: Open, rng: np.random.Generator) -> None:
 
 def answer_variables(file: Open) -> list[str]:
     """The numbers that an answer is made of."""
-    wanted = ("posterior/", "optimum/", "change/", "gap_curve/", "wear/", "row_", "diagnostics/")
-    found = [name for name in variables(file, "f") if name.startswith(wanted)]
+    wanted = ("/posterior/", "/optimum/", "/change/", "/gap/", "/gap_curve/", "/wear/", "/row_")
+    wanted += ("/diagnostics/",)
+    found = [n for n in variables(file, "f") if any(part in f"/{n}" for part in wanted)]
     return found or variables(file, "f")
 
 

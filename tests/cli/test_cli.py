@@ -172,8 +172,8 @@ def test_a_withheld_answer_is_stored_and_ends_with_status_3(no_figures, capsys, 
     printed = capsys.readouterr()
     summary = json.loads(printed.out)
     assert summary["delta_rad"] is None
-    assert summary["reason"]
-    assert summary["reason"] in printed.err
+    assert summary["reason"]["code"]
+    assert summary["reason"]["text"] in printed.err
     assert summary["amplitude_rpm"]["median"] > 100.0
     assert (tmp_path / "out" / "result.nc").is_file()
 

@@ -23,6 +23,7 @@ from bayesbl.errors import RecordingError, UserError
 from bayesbl.matching.observed import observed
 from bayesbl.measurement.amplitude_route import verdict
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
+from bayesbl.measurement.measurement import Reason
 from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset
 from bayesbl.recording.channels import MOTOR_SPEED
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
@@ -197,11 +198,12 @@ def test_a_withheld_answer_asks_for_the_unit_before_all_else():
     fit = SimpleNamespace(
         posterior=SimpleNamespace(diagnostics=diagnostics), check=None, point=point
     )
-    beyond = SimpleNamespace(notes=(), reason="Use a curve that reaches farther.")
-    found = verdict(fit, beyond, question="Is the unit right?")
-    assert found.reason.startswith("Is the unit right?")
-    inside = SimpleNamespace(notes=(), reason=None)
-    assert verdict(fit, inside, question="Is the unit right?").reasons == ()
+    beyond = SimpleNamespace(notes=(), reasons=(Reason("beyond_curve", withholds=True),))
+    question = Reason.told("speed_unit", "Is the unit right?", withholds=True)
+    found = verdict(fit, beyond, question=question)
+    assert [reason.code for reason in found.withholding] == ["speed_unit", "beyond_curve"]
+    inside = SimpleNamespace(notes=(), reasons=())
+    assert verdict(fit, inside, question=question).reasons == ()
 
 
 def test_a_curve_keeps_its_speed_in_its_file():

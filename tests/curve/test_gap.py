@@ -11,6 +11,8 @@ from scipy import stats
 from bayesbl.curve.gap_curve import GapCurve, published_curve
 from bayesbl.errors import CurveError
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
+from bayesbl.measurement.stored import as_stored
+from bayesbl.sentences import sentence
 
 PAPER_AMPLITUDES_RPM = np.array([30.9033, 39.2197])
 PAPER_GAPS_RAD = np.array([6.8539e-4, 9.5394e-4])
@@ -175,22 +177,24 @@ def test_an_answer_beyond_the_curve_is_withheld_with_a_one_sided_bound() -> None
     high = curve().gap_range_rad[1]
     snapshot = measured(120.0, 5.0, 1)
     (withheld,) = gaps(curve(), [snapshot], seed())
-    assert withheld.reason is not None
-    assert f"δ is above {high:.3g} rad with 90" in withheld.reason
+    (reason,) = withheld.reasons
+    assert f"δ is above {high:.3g} rad with 90" in sentence(as_stored(reason))
     assert np.mean(withheld.outside == 1.0) > 0.99
     (asked_for,) = gaps(curve(), [snapshot], seed(), allow_extrapolation=True)
-    assert asked_for.reason is None
+    assert asked_for.reasons == ()
     np.testing.assert_array_equal(asked_for.delta_rad, withheld.delta_rad)
 
     (below,) = gaps(curve(), [measured(2.0, 0.2, 1)], seed())
-    assert below.reason is not None
-    assert "δ is below 0.0001 rad with 90" in below.reason
+    (reason,) = below.reasons
+    assert "δ is below 0.0001 rad with 90" in sentence(as_stored(reason))
+    assert below.upper_bound_rad == np.quantile(below.delta_rad, 0.95)
+    assert withheld.upper_bound_rad is None, "a gap that is told from none has no bound"
 
 
 def test_a_few_draws_beyond_the_curve_are_kept() -> None:
     # 97.2 rpm is 2.8 sd below the end, where 0.26 % of the draws lie beyond.
     (found,) = gaps(curve(), [measured(97.2, 1.0, 1, draws=20_000)], seed())
-    assert found.reason is None
+    assert found.reasons == ()
     assert 0.0 < np.mean(found.outside == 1.0) < 0.01
     assert found.delta_rad.max() > curve().gap_range_rad[1]
 

@@ -213,7 +213,10 @@ def _groups(output: Path) -> Iterator[tuple[str, xr.Dataset]]:
 
 
 def _posterior(output: Path) -> xr.Dataset:
-    return next(group for path, group in _groups(output) if path == "/posterior")
+    """Of the route that answers, or of a diagnosis."""
+    route = _summary(output).get("route") or _summary(output).get("answer", {}).get("route")
+    wanted = f"/{route}/posterior" if route else "/posterior"
+    return next(group for path, group in _groups(output) if path == wanted)
 
 
 def _numbers(value: object) -> list[float | None]:
@@ -296,6 +299,16 @@ def _put_draws(found: Numbers, output: Path) -> None:
             found["draws"][str(name)] = _shortened(variable.values)
 
 
+def _put_beside(found: Numbers, summary: Mapping[str, Any], output: Path) -> None:
+    """Draws of a route beside the answer: it is stored as whole as the answer."""
+    for route in summary.get("routes", {}):
+        if route != summary.get("answer", {}).get("route"):
+            names = {path for path, _ in _groups(output)}
+            found["names"][f"{route} is whole"] = {
+                f"/{route}/{group}" for group in ("posterior", "optimum", "noise", "budget")
+            } <= names
+
+
 def read_fit(output: Path) -> Numbers:
     """One recording."""
     found = _empty()
@@ -319,6 +332,7 @@ def read_compare(output: Path) -> Numbers:
         if summary.get(key) is not None:
             _put_in_chain(found, key, summary[key])
     _put_draws(found, output)
+    _put_beside(found, summary, output)
     return found
 
 

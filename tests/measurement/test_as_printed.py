@@ -35,7 +35,7 @@ def test_pulses_fitted_to_gravitys_wave_give_no_gap(tmp_path: Path, no_figures) 
     assert ended == 3
     assert summary["delta_rad"] is None
     for word in ("gravity", "A = 56", "31.6 rpm", "baseline_harmonics = 1"):
-        assert word in summary["reason"]
+        assert word in summary["reason"]["text"]
 
 
 @pytest.mark.long
@@ -48,8 +48,8 @@ def test_a_search_that_ended_elsewhere_is_told_and_gives_no_gap(
     ended, summary = fitted(tmp_path, method, 0)
     assert ended == 3
     assert summary["delta_rad"] is None
-    assert "ended elsewhere" in summary["reason"]
-    assert 'method = "guess"' in summary["reason"]
+    assert "ended elsewhere" in summary["reason"]["text"]
+    assert 'method = "guess"' in summary["reason"]["text"]
     found = summary["box_search"]
     assert found["has_pulses_of_optimum"] == 0.0
     assert found["rmse_rpm"] > summary["optimum"]["rmse_rpm"]

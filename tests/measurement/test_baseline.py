@@ -26,7 +26,7 @@ def test_a_model_without_baseline_is_measured_and_stored(tmp_path: Path) -> None
     out = tmp_path / "out"
     with without_figures():
         assert cli.status(["fit", str(file), "--config", str(config), "--out", str(out)]) == 0
-    posterior = read_tree(out)["posterior"].to_dataset()
+    posterior = read_tree(out)["amplitude/posterior"].to_dataset()
     assert posterior.sizes["baseline_term"] == 0
     found = posterior[AMPLITUDE]
     assert float(found.mean()) == pytest.approx(STRONG[AMPLITUDE], abs=4.0 * float(found.std()))

@@ -132,23 +132,29 @@ def test_all_that_the_groups_declare_is_stored_and_what_is_taken_out_is_named(fi
     for folder in (fit, compared):
         tree = read_tree(folder)
         require_declared(tree, declared_groups(tree))
-    tree["optimum"] = tree["optimum"].to_dataset().drop_vars("covariance")
+    tree["direct/optimum"] = tree["direct/optimum"].to_dataset().drop_vars("covariance")
     del tree["change"]
-    with pytest.raises(ResultError, match="optimum: no covariance; change: no such group"):
+    with pytest.raises(ResultError, match="direct/optimum: no covariance; change: no such group"):
         require_declared(tree, declared_groups(tree))
 
 
 def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):
     tree = read_tree(fit)
-    posterior = tree["posterior"].to_dataset()
+    posterior = tree["direct/posterior"].to_dataset()
     assert posterior["delta_rad"].dims == ("chain", "draw")
-    residual = tree["predictive"]["residual_motor_current_a"].values
-    simulated = tree["predictive"]["simulated_motor_current_a"].values
-    assert np.allclose(simulated + residual, tree["observed_data"][MOTOR_CURRENT].values)
+    residual = tree["direct/predictive"]["residual_motor_current_a"].values
+    simulated = tree["direct/predictive"]["simulated_motor_current_a"].values
+    assert np.allclose(simulated + residual, tree["direct/observed_data"][MOTOR_CURRENT].values)
     for node in tree.subtree:
         for name, variable in node.to_dataset(inherit=False).data_vars.items():
             assert {"units", "long_name"} <= set(variable.attrs), (node.path, name)
-    assert {p.name for p in (fit / "figures").glob("*.png")} == {"signal.png", "gap.png"}
+    assert {p.stem for p in (fit / "figures").glob("*.png")} == {
+        "signal",
+        "simulation",
+        "gap",
+        "amplitude_to_gap",
+        "corner",
+    }
     assert run("figures", fit) == 0
 
 
@@ -164,8 +170,8 @@ def test_snapshots_without_current_work_and_say_so(compared):
     before, after = found["snapshots"]
     assert before["noise"]["sd_a"] is not None
     assert after["noise"]["sd_a"] is None
-    assert not any("no motor current" in r for r in before["diagnostics"]["reasons"])
-    assert any("no motor current" in r for r in after["diagnostics"]["reasons"])
+    assert not any(r["code"] == "no_current" for r in before["diagnostics"]["reasons"])
+    assert any(r["code"] == "no_current" for r in after["diagnostics"]["reasons"])
     assert {e["channel"] for e in after["predictive_check"]} == {MOTOR_SPEED}
 
 
@@ -175,7 +181,7 @@ def test_snapshots_share_their_bench_and_the_change_is_the_difference(compared):
     shared = set(load_bench(TOLERANCES).tolerances)
     assert shared <= set(first["parameters"])
     assert all(first["parameters"][n] == last["parameters"][n] for n in shared)
-    delta = tree["posterior"]["delta_rad"].values
+    delta = tree["gap"]["delta_rad"].values
     assert np.allclose(tree["change"]["change_rad"].values, delta[1] - delta[0])
     assert 0.0 < first["budget"]["bench"] < 1.0
     # Fails by chance in 2 of 1000.
@@ -197,7 +203,7 @@ def test_where_a_recording_cannot_be_simulated_the_amplitude_answers_and_says_wh
     found = summary(folder / "uneven")
     assert found["route"] == "amplitude"
     assert found["routes"]["direct"]["delta_rad"] is None
-    assert "evenly spaced" in found["routes"]["direct"]["reason"]
+    assert "evenly spaced" in found["routes"]["direct"]["reason"]["text"]
     # Fails by chance in 1 of 10 000: four standard deviations on either side.
     width = found["delta_rad"]["high"] - found["delta_rad"]["low"]
     assert abs(found["delta_rad"]["median"] - 8e-4) < 4.0 * width / 3.29
@@ -212,10 +218,10 @@ def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures,
     assert run("fit", file, *options, *refused) == cli.WITHHELD
     found = summary(folder / "refused")
     assert found["delta_rad"] is None
-    assert "load_coulomb_friction.torque_nm" in found["reason"]
-    assert "bayesbl diagnose" in found["reason"]
+    assert "load_coulomb_friction.torque_nm" in found["reason"]["text"]
+    assert "bayesbl diagnose" in found["reason"]["text"]
     assert not found["model_check"]["agrees"]
-    assert np.isfinite(read_tree(folder / "refused")["posterior"]["delta_rad"].values).all()
+    assert np.isfinite(read_tree(folder / "refused")["gap"]["delta_rad"].values).all()
     assert "withheld" in capsys.readouterr().out
 
     completed = folder / "completed.toml"

@@ -193,7 +193,7 @@ def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path
     code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp", "--gear-ratio", "1")
     assert code == 3
     assert summary["delta_rad"] is None
-    assert "to at least 45 N m" in summary["reason"]
+    assert "to at least 45 N m" in summary["reason"]["text"]
 
 
 def test_growth_is_not_told_from_two_positions_of_the_turn(tmp_path: Path) -> None:

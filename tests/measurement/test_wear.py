@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import io
-import json
 import re
-from dataclasses import asdict, fields
+from dataclasses import fields
 from datetime import date, timedelta
 
 import numpy as np
@@ -13,11 +12,12 @@ import pytest
 import xarray as xr
 from rich.console import Console
 from scipy import stats
+from stored_measurement import stored_comparison
 
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.dated_wear import date_after, summarise_wear, wear_of, years_between
-from bayesbl.measurement.measurement import Snapshot
-from bayesbl.measurement.verdict import Verdict
+from bayesbl.measurement.measurement import Answer, Reason, Verdict
+from bayesbl.measurement.stored import as_stored
 from bayesbl.measurement.wear import (
     LONGEST_YEARS,
     SCATTER,
@@ -36,6 +36,7 @@ from bayesbl.presentation.figures.wear import wear as wear_figure
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.wear import LAWS as LAWS_IN_WORDS
 from bayesbl.presentation.wear import blocks
+from bayesbl.sentences import told as summary_told
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])
@@ -453,35 +454,21 @@ def compared(
         }
     )
     draws = drawn(gaps, sd, np.random.default_rng(number))
-    verdicts = {
-        n: Verdict("withheld", ("Withheld.",), "Withheld.")
-        if n in withheld
-        else Verdict("converged", (), None)
-        for n in names
-    }
+    withheld_by = Verdict("withheld", (Reason("no_baseline", withholds=True),))
     measured = [
-        Snapshot(name, delta_rad, verdicts[name], {})
+        Answer(name, delta_rad, withheld_by if name in withheld else Verdict())
         for name, delta_rad in zip(names, draws, strict=True)
     ]
-    group = wear_of(config, measured, seed(number))
+    group, reason = wear_of(config, measured, seed(number))
     assert group is not None
     posterior = xr.Dataset(
         {"delta_rad": (("snapshot", "chain", "draw"), draws)}, {"snapshot": names}
     )
-    tree = xr.DataTree.from_dict(
-        {
-            "posterior": posterior,
-            "diagnostics": xr.Dataset(),
-            "curve": xr.Dataset(attrs={"name": "published"}),
-            "wear": group,
-        }
-    )
-    stored = {name: asdict(verdict) for name, verdict in verdicts.items()}
-    tree["diagnostics"].attrs = {"verdicts": json.dumps(stored)}
-    tree.attrs = {"kind": "compare", "interval_level": 0.9, "interval_kind": "equal_tailed"}
+    tree = stored_comparison(names, {"amplitude": {"posterior": posterior}}, withheld, wear=group)
     if limit is not None:
         tree.attrs["limit_rad"] = limit
-    return tree, summarise_wear(tree, names)
+    found = summarise_wear(group, names, config.interval, limit)
+    return tree, found | {"reason": None if reason is None else summary_told(as_stored(reason))}
 
 
 def told(found, count):
@@ -547,7 +534,7 @@ def test_a_rate_is_withheld_with_its_reason(tmp_path):
     ]
     for options, reason in cases:
         tree, found = compared(tmp_path, **options, limit=LIMIT)
-        assert reason in found["reason"]
+        assert reason in found["reason"]["text"]
         assert found["rate"] is found["years_to_limit"] is None
         assert reason in told(found, len(options["gaps"]))
         assert wear_figure(tree).axes
@@ -576,7 +563,8 @@ def test_a_gap_that_fell_has_no_rate_and_no_date(tmp_path):
     gaps[2] -= 1e-4
     fell = compared(tmp_path, gaps, days, limit=LIMIT)[1]
     assert re.search(
-        r"s2 lies 0\.\d+ mrad below the snapshot before it \(\d+\.\d standard", fell["reason"]
+        r"s2 lies 0\.\d+ mrad below the snapshot before it \(\d+\.\d standard",
+        fell["reason"]["text"],
     )
     assert fell["rate"] is None
     assert fell["date_of_limit"] is None

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from added_module import added_module
 from matplotlib.figure import Figure
+from stored_measurement import judged, stored_comparison
 from synthetic_ringing import QUICK
 
 from bayesbl.config.bench import dump_bench, reference_bench
@@ -20,12 +21,12 @@ from bayesbl.errors import ResultError
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored_curve import curve_from_dataset
 from bayesbl.presentation import figures
+from bayesbl.presentation.figures.amplitude_to_gap import amplitude_to_gap
 from bayesbl.presentation.figures.bench_draws import bench_draws, standardised_slopes
 from bayesbl.presentation.figures.convergence import convergence
 from bayesbl.presentation.figures.corner import corner, enclosing_levels
 from bayesbl.presentation.figures.curve import curve, departures_from_curve, source_bands
 from bayesbl.presentation.figures.degrees import degrees, departure_of_degree
-from bayesbl.presentation.figures.direct_gap import direct_gap
 from bayesbl.presentation.figures.disturbance import disturbance
 from bayesbl.presentation.figures.draw import caption, draw_all, figures_of
 from bayesbl.presentation.figures.gap import gap
@@ -35,7 +36,7 @@ from bayesbl.presentation.figures.noise import noise
 from bayesbl.presentation.figures.scales import scale_of
 from bayesbl.presentation.figures.signal import signal
 from bayesbl.presentation.figures.snapshots import snapshots
-from bayesbl.presentation.figures.style import look, publication_style, save
+from bayesbl.presentation.figures.style import publication_style, save
 from bayesbl.presentation.figures.trace import trace
 from bayesbl.presentation.figures.traces import envelope
 from bayesbl.results.store import read_tree, write_tree
@@ -47,7 +48,6 @@ from bayesbl.runs.sweep import run_sweep
 
 FIXED = ("window_start_s", "window_end_s")
 FREE = tuple(name for name in SYMBOLS if name not in FIXED)
-REASON = "The ensembles disagree: [posterior] has several modes."
 
 CONFIG = """
 schema = 1
@@ -97,20 +97,6 @@ def write_recording(path, amplitude_rpm, samples, seed):
     np.savetxt(path, np.c_[time, speed], "%.9g", ",", header=columns, comments="")
 
 
-def judged(tree, **reasons):
-    """The tree with the given snapshots withheld and every other one converged."""
-    copy = tree.copy()
-    names = [str(n) for n in tree["posterior"]["snapshot"].values]
-    verdicts = {
-        n: {"outcome": "withheld", "reasons": [reasons[n]], "reason": reasons[n]}
-        if n in reasons
-        else {"outcome": "converged", "reasons": [], "reason": None}
-        for n in names
-    }
-    copy["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
-    return copy
-
-
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """A stored comparison of two recordings, the second one shorter."""
@@ -158,7 +144,8 @@ def test_every_free_symbol_and_the_gap_have_a_row_in_the_corner(tree):
     assert snapshot.symbols == (*FREE, "delta_rad")
     count = len(snapshot.symbols)
     figure = corner(snapshot)
-    assert len(figure.axes) == count * (count + 1) // 2
+    (panel,) = figure.axes
+    assert len(panel.images) == count * (count - 1) // 2
     shown = texts(figure)
     for name in snapshot.symbols:
         assert scale_of(name, snapshot.values("posterior", name)).symbol in shown
@@ -191,7 +178,7 @@ def test_pulses_are_drawn_sample_by_sample(tree):
     for snapshot, panels in zip(snapshots(tree), (axes[:6], axes[6:]), strict=True):
         stored = dict(
             zip(
-                snapshot.values("observed_data", "time_s"),
+                snapshot.time_s,
                 zip(
                     snapshot.values("observed_data", "motor_speed_rpm"),
                     snapshot.values("predictive", "model_rpm"),
@@ -248,14 +235,27 @@ def test_misfit_convergence_and_noise_are_the_stored_arrays(tree):
         assert np.array_equal(np.sort(errors), np.sort(stored))
 
 
-def test_the_gap_figure_shows_curve_limit_and_change_as_stored(tree):
-    main, *_ = gap(tree).axes
-    (curve,) = [line for line in main.lines if "gap curve" in str(line.get_label())]
-    assert np.array_equal(curve.get_ydata(), 1e3 * tree["curve"]["delta_rad"].values)
+def test_the_curve_is_drawn_with_the_draws_that_went_through_it(tree):
+    figure = amplitude_to_gap(tree)
+    main = figure.axes[0]
+    (line,) = [line for line in main.lines if "gap curve" in str(line.get_label())]
+    stored = tree["amplitude/curve"]["delta_rad"].values
+    assert np.array_equal(line.get_ydata(), 1e3 * stored)
     assert labelled(main, "limit 1.2 mrad").get_ydata()[0] == pytest.approx(1.2)
+    for snapshot in snapshots(tree):
+        through = snapshot.values("posterior", "curve_amplitude_rpm").ravel()
+        shown = [x for x in main.lines if x.get_marker() == "." and len(x.get_xdata()) > 100]
+        assert any(np.isin(x.get_xdata(), through).all() for x in shown)
+
+
+def test_the_gap_figure_shows_gaps_limit_and_change_as_stored(tree):
+    gaps, change = gap(tree).axes
+    assert any(np.allclose(line.get_xdata(), 1.2) for line in gaps.lines)
     shown = texts(gap(tree))
-    low, high = 1e3 * np.quantile(tree["change"]["change_rad"].values, [0.05, 0.95])
-    assert re.search(rf"90 % interval {low:.2f}\d* to {high:.2f}\d*", shown)
+    for draws in (*tree["gap"]["delta_rad"].values, tree["change"]["change_rad"].values):
+        low, high = 1e3 * np.quantile(draws, [0.05, 0.95])
+        assert re.search(rf"\({low:.2f}\d* to {high:.2f}\d*\)", shown)
+    assert change.get_xlim()[0] < 1e3 * float(tree["change"]["change_rad"].median())
 
 
 def test_contours_hold_their_share_of_the_draws():
@@ -281,7 +281,7 @@ def test_figures_come_from_the_file_alone_and_are_the_same_bytes_again(file, dra
 
 
 def test_every_figure_is_there_as_pdf_and_png(drawn):
-    names = {"signal", "gap", "misfit", "noise", "convergence"}
+    names = {"signal", "gap", "amplitude_to_gap", "misfit", "noise", "convergence"}
     names |= {f"{kind}_{snapshot}" for kind in ("corner", "trace") for snapshot in ("old", "new")}
     assert set(drawn) == {f"{name}.{kind}" for name in names for kind in ("pdf", "png")}
     assert all(path.stat().st_size < 500_000 for path in drawn.values())
@@ -299,10 +299,10 @@ from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.figures.style import new_figure
 
 
-@stored_figure("How long each recording is.", 999, holding("observed_data/time_s"))
+@stored_figure("How long each recording is.", 999, holding("constant_data/time_s"))
 def durations(tree):
     figure = new_figure(3.0, 2.0)
-    figure.add_subplot().plot(tree["observed_data"]["time_s"].max("sample"))
+    figure.add_subplot().plot(tree["amplitude/constant_data"]["time_s"].max("sample"))
     return figure
 """
 
@@ -352,16 +352,16 @@ def test_a_result_that_no_figure_shows_is_refused(tmp_path):
 def test_a_withheld_gap_is_said_so_and_its_number_is_not_given(tree):
     whole = texts(gap(tree))
     assert "withheld" not in whole
-    assert len(re.findall(r"\d mrad \(", whole)) == 3
-    shown = texts(gap(judged(tree, new=REASON)))
-    assert "new: δ withheld" in shown
-    assert len(re.findall(r"\d mrad \(", shown)) == 1, "only the snapshot that has an answer"
+    assert len(re.findall(r"\d  \(", whole)) == 3
+    shown = texts(gap(judged(tree, "new")))
+    assert shown.count("withheld") == 2, "the gap and the change"
+    assert len(re.findall(r"\d  \(", shown)) == 1, "only the snapshot that has an answer"
 
 
 @pytest.mark.long
-def test_a_withheld_reason_is_on_the_corner_and_the_trace(tree):
-    old, new = snapshots(judged(tree, new=REASON))
-    assert REASON.split(":")[0] in " ".join(texts(corner(new)).split())
+def test_a_withheld_gap_is_said_so_on_the_corner_and_the_trace(tree):
+    old, new = snapshots(judged(tree, "new"))
+    assert "withheld" in texts(corner(new))
     assert "withheld" in texts(trace(new))
     assert "withheld" not in texts(corner(old)) + texts(trace(old))
 
@@ -558,32 +558,42 @@ def beyond(figure):
     ]
 
 
-def direct_result(names):
-    """As much of a direct comparison as its figure of the gaps reads."""
-    draws = np.random.default_rng(1).normal(7e-4, 2e-6, (len(names), 2, 500))
+def of_two_routes(names):
+    """As much of a comparison by two routes as the figure of the gaps reads."""
+    generator = np.random.default_rng(1)
     dims = ("snapshot", "chain", "draw")
-    gaps = xr.Dataset({"delta_rad": (dims, draws)}, {"snapshot": names})
-    bound = xr.Dataset(
-        {"cramer_rao_sd": (("snapshot", "parameter"), np.full((len(names), 1), 2e-6))},
-        {"snapshot": names, "parameter": ["delta_rad"]},
+    middle = 7e-4 + 1e-4 * np.arange(len(names))[:, None, None]
+    sharp, wide = (
+        xr.Dataset(
+            {"delta_rad": (dims, middle + sd * generator.standard_normal((len(names), 2, 500)))},
+            {"snapshot": names},
+        )
+        for sd in (2e-6, 3e-5)
     )
-    groups = {"posterior": gaps, "optimum": bound, "amplitude_route": 1.05 * gaps}
-    tree = xr.DataTree.from_dict({**groups, "diagnostics": None, "curve": None})
-    tree.attrs = {"kind": "compare", "interval_level": 0.9, "interval_kind": "equal_tailed"}
-    tree["curve"].attrs = {"name": "published"}
-    verdict = {"outcome": "converged", "reasons": [], "reason": None}
-    verdicts = dict.fromkeys(names, verdict)
-    tree["diagnostics"].attrs = {"verdicts": json.dumps(verdicts)}
-    return tree
+    return stored_comparison(
+        names,
+        {"direct": {"posterior": sharp}, "amplitude": {"posterior": wide}},
+        change=_steps(sharp["delta_rad"].values, names),
+    )
 
 
-def test_no_legend_of_the_direct_route_runs_out_of_its_panel():
-    figure = direct_gap(direct_result(["wear_before", "wear_after"]))
+def _steps(draws, names):
+    return xr.Dataset(
+        {
+            "change_rad": (("chain", "draw"), draws[-1] - draws[0]),
+            "step_change_rad": (("step", "chain", "draw"), np.diff(draws, axis=0)),
+        }
+    )
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_both_routes_stand_side_by_side_on_one_axis(count):
+    names = [f"snapshot_{n}" for n in range(count)]
+    figure = gap(of_two_routes(names))
+    gaps, change = figure.axes
+    assert len(gaps.get_yticklabels()) == 2 * count
+    assert len(change.get_yticklabels()) == 2 + (count - 1 if count > 2 else 0)
     assert beyond(figure) == []
-    for panel in figure.axes:
-        legend = panel.get_legend().get_window_extent()
-        assert panel.bbox.x0 <= legend.x0
-        assert legend.x1 <= panel.bbox.x1
 
 
 def named_result(believed_rad):
@@ -609,28 +619,3 @@ def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
         assert beyond(figure) == []
     assert "before: as in the bench file" in texts(near)
     assert "← before" in texts(far)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("count", [2, 6])
-def test_the_whole_change_has_the_colour_of_no_snapshot_and_titles_keep_clear(tree, count):
-    parts = snapshots(tree)
-    several = tree.copy()
-    change = tree["change"]["change_rad"]
-    steps = xr.Dataset(
-        {
-            "change_rad": change,
-            "step_change_rad": change.expand_dims(step=count - 1),
-            "step_from": ("step", [parts[0].name] * (count - 1)),
-            "step_to": ("step", [parts[1].name] * (count - 1)),
-        }
-    )
-    several["change"] = xr.DataTree(steps)
-    figure = gap(several)
-    panel, overview = figure.axes[3:]
-    used = {look(i).colour for i in range(7)}
-    assert mpl.colors.to_hex(panel.containers[0].lines[0].get_color()) not in used
-    assert beyond(figure) == []
-    heading = overview.get_title(loc="left")
-    (title,) = [t for t in overview.findobj(mpl.text.Text) if t.get_text() == heading]
-    assert not panel.xaxis.label.get_window_extent().overlaps(title.get_window_extent())

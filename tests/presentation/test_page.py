@@ -16,10 +16,12 @@ import pytest
 import xarray as xr
 from places import CONFIGS, RECORDINGS
 from quick import without_figures
+from stored_measurement import judged
 
 import bayesbl
 from bayesbl import cli
-from bayesbl.measurement.dated_wear import wear_group, years_between
+from bayesbl.config.sections import Interval as IntervalConfig
+from bayesbl.measurement.dated_wear import summarise_wear, wear_group, years_between
 from bayesbl.measurement.wear import trend
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
@@ -107,7 +109,7 @@ def tree(compared) -> xr.DataTree:
 
 def hostile(tree: xr.DataTree) -> xr.DataTree:
     """The same result with markup in every text that a user may give."""
-    old = str(tree["posterior"].to_dataset()["snapshot"].values[-1])
+    old = str(tree["gap"].to_dataset()["snapshot"].values[-1])
     for node in tree.subtree:
         data = node.to_dataset(inherit=False)
         for name in ("snapshot", "step_from", "step_to"):
@@ -119,12 +121,13 @@ def hostile(tree: xr.DataTree) -> xr.DataTree:
                     else data.assign({name: (data[name].dims, labels)})
                 )
         node.dataset = data
-    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
-    verdicts[HOSTILE] = verdicts.pop(old)
-    tree["diagnostics"].attrs["verdicts"] = json.dumps(verdicts)
+    summary = json.loads(tree.attrs["summary"].replace(f'"{old}"', json.dumps(HOSTILE)))
+    tree.attrs["summary"] = json.dumps(summary | {"warnings": [HOSTILE]})
+    tree.attrs["recordings"] = [
+        HOSTILE if name == old else name for name in tree.attrs["recordings"]
+    ]
     tree.attrs["config"] += f"\n# {HOSTILE}"
     tree.attrs["input_sha256"] = json.dumps({f"{HOSTILE}.csv": "0" * 64})
-    tree.attrs["warnings"] = [HOSTILE]
     return tree
 
 
@@ -177,12 +180,7 @@ def test_every_section_is_there(tree):
 
 
 def test_a_withheld_gap_is_nowhere_on_the_page(tree):
-    verdicts = json.loads(tree["diagnostics"].attrs["verdicts"])
-    for verdict in verdicts.values():
-        verdict["reason"] = "The sampler did not converge."
-        verdict["reasons"] = [verdict["reason"]]
-    tree["diagnostics"].attrs["verdicts"] = json.dumps(verdicts)
-    tree.attrs["outcome"] = "withheld"
+    tree = judged(tree, "before", "after")
     told = Reader(page(tree, [])).text
     assert "Do not decide from these recordings." in told
     assert "The sampler did not converge." in told
@@ -255,10 +253,12 @@ def advice(summary):
 def fitted(delta=(6e-4, 8e-4), above=None, limit=None):
     interval = {"median": sum(delta) / 2, "low": delta[0], "high": delta[1], "level": 0.9,
                 "kind": "equal_tailed"} if delta else None  # fmt: skip
-    part = {"kind": "fit", "outcome": "converged", "route": "amplitude", "routes": {}}
-    part |= {"delta_rad": interval, "curve": "results/sweep/result.nc"}
-    reason = "The sampler did not converge."
-    part |= {"diagnostics": {"reasons": [reason]}, "reason": None if delta else reason}
+    told = {"code": "sampling", "text": "The sampler did not converge."}
+    part = {"kind": "fit", "outcome": "converged", "route": "amplitude"}
+    part |= {"delta_rad": interval, "curve": "results/sweep/result.nc", "rmse_rpm": 1.8}
+    part |= {"delta_upper_bound_rad": None, "reason": None if delta else told}
+    part |= {"diagnostics": {"reasons": [] if delta else [{**told, "withholds": True}]}}
+    part |= {"routes": {"amplitude": part.copy()}}
     return part | ({"limit_rad": limit, "probability_above_limit": above} if limit else {})
 
 
@@ -289,8 +289,8 @@ def test_no_all_clear_is_given_by_the_curve_of_another_machine():
     assert advice(own).tone == "fine"
     assert published.tone == "note"
     assert "another machine" in published.title
-    beside = {"curve": "published", "route": "direct"}
-    assert advice(own | beside).tone == "fine"
+    simulated = {key: value for key, value in own.items() if key != "rmse_rpm"}
+    assert advice(simulated | {"curve": None, "route": "direct"}).tone == "fine"
 
 
 def compared_undated(change, above, limit=1.2e-3, spots=()):
@@ -299,7 +299,7 @@ def compared_undated(change, above, limit=1.2e-3, spots=()):
     part = fitted(above=above, limit=limit) | {"name": "new"}
     found = {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
     return {"kind": "compare", "outcome": "converged", "snapshots": [part], "change_rad": found,
-            "curve": "sweep", "probability_increase": 0.99,
+            "curve": "sweep", "probability_increase": 0.99, "reason": None,
             "same_joint": {"blind_spots": list(spots)},
             "wear": None}  # fmt: skip
 
@@ -398,6 +398,7 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
         "same_joint": {"blind_spots": []},
         "wear": wear,
         "curve": "sweep",
+        "reason": None,
     }
 
 
@@ -425,7 +426,8 @@ def test_without_a_limit_the_rate_is_told_and_without_a_rate_why():
     assert "a year" in " ".join(advice(dated(limit=None)).sentences)
     assert "No wear is shown" in advice(dated(limit=None, certain=0.6)).title
     healed = dated()
-    healed["wear"] |= {"reason": "The gap shrank: was the joint repaired?"}
+    text = "The gap shrank: was the joint repaired?"
+    healed["wear"] |= {"reason": {"code": "gap_shrank", "text": text}}
     assert "The gap shrank: was the joint repaired?" in advice(healed).sentences
 
 
@@ -440,7 +442,7 @@ def test_dated_snapshots_lead_with_their_wear_and_never_with_a_change_across_a_r
     assert list(answer.lead(steady)) == [of_wear, answer.headline(steady)]
     repaired["snapshots"].insert(0, {**repaired["snapshots"][0], "name": "worn"})
     assert list(answer.lead(repaired)) == [of_wear]
-    untold["wear"] |= {"reason": "There is only one snapshot."}
+    untold["wear"] |= {"reason": {"code": "one_date", "text": "There is only one snapshot."}}
     assert list(answer.lead(untold)) == [answer.headline(untold)]
 
 
@@ -451,13 +453,15 @@ def test_two_snapshots_are_told_to_be_few():
 
 def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(tree):
     days = [date(2026, 3, 1), date(2026, 7, 1)]
-    names = [str(n) for n in tree["posterior"].to_dataset()["snapshot"].values]
-    gaps = np.stack([tree["posterior"]["delta_rad"].sel(snapshot=n).values for n in names])
+    summary = json.loads(tree.attrs["summary"])
+    names = [part["name"] for part in summary["snapshots"]]
+    gaps = tree["gap"]["delta_rad"].values
     years = np.array([years_between(days[0], day) for day in days])
     found = wear_in_time(gaps, years, np.random.SeedSequence(1), limit_rad=1.2e-3)
     group = wear_group(days, slice(0, 2), found, trend(gaps, years))
     tree["wear"] = xr.DataTree(group)
-    wear = summarise(tree)["wear"]
+    wear = summarise_wear(group, names, IntervalConfig(), 1.2e-3)
+    tree.attrs["summary"] = json.dumps(summary | {"wear": {**wear, "reason": None}})
     told = plain(Reader(page(tree, [])).text)
     first = told[: told.index("Numbers")]
     for expected in (worn.median_in_mrad(wear["rate"]), "mrad a year", "Change",
@@ -518,12 +522,13 @@ def test_what_only_specialists_need_is_folded_behind_all_other_figures(written):
 def test_figures_come_in_one_order_whatever_their_names(tree):
     known = figures_of(tree)
     names = [f"{kind}_{snapshot}" for kind in ("trace", "corner") for snapshot in ("new", "old")]
-    names += ["gap", "signal", "something"]
+    names += ["amplitude_to_gap", "gap", "signal", "something"]
     rng = np.random.default_rng(3)
     for _ in range(5):
         ordered = reading_order(rng.permutation(names).tolist(), known, ["old", "new"])
         assert ordered == [
-            "signal", "gap", "corner_old", "corner_new", "trace_old", "trace_new", "something",
+            "signal", "gap", "amplitude_to_gap", "corner_old", "corner_new", "trace_old",
+            "trace_new", "something",
         ]  # fmt: skip
     assert all(caption(figure.name, known) == figure.caption for figure in known)
     assert caption("corner_old", known).startswith("old: ")

@@ -25,6 +25,7 @@ from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.same_joint import WITHOUT_CURRENT
+from bayesbl.measurement.stored import as_stored
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
@@ -34,6 +35,7 @@ from bayesbl.presentation.study import study_table
 from bayesbl.presentation.terminal import error, filled, print_table, wrapped
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
+from bayesbl.sentences import sentence
 from bayesbl.units import number, quantity_and_unit
 
 WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
@@ -71,13 +73,29 @@ def check(*sentences, blind_spots=()):
     }
 
 
+def because(*sentences, code="sampling"):
+    """Sentences as the one reason of a summary."""
+    if not sentences:
+        return None
+    return {"code": code, "text": " ".join(sentences)}
+
+
 def part(low=6.85e-4, high=7.31e-4, reasons=()):
     """A snapshot's part of a summary; with reasons it is withheld."""
-    return {
+    answer = {
         "route": "amplitude",
-        "routes": {"amplitude": {"delta_rad": None if reasons else between(low, high)}},
+        "curve": "results/sweep/result.nc",
         "delta_rad": None if reasons else between(low, high),
+        "delta_upper_bound_rad": None,
         "amplitude_rpm": between(30.8, 32.3),
+        "parameters": {
+            "amplitude_rpm": between(30.8, 32.3),
+            "decay_rate_per_s": between(19.0, 20.0),
+            "angular_frequency_rad_per_s": between(70.0, 71.0),
+        },
+        "optimum": {"decay_rate_per_s": 19.5, "angular_frequency_rad_per_s": 70.5},
+        "rmse_rpm": 1.82,
+        "relative_rmse": 0.3,
         "rotations": 5.0,
         "noise": {
             "kind": "ar",
@@ -94,22 +112,30 @@ def part(low=6.85e-4, high=7.31e-4, reasons=()):
             "r_hat": 1.001,
             "ess_bulk": 3000.0,
             "outcome": "withheld" if reasons else "converged",
-            "reasons": list(reasons),
+            "reasons": [{**because(text), "withholds": True} for text in reasons],
         },
         "limit_rad": 1.2e-3,
         "probability_above_limit": None if reasons else 0.0,
-        "reason": " ".join(reasons) or None,
+        "reason": because(*reasons),
         "model_check": check(),
     }
+    return {**answer, "routes": {"amplitude": answer}}
+
+
+def without_a_curve(snapshot):
+    """The same, of the ringing alone."""
+    alone = {**snapshot, "curve": None, "delta_rad": None}
+    del alone["routes"]
+    return {**alone, "routes": {"amplitude": alone}}
 
 
 def ringing_alone(**changed):
     """A summary of compared snapshots without a curve."""
     found = comparison()
-    for snapshot in found["snapshots"]:
-        snapshot |= {"delta_rad": None, "routes": {"amplitude": {"delta_rad": None}}}
+    found["snapshots"] = [without_a_curve(snapshot) for snapshot in found["snapshots"]]
     without = {"curve": None, "change_rad": None, "probability_increase": None}
-    return found | without | {"outcome": "no_curve", "reason": "There is no bench."} | changed
+    ended = {"outcome": "no_curve", "reason": because("There is no bench.", code="no_curve")}
+    return found | without | ended | changed
 
 
 def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "after"), reasons=()):
@@ -126,6 +152,7 @@ def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "aft
         "kind": "compare",
         "outcome": "withheld" if reasons else "converged",
         "warnings": [WARNING],
+        "answer": {"route": "amplitude", **because("It is the only one.", code="only_route")},
         "snapshots": snapshots,
         "change_rad": change,
         "changes": steps,
@@ -133,10 +160,33 @@ def comparison(low=2.12e-4, high=2.81e-4, probability=1.0, names=("before", "aft
         "ringing_change": between(0.20, 0.28),
         "probability_ringing_grew": given_probability,
         "same_joint": check(),
-        "reason": " ".join(reasons) or None,
+        "routes": {"amplitude": {"change_rad": change}},
+        "reason": because(*reasons),
         "curve": "results/sweep/result.nc",
         "wear": None,
     }
+
+
+def of_two_routes(sharp=(2.7e-4, 2.8e-4), code=None):
+    """A comparison that simulation answers, with the ringing beside it; they may disagree."""
+    found = comparison(*sharp)
+    for snapshot in found["snapshots"]:
+        beside = snapshot["routes"]["amplitude"]
+        simulated = {key: value for key, value in beside.items() if "rmse" not in key}
+        simulated |= {"route": "direct", "curve": None, "cramer_rao_sd": {}}
+        snapshot |= {**simulated, "routes": {"direct": simulated, "amplitude": beside}}
+        for key in ("rmse_rpm", "relative_rmse"):
+            del snapshot[key]
+    found["answer"] = {"route": "direct", **because("its checks pass", code="sharper_and_checked")}
+    found["routes"] = {
+        "direct": {"change_rad": found["change_rad"]},
+        "amplitude": {"change_rad": between(2.0e-4, 3.0e-4)},
+    }
+    if code is not None:
+        reason = because("The two routes disagree in after.", code=code)
+        found |= {"change_rad": None, "probability_increase": None, "reason": reason}
+        found["outcome"] = "withheld"
+    return found
 
 
 def printed(summary, folder=None, **options):
@@ -203,7 +253,10 @@ def test_without_a_current_the_first_line_says_on_what_wear_rests():
 
 
 def test_by_the_published_curve_the_first_line_says_whose_it_is_and_no_limit_is_asked():
-    text = flat(printed(comparison() | {"curve": "published"}))
+    found = comparison() | {"curve": "published"}
+    for snapshot in found["snapshots"]:
+        snapshot["curve"] = "published"
+    text = flat(printed(found))
     assert text.startswith(answer.OTHER_MACHINE)
     assert "above its limit" not in text
 
@@ -213,7 +266,7 @@ def test_what_changed_besides_the_gap_is_told_once():
         "The ringing frequency fell from 11.18 to 8.72 Hz: payload, stiffness, gains or a filter "
         "of the drive, not the gap."
     )
-    reason = f"Something other than the gap changed. {sentence}"
+    reason = because(f"Something other than the gap changed. {sentence}", code="joint_changed")
     found = comparison() | {"change_rad": None, "probability_increase": None, "reason": reason}
     text = flat(printed(found | {"outcome": "withheld", "same_joint": check(sentence)}))
     assert text.count(sentence) == 1
@@ -230,9 +283,7 @@ def test_growth_that_an_unseen_change_could_make_is_not_told_as_shown(error, tol
 
 
 def test_a_fit_answers_with_the_gap():
-    text = flat(
-        printed({"kind": "fit", "outcome": "converged", "curve": "x", "warnings": [], **part()})
-    )
+    text = flat(printed({"kind": "fit", "outcome": "converged", "warnings": [], **part()}))
     assert text.startswith("The gap is 0.708 mrad (90 % interval 0.685 to 0.731 mrad).")
     assert "limit of 1.2 mrad: < 0.1 %." in text
 
@@ -242,7 +293,28 @@ def test_every_snapshot_stands_in_the_table_and_every_step_is_told():
     text = flat(printed(comparison(names=names)))
     for first, last in (names[:2], names[1:]):
         assert f"From {first} to {last}:" in text
-    assert text.count("converged") == 3
+    assert text.count("converged") == 4, "three snapshots and the change"
+
+
+def test_two_routes_stand_side_by_side_and_one_line_says_which_is_the_answer():
+    text = flat(printed(of_two_routes()))
+    assert text.startswith("The gap grew by 0.275 mrad (90 % interval 0.270 to 0.280 mrad)")
+    assert "The answer is that by simulation, as its checks pass." in text
+    assert "by the ringing: the amplitude A through the gap curve of result.nc" in text
+    assert "change 0.275 0.270 to 0.280 0.25 0.20 to 0.30" in text
+
+
+def test_a_disagreement_of_the_routes_comes_first():
+    text = flat(printed(of_two_routes(code="routes_disagree")))
+    assert text.startswith("The two routes disagree in after. The change of the gap is withheld")
+    assert text.count("disagree") == 1
+
+
+def test_the_ringing_is_always_told_with_its_time_constant_frequency_and_error():
+    for summary in (comparison(), of_two_routes()):
+        text = flat(printed(summary))
+        # τ = 19.5 per second is a time constant of 51.3 ms; 70.5 rad/s are 11.22 Hz.
+        assert "31.5 (30.8 to 32.3) 19.5 51.3 11.22 1.82 (30 %)" in text
 
 
 def test_warnings_sources_and_folder_are_told():
@@ -265,8 +337,11 @@ def test_a_reason_of_several_snapshots_is_told_once_and_a_note_is_no_reason():
     reason, note = "The curve ends below.", "There is no motor current in the recording."
     summary = comparison(reasons=[reason])
     for snapshot in summary["snapshots"]:
-        snapshot |= {"delta_rad": None, "probability_above_limit": None, "reason": reason}
-        snapshot["diagnostics"]["reasons"] = [reason, note]
+        snapshot |= {"delta_rad": None, "probability_above_limit": None, "reason": because(reason)}
+        snapshot["diagnostics"]["reasons"] = [
+            {**because(reason), "withholds": True},
+            {**because(note), "withholds": False},
+        ]
     text = flat(printed(summary))
     assert text.count(reason) == text.count(note) == 1
     assert f"Withheld: before, after: {reason}" in text
@@ -334,10 +409,10 @@ def test_every_cell_of_a_table_is_printed_whole(width):
     text = printed(summary, width=width)
     for snapshot in summary["snapshots"]:
         assert words.bounds(snapshot["delta_rad"], 1e3, 3) in text
-        assert f"{snapshot['rotations']:.1f}" in text
-    for title in ("rotations", "90 % interval"):
+        assert f"{snapshot['rmse_rpm']:.2f}" in text
+    for title in ("RMSE", "90 % interval"):
         assert title in text
-    assert text.count("converged") == len(summary["snapshots"])
+    assert text.count("converged") == len(summary["snapshots"]) + 1
 
 
 def test_a_pipe_gets_no_colour_codes_and_a_terminal_does():
@@ -443,11 +518,12 @@ def test_noise_is_told_with_its_evidence():
 
 def test_inspect_of_a_withheld_fit_gives_no_gap(stored):
     withheld = copy.copy(stored)
-    withheld["diagnostics"].attrs = {
-        "verdicts": json.dumps(
-            {"fit": {"outcome": "withheld", "reasons": ["Too weak."], "reason": "Too weak."}}
-        )
-    }
+    summary = json.loads(stored.attrs["summary"])
+    reason = because("Too weak.")
+    for one in (summary, *summary["routes"].values()):
+        one |= {"delta_rad": None, "outcome": "withheld", "reason": reason}
+        one["diagnostics"] |= {"reasons": [{**reason, "withholds": True}]}
+    withheld.attrs = {**stored.attrs, "summary": json.dumps(summary)}
     target = console()
     print_summary(withheld, target)
     text = flat(target.file.getvalue())
@@ -634,5 +710,7 @@ def test_a_withheld_gap_beyond_the_curve_claims_no_certainty():
     ringing = MeasuredRinging(amplitude, np.array([190.0, 4.2, 2.9]), np.diag([0.25, 1e-4, 1e-4]))
     (found,) = gaps(curve, [ringing], np.random.SeedSequence(1))
     assert np.all(found.outside == 1.0)
-    assert "More than 99 % of the posterior" in found.reason
-    assert "100" not in found.reason
+    (reason,) = found.reasons
+    told = sentence(as_stored(reason))
+    assert "More than 99 % of the posterior" in told
+    assert "100" not in told

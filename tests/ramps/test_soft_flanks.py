@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_preload import loop
 
-from bayesbl.measurement.ramp_words import notes_on
+from bayesbl.measurement.ramp_route import notes_on
 from bayesbl.ramps.flanks import find_flanks
 from bayesbl.ramps.torque_cycles import find_ramps
 
@@ -17,7 +17,7 @@ def told_of_soft_flanks(**joint):
     assert found.finding == "play"
     draws = {"width_rad": found.level.widths()[0], "preload_torque_nm": np.zeros(1)}
     notes = notes_on(files, found, draws, ratio_given=True, elsewhere=False)
-    return [note for note in notes if "look like play" in note]
+    return [note for note in notes if note.code == "soft_flanks"]
 
 
 @pytest.mark.parametrize("softer", [2.0, 5.0, 20.0])

@@ -18,7 +18,7 @@ from synthetic_ringing import TRUTH
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.errors import ConfigError, ResultError
-from bayesbl.measurement.earlier import read_earlier
+from bayesbl.measurement.amplitude_route import read_earlier
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.store import write_tree

@@ -17,7 +17,7 @@ from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 )
 def convergence(tree: xr.DataTree) -> Figure:
     """Best RMSE so far of each run, a panel a snapshot; rivals end above the dashed optimum."""
-    parts = snapshots(tree)
+    parts = snapshots(tree, "search_history")
     figure, axes = layout.one_panel_each(len(parts))
     for panel, snapshot in zip(axes, parts, strict=True):
         _draw(panel, snapshot)

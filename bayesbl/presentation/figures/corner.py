@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,81 +14,113 @@ from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, s
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY
 
-_BINS = 32
+_BINS = 30
 _LEVELS = (0.9, 0.5)
-_LEFT_IN, _BOTTOM_IN, _EDGE_IN, _GAP_IN = 0.62, 0.62, 0.08, 0.06
+_PANEL = 0.95
+"""Side of a panel where panels are one apart."""
+_LEFT, _BOTTOM = 0.62, 0.62
 
 
 @stored_figure(
-    "The posterior of every free parameter, pair by pair.",
-    140,
+    "The posterior of every free symbol, pair by pair.",
+    40,
     holding("posterior/amplitude_rpm"),
-    parts=each_snapshot,
-    for_specialists=True,
+    parts=each_snapshot("posterior/amplitude_rpm"),
 )
 def corner(snapshot: Snapshot) -> Figure:
-    """Marginals on the diagonal, pairs below it; every free symbol and δ have a row."""
+    """Marginals on the diagonal, pairs below it; every free symbol and δ have a row.
+
+    All panels are drawn into one: forty of them take seconds each with its own axes.
+    """
     names = snapshot.symbols
     draws = {n: snapshot.values("posterior", n).ravel() for n in names}
     scales = {n: scale_of(n, draws[n]) for n in names}
     shown = {n: scales[n].shown(draws[n]) for n in names}
+    ranges = {n: _range(shown[n]) for n in names}
+    count = len(names)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, style.DOUBLE_COLUMN_IN)
+    size = style.DOUBLE_COLUMN_IN
+    panel = figure.add_axes(
+        (_LEFT / size, _BOTTOM / size, 0.99 - _LEFT / size, 0.99 - _BOTTOM / size)
+    )
     for row, vertical in enumerate(names):
+        y = float(count - 1 - row)
         for column, horizontal in enumerate(names[: row + 1]):
-            panel = figure.add_axes(_place(row, column, len(names)))
+            x = float(column)
             if row == column:
-                _draw_marginal(panel, shown[vertical], snapshot.withheld and row == len(names) - 1)
+                _draw_marginal(panel, x, y, shown[vertical], ranges[vertical])
             else:
-                _draw_pair(panel, shown[horizontal], shown[vertical])
-            _label(panel, row, column, len(names), scales[horizontal], scales[vertical])
+                _draw_pair(
+                    panel, x, y, shown[horizontal], shown[vertical],
+                    ranges[horizontal], ranges[vertical],
+                )  # fmt: skip
+            _frame(panel, x, y, whole=row != column)
+        _label(panel, float(row), ranges[vertical], scales[vertical], across=True)
+        if row:
+            _label(panel, y, ranges[vertical], scales[vertical], across=False)
+    panel.set_xlim(0.0, count)
+    panel.set_ylim(0.0, count)
+    panel.set_axis_off()
     _explain(figure, snapshot)
     return figure
 
 
-def _place(row: int, column: int, count: int) -> tuple[float, float, float, float]:
-    """Left, bottom, width and height of a panel as shares of the figure."""
-    pitch = (style.DOUBLE_COLUMN_IN - _LEFT_IN - _EDGE_IN + _GAP_IN) / count
-    left = _LEFT_IN + column * pitch
-    bottom = _BOTTOM_IN + (count - 1 - row) * pitch
-    size = (pitch - _GAP_IN) / style.DOUBLE_COLUMN_IN
-    return left / style.DOUBLE_COLUMN_IN, bottom / style.DOUBLE_COLUMN_IN, size, size
+def _range(values: FloatArray) -> tuple[float, float]:
+    """Where nearly all draws are, with a margin; outliers would squeeze the rest."""
+    low, high = np.quantile(values, (0.001, 0.999))
+    margin = 0.08 * (high - low) or 1.0
+    return float(low - margin), float(high + margin)
 
 
-def _draw_marginal(panel: Axes, values: FloatArray, withheld: bool) -> None:
-    colour = style.WITHHELD if withheld else "#6baed6"
-    panel.hist(values, bins=_BINS, color=colour, histtype="stepfilled", linewidth=0.0)
+def _inside(values: FloatArray, ends: tuple[float, float], at: float) -> FloatArray:
+    return np.asarray(at + _PANEL * (values - ends[0]) / (ends[1] - ends[0]))
+
+
+def _draw_marginal(
+    panel: Axes, x: float, y: float, values: FloatArray, ends: tuple[float, float]
+) -> None:
+    heights, edges = np.histogram(values, _BINS, ends)
+    panel.stairs(
+        y + _PANEL * 0.95 * heights / heights.max(), _inside(edges, ends, x), baseline=y, fill=True,
+        color="#6baed6",
+    )  # fmt: skip
     for quantile in np.quantile(values, (0.05, 0.5, 0.95)):
-        panel.axvline(quantile, color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
-    panel.spines["left"].set_visible(False)
+        at = _inside(quantile, ends, x)
+        panel.plot([at, at], [y, y + _PANEL], color=style.NEUTRAL, linewidth=0.6,
+                   linestyle=(0.0, (3.0, 2.0)))  # fmt: skip
 
 
-def _draw_pair(panel: Axes, x: FloatArray, y: FloatArray) -> None:
+def _draw_pair(
+    panel: Axes,
+    x: float,
+    y: float,
+    horizontal: FloatArray,
+    vertical: FloatArray,
+    across: tuple[float, float],
+    up: tuple[float, float],
+) -> None:
     """Density as an image, with the outlines that hold 50 % and 90 % of the draws."""
-    counts, x_edges, y_edges = np.histogram2d(x, y, bins=_BINS)
-    extent = (x_edges[0], x_edges[-1], y_edges[0], y_edges[-1])
+    counts, _, _ = np.histogram2d(horizontal, vertical, _BINS, (across, up))
     panel.imshow(
-        counts.T,
-        origin="lower",
-        extent=extent,
-        aspect="auto",
-        cmap="Blues",
-        interpolation="nearest",
-    )
+        counts.T, origin="lower", extent=(x, x + _PANEL, y, y + _PANEL), aspect="auto",
+        cmap="Blues", interpolation="nearest",
+    )  # fmt: skip
     smooth = _smoothed(counts)
     levels = enclosing_levels(smooth, _LEVELS)
     if np.all(np.diff(levels) > 0.0):
-        x_middle, y_middle = (0.5 * (e[1:] + e[:-1]) for e in (x_edges, y_edges))
+        middles = _PANEL * (np.arange(_BINS) + 0.5) / _BINS
         panel.contour(
-            x_middle, y_middle, smooth.T, levels=levels, colors=style.NEUTRAL, linewidths=(0.5, 0.9)
-        )
+            x + middles, y + middles, smooth.T, levels=levels, colors=style.NEUTRAL,
+            linewidths=(0.5, 0.9),
+        )  # fmt: skip
 
 
 def _smoothed(counts: FloatArray) -> FloatArray:
     """A 5-point binomial filter both ways: contours of raw counts are ragged."""
     kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-    for axis in (0, 1):
-        counts = np.apply_along_axis(np.convolve, axis, counts, kernel, mode="same")
-    return counts
+    padded = np.pad(counts, 2)
+    rows = sum(k * padded[i : i + len(counts)] for i, k in enumerate(kernel))
+    return np.asarray(sum(k * rows[:, i : i + counts.shape[1]] for i, k in enumerate(kernel)))
 
 
 def enclosing_levels(density: FloatArray, shares: tuple[float, ...]) -> FloatArray:
@@ -100,20 +130,31 @@ def enclosing_levels(density: FloatArray, shares: tuple[float, ...]) -> FloatArr
     return np.asarray(ordered[np.searchsorted(mass, shares)])
 
 
+def _frame(panel: Axes, x: float, y: float, *, whole: bool) -> None:
+    ends = [(x, y + _PANEL), (x, y)] if whole else []
+    corners = [*ends, (x, y), (x + _PANEL, y)]
+    panel.plot(*zip(*corners, strict=True), color="black", linewidth=0.6)
+
+
 def _label(
-    panel: Axes, row: int, column: int, count: int, horizontal: Scale, vertical: Scale
+    panel: Axes, at: float, ends: tuple[float, float], scale: Scale, *, across: bool
 ) -> None:
     """Numbers and names at the outer edge only; inside there is nothing but the posterior."""
-    for axis, outer, scale, away in (
-        (panel.xaxis, row == count - 1, horizontal, (0.5, -0.24)),
-        (panel.yaxis, column == 0 and row > 0, vertical, (-0.42, 0.5)),
-    ):
-        axis.set_visible(outer)
-        if outer:
-            axis.set_ticks(_inner_ticks(*axis.get_view_interval()))
-            axis.set_tick_params(length=1.8, pad=1.5, labelsize=5.5)
-            axis.set_label_text(scale.label("\n"), fontsize=7.0)
-            axis.set_label_coords(*away)
+    middle = at + 0.5 * _PANEL
+    for tick in _inner_ticks(*ends):
+        place = float(_inside(np.array(tick), ends, at))
+        line = ([place, place], [0.0, -0.03]) if across else ([0.0, -0.03], [place, place])
+        panel.plot(*line, color="black", linewidth=0.6, clip_on=False)
+        panel.text(
+            *((place, -0.06) if across else (-0.06, place)), f"{tick:.10g}".replace("-", "−"),
+            ha="center" if across else "right", va="top" if across else "center",
+            rotation=0.0 if across else 90.0, fontsize=5.5,
+        )  # fmt: skip
+    where = (middle, -0.24) if across else (-0.36, middle)
+    panel.text(
+        *where, scale.label("\n"), ha="center", va="top" if across else "center",
+        rotation=0.0 if across else 90.0, fontsize=7.0,
+    )  # fmt: skip
 
 
 def _inner_ticks(low: float, high: float) -> list[float]:
@@ -143,7 +184,7 @@ def _explain(figure: Figure, snapshot: Snapshot) -> None:
         "dashed lines are the median and the 5 % and 95 % quantiles",
         f"τ is a decay rate: the time constant 1/τ is {constant}" if constant else "",
         f"not shown: {terms} baseline terms, sampled with the others" if terms else "",
-        *textwrap.wrap(f"δ withheld: {snapshot.reason}" if snapshot.reason else "", 62),
+        "δ is withheld" if snapshot.withheld and "delta_rad" in snapshot.symbols else "",
     ]
     figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
     text = figure.text(0.98, 0.94, "\n".join(line for line in lines if line), ha="right", va="top")

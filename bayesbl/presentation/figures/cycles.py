@@ -26,7 +26,11 @@ QUIET = 4.0
 )
 def cycles(tree: xr.DataTree) -> Figure:
     """One panel per snapshot: rows of cycles, measured over simulated, changes of flank marked."""
-    parts = [part for part in snapshots(tree) if "flank_changes" in part.groups["predictive"]]
+    parts = [
+        part
+        for part in snapshots(tree, "predictive/flank_changes")
+        if "flank_changes" in part.groups["predictive"]
+    ]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.7 + 2.9 * len(parts))
     spec = layout.grid(figure, len(parts), 1, top=0.5, between=(0.65, 0.5))
     panels: list[Axes] = []
@@ -47,10 +51,10 @@ def cycles(tree: xr.DataTree) -> Figure:
 
 
 def _draw(panel: Axes, snapshot: Snapshot) -> None:
-    time = snapshot.values("observed_data", "time_s")
+    time = snapshot.time_s
     time = time - time[0]
     asked = snapshot.values("predictive", "reference_speed_rpm")
-    measured = snapshot.values("observed_data", "motor_speed_rpm") - asked
+    measured = snapshot.channel("motor_speed_rpm") - asked
     simulated = snapshot.values("predictive", "simulated_motor_speed_rpm") - asked
     period = snapshot.number("predictive", "rotation_period_s")
     count = min(MOST_CYCLES, max(1, int(np.ceil((time[-1] + 1e-9) / period))))

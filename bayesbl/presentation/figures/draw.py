@@ -16,7 +16,13 @@ from bayesbl.presentation.figures.stored_figure import StoredFigure, file_ending
 from bayesbl.presentation.figures.style import publication_style, save
 
 
-def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+def draw_all(
+    tree: xr.DataTree,
+    folder: Path,
+    formats: Sequence[str] = ("png",),
+    *,
+    for_specialists: bool = True,
+) -> list[Path]:
     """Write every figure that applies to a result.
 
     Parameters
@@ -27,6 +33,8 @@ def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",))
         Is made if there is a figure and it is missing.
     formats
         As of :func:`bayesbl.presentation.figures.style.save`.
+    for_specialists
+        Whether those that nobody needs who only acts on the answer are among them.
 
     Returns
     -------
@@ -49,6 +57,8 @@ def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",))
         return written
     with publication_style(), _collecting_the_new_alone():
         for figure in found:
+            if figure.for_specialists and not for_specialists:
+                continue
             for ending, drawn_from in figure.parts(tree):
                 written += save(figure(*drawn_from), folder, figure.name + ending, formats)
                 # A figure holds itself in circles, and up to 15 MB: freed before the next one.

@@ -1,188 +1,201 @@
-"""The gap of every snapshot on the curve it was read from, and its change (paper, fig. 10)."""
+"""The gap of every snapshot and its change, by each route that answers."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date as Date
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
+from bayesbl.measurement.stored import routes_of, stored_answers, summary_of
 from bayesbl.presentation.figures import layout, panels, style
-from bayesbl.presentation.figures.change import draw_change, legend_lines
 from bayesbl.presentation.figures.snapshots import (
     GAP,
-    Snapshot,
     credible_interval,
-    curve_name,
+    decimals,
     gap_colour,
-    gap_in_words,
-    gap_interval,
-    snapshots,
+    holds,
+    interval_name,
 )
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure
-from bayesbl.results.variables import STACKED
-from bayesbl.ringing.symbols import AMPLITUDE
+from bayesbl.presentation.words import route_in_words
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import number
+
+_ROW_IN = 0.5
+_RIDGE = 0.72
+"""Height of a density, in rows."""
+_BINS = 60
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """Draws in mrad with what is written beside them; ``answers``: of the route that does."""
+
+    label: str
+    draws: FloatArray
+    colour: str
+    answers: bool
+    withheld: bool
 
 
 @stored_figure(
-    "(a) Each gap on the curve it was read from, with the distributions of amplitude and gap; then "
-    "the distribution of the change, where there are two; last the whole curve.",
+    "(a) The gap of each snapshot by each route, with the limit; (b) its change from first to last"
+    ".",
     20,
-    holding("posterior/amplitude_rpm", "posterior/delta_rad", "curve/delta_rad"),
+    holding("gap/delta_rad"),
 )
 def gap(tree: xr.DataTree) -> Figure:
-    """δ against A with the posteriors of both along the axes; for snapshots also the change."""
-    parts = snapshots(tree)
-    compare = "change" in tree.children
-    # Two legends stand side by side above the panels.
-    lines = 1 + len(parts) + ("limit_rad" in tree.attrs)
-    lines = max(lines, legend_lines(tree)) if compare else lines
-    top = 0.28 + layout.LINE_IN * lines
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + (3.32 if compare else 2.67))
-    outer = layout.grid(figure, 1, 2, top=top, widths=(1.4, 1.0))
-    joint = outer[0, 0].subgridspec(
-        2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
+    """A row per snapshot and route: density, median and interval, on one axis with the limit."""
+    gaps, changes = _gap_rows(tree), _change_rows(tree)
+    count = max(len(gaps), len(changes))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.85 + _ROW_IN * count)
+    columns = 2 if changes else 1
+    spec = layout.grid(
+        figure, 1, columns, left=1.45, right=0.2, between=(0.0, 1.25), widths=(1.35, 1.0)[:columns]
     )
-    main = figure.add_subplot(joint[1, 0])
-    above = figure.add_subplot(joint[0, 0], sharex=main)
-    side = figure.add_subplot(joint[1, 1], sharey=main)
-    _draw_joint(main, above, side, tree, parts)
-    if compare:
-        right = outer[0, 1].subgridspec(2, 1, height_ratios=(1.3, 1.0), hspace=0.55)
-        panel, overview = figure.add_subplot(right[0, 0]), figure.add_subplot(right[1, 0])
-        draw_change(panel, tree, parts)
-        change = f"change from {parts[0].name} to {parts[-1].name}"
-        panels, titles = [above, panel, overview], ["gap on its curve", change]
-    else:
-        overview = figure.add_subplot(outer[0, 1])
-        panels, titles = [above, overview], ["gap on its curve"]
-    _draw_overview(overview, main, tree, parts)
-    style.head_panels(panels, [*titles, "the whole curve; grey: the range of (a)"])
-    handles, labels = main.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0))
+    axes = [figure.add_subplot(spec[0, column]) for column in range(columns)]
+    titles = [f"gap δ, {interval_name(tree)}"]
+    limit = tree.attrs.get("limit_rad")
+    _draw(axes[0], tree, gaps, count, "Gap δ (mrad)", limit)
+    if changes:
+        _draw(axes[1], tree, changes, count, "Change of the gap δ (mrad)")
+        axes[1].axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
+        titles.append("change from first to last")
+    style.head_panels(axes, titles)
     return figure
 
 
-def _draw_joint(
-    main: Axes, top: Axes, side: Axes, tree: xr.DataTree, parts: list[Snapshot]
-) -> None:
-    _draw_curve(main, tree)
-    for index, snapshot in enumerate(parts):
-        _draw_snapshot(main, tree, snapshot, index)
-        _draw_marginals(top, side, snapshot, index)
-    _set_view(main, tree, parts)
-    for panel in (main, side):
-        panels.limit_line(panel, tree)
-    main.set_xlabel("Amplitude of the ringing A (rpm)")
-    main.set_ylabel("Gap δ (mrad)")
-    for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
-        panel.tick_params(labelbottom=False, labelleft=False)
-        panel.spines[spine].set_visible(False)
-        axis.set_visible(False)
+def _gap_rows(tree: xr.DataTree) -> list[_Row]:
+    """Snapshot by snapshot, the route that answers first."""
+    routes = [name for name in routes_of(tree) if holds(tree.children[name], f"posterior/{GAP}")]
+    each = {route: stored_answers(tree, route) for route in routes}
+    dates, rows = _dates(tree), []
+    for index, (name, day) in enumerate(dates.items()):
+        for route in routes:
+            snapshot = each[route][index]
+            label = name if route == routes[0] else ""
+            if day and route == routes[0]:
+                label = f"{name}, {day}"
+            by = f"by {route_in_words(route)}" if len(routes) > 1 else ""
+            rows.append(
+                _Row(
+                    "\n".join(filter(None, [label, by])),
+                    1e3 * snapshot.values("posterior", GAP).ravel(),
+                    gap_colour(snapshot, index),
+                    route == routes[0],
+                    snapshot.withheld,
+                )
+            )
+    return rows
 
 
-def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
-    curve = tree["curve"].to_dataset()
-    if STACKED not in curve.dims:
-        _draw_one_curve(main, curve, "")
-        return
-    for name in curve[STACKED].values:
-        _draw_one_curve(main, curve.sel({STACKED: name}), f" of {name}")
+def _dates(tree: xr.DataTree) -> dict[str, str]:
+    """Name of every snapshot to its date, or to nothing."""
+    names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
+    if "wear" not in tree.children:
+        return dict.fromkeys(names, "")
+    days = tree["wear"].to_dataset()["date"].values
+    return {
+        n: Date.fromisoformat(str(d)).strftime("%d %b %Y") for n, d in zip(names, days, strict=True)
+    }
 
 
-def _draw_one_curve(main: Axes, curve: xr.Dataset, whose: str) -> None:
-    amplitude = curve["amplitude"].values
-    name = curve_name(curve.attrs["name"])
-    main.fill_between(
-        amplitude, 1e3 * curve["low_rad"].values, 1e3 * curve["high_rad"].values,
-        color="#c8c8c8", linewidth=0.0,
-    )  # fmt: skip
-    main.plot(
-        amplitude, 1e3 * curve["delta_rad"].values, color=style.NEUTRAL, linewidth=0.9,
-        label=f"gap curve{whose} ({name}), {panels.band_in_words(curve)}",
-    )  # fmt: skip
-
-
-def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
-    """Median with intervals both ways; hollow and grey where δ must not be read."""
-    amplitude = credible_interval(tree, snapshot.values("posterior", AMPLITUDE))
-    delta = gap_interval(tree, snapshot)
-    main.errorbar(
-        [amplitude["median"]],
-        [delta["median"]],
-        xerr=panels.reach(amplitude),
-        yerr=panels.reach(delta),
-        capsize=2.0,
-        zorder=3.0,
-        label=gap_in_words(tree, snapshot),
-        **_marker(snapshot, index),
-    )
-
-
-def _marker(snapshot: Snapshot, index: int) -> dict[str, Any]:
-    """The look of a snapshot's point; hollow and grey where δ must not be read."""
-    colour = gap_colour(snapshot, index)
-    face = "white" if snapshot.withheld else colour
-    marker = style.look(index).marker
-    return {"color": colour, "marker": marker, "markerfacecolor": face, "linestyle": "none"}
-
-
-def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
-    own = style.look(index)
-    outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
-    panels.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
-    draws = 1e3 * snapshot.values("posterior", GAP)
-    panels.density(side, draws, gap_colour(snapshot, index), orientation="horizontal", **outline)
-    if snapshot.withheld:
-        side.annotate(
-            "withheld",
-            (0.75, 1e3 * _median(snapshot, GAP)),
-            xycoords=("axes fraction", "data"),
-            rotation=90.0,
-            va="center",
-            fontsize=7.0,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+def _change_rows(tree: xr.DataTree) -> list[_Row]:
+    """From first to last by each route; each step too where there are more, by the answer's."""
+    if "change" not in tree.children:
+        return []
+    summary = summary_of(tree)
+    names = [part["name"] for part in summary["snapshots"]]
+    rows: list[_Row] = []
+    for route in routes_of(tree):
+        if not holds(tree.children[route], f"posterior/{GAP}"):
+            continue
+        first, *_, last = stored_answers(tree, route)
+        drawn = 1e3 * (last.values("posterior", GAP) - first.values("posterior", GAP))
+        withheld = summary["routes"][route]["change_rad"] is None
+        rows.append(
+            _Row(
+                f"by {route_in_words(route)}",
+                drawn.ravel(),
+                style.WITHHELD if withheld else style.NEUTRAL,
+                not rows,
+                withheld,
+            )
         )
+    stored = tree["change"].to_dataset()
+    if len(names) > 2:
+        rows += [
+            _Row(
+                f"{step['from']} to\n{step['to']}",
+                1e3 * stored["step_change_rad"].values[number].ravel(),
+                style.WITHHELD if step["change_rad"] is None else style.look(number + 1).colour,
+                True,
+                step["change_rad"] is None,
+            )
+            for number, step in enumerate(summary["changes"])
+        ]
+    return rows
 
 
-def _spread(parts: list[Snapshot], name: str) -> tuple[float, float]:
-    draws = np.concatenate([p.values("posterior", name).ravel() for p in parts])
-    low, high = np.quantile(draws, (0.001, 0.999))
-    return float(low), float(high)
-
-
-def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
-    """Around the posteriors, and up to a limit that is not far away."""
-    for name, factor, setter in (
-        (AMPLITUDE, 1.0, main.set_xlim),
-        (GAP, 1e3, main.set_ylim),
-    ):
-        low, high = _spread(parts, name)
-        margin = max(0.35 * (high - low), 0.12 * high)
-        limit = tree.attrs.get("limit_rad")
-        bottom, top = max(0.0, low - margin), high + margin
-        if limit is not None and name == GAP and low - 3.0 * margin < limit < high + 3.0 * margin:
-            bottom, top = min(bottom, 0.97 * float(limit)), max(top, 1.05 * float(limit))
-        setter(factor * bottom, factor * top)
-
-
-def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
-    """The curve over its whole range, with the view of the main panel marked."""
-    (left, right), (bottom, top) = main.get_xlim(), main.get_ylim()
-    panel.add_patch(
-        Rectangle((left, bottom), right - left, top - bottom, color="#e6e6e6", linewidth=0.0)
-    )
-    _draw_curve(panel, tree)
-    panels.limit_line(panel, tree)
-    for index, snapshot in enumerate(parts):
-        place = _median(snapshot, AMPLITUDE), 1e3 * _median(snapshot, GAP)
-        panel.plot(*place, **_marker(snapshot, index))
-    panel.set_xlabel("Amplitude of the ringing A (rpm)")
-    panel.set_ylabel("Gap δ (mrad)")
-
-
-def _median(snapshot: Snapshot, name: str) -> float:
-    return float(np.median(snapshot.values("posterior", name)))
+def _draw(
+    panel: Axes,
+    tree: xr.DataTree,
+    rows: Sequence[_Row],
+    count: int,
+    label: str,
+    limit_rad: float | None = None,
+) -> None:
+    """Rows from above; the others' densities are outlines, the answer's filled."""
+    texts: list[tuple[float, int, str]] = []
+    for place, row in enumerate(rows):
+        heights, edges = np.histogram(row.draws, _BINS)
+        ridge = place - _RIDGE * heights / max(int(heights.max()), 1)
+        if row.answers:
+            panel.stairs(ridge, edges, baseline=place, fill=True, color=row.colour, alpha=0.35)
+        panel.stairs(ridge, edges, baseline=None, color=row.colour, linewidth=0.7)
+        if row.withheld:
+            text = "withheld"
+        else:
+            found = credible_interval(tree, row.draws)
+            panel.plot(
+                [found["low"], found["high"]], [place, place], color=row.colour, linewidth=2.2,
+                solid_capstyle="butt",
+            )  # fmt: skip
+            panel.plot([found["median"]], [place], color=row.colour, marker="|", markersize=7.0,
+                       markeredgewidth=1.4)  # fmt: skip
+            places = decimals(found)
+            ends = " to ".join(number(found[k], places) for k in ("low", "high"))
+            text = f"{number(found['median'], places)}  ({ends})"
+        texts.append((float(np.median(row.draws)), place, text))
+    everything = [row.draws for row in rows]
+    low = min(float(np.quantile(draws, 0.001)) for draws in everything)
+    high = max(float(np.quantile(draws, 0.999)) for draws in everything)
+    if limit_rad is not None:
+        limit = 1e3 * float(limit_rad)
+        panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=panels.LIMIT_DASHES)
+        panel.annotate(
+            f"limit {limit:g}", (limit, -0.95), (-3.0, 0.0), textcoords="offset points",
+            ha="right", va="top", fontsize=7.0,
+        )  # fmt: skip
+        low, high = min(low, limit), max(high, limit)
+    room = 0.1 * (high - low)
+    panel.set_xlim(low - room, high + room)
+    for at, place, text in texts:
+        share = (at - low + room) / (high - low + 2.0 * room)
+        side = "left" if share < 0.3 else "right" if share > 0.7 else "center"
+        away = {"left": -12.0, "right": 12.0, "center": 0.0}[side]
+        panel.annotate(
+            text, (at, place), (away, -4.5), textcoords="offset points", ha=side, va="top",
+            fontsize=6.5,
+        )  # fmt: skip
+    panel.set_ylim(count - 0.45, -1.0)
+    panel.set_yticks(range(len(rows)), [row.label for row in rows])
+    panel.tick_params(axis="y", length=0.0)
+    panel.spines["left"].set_visible(False)
+    panel.grid(axis="x", color=style.NEUTRAL, alpha=0.15, linewidth=0.5)
+    panel.set_xlabel(label)

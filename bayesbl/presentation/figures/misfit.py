@@ -20,7 +20,7 @@ from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WIN
 )
 def misfit(tree: xr.DataTree) -> Figure:
     """Rotation-averaged residual against load phase, ± one standard error, a panel a snapshot."""
-    parts = snapshots(tree)
+    parts = snapshots(tree, "misfit/mean_rpm")
     figure, axes = layout.one_panel_each(len(parts), above=layout.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
         _draw(panel, snapshot, style.look(index).colour)
@@ -70,7 +70,7 @@ def _draw(panel: Axes, snapshot: Snapshot, colour: str) -> None:
 
 def _pulses(snapshot: Snapshot) -> list[tuple[float, float, str]]:
     """(first phase in [0, 2π), width in rad, sign) of the two pulses in a rotation."""
-    begin = snapshot.values("observed_data", "time_s")[0]
+    begin = snapshot.time_s[0]
     period = snapshot.number("optimum", ROTATION)
     start = snapshot.number("optimum", START) + snapshot.number("optimum", WINDOW_START)
     length = snapshot.number("optimum", WINDOW_END) - snapshot.number("optimum", WINDOW_START)

@@ -27,7 +27,7 @@ _FEWEST_LAGS, _MOST_LAGS = 20, 300
 )
 def noise(tree: xr.DataTree) -> Figure:
     """Per snapshot: BIC by autoregressive order, and the autocorrelation it leads to."""
-    parts = snapshots(tree)
+    parts = snapshots(tree, "noise/bic")
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.2 + 2.1 * len(parts))
     spec = layout.grid(figure, len(parts), 2, between=(0.7, 0.6))
     axes: list[Axes] = []
@@ -60,7 +60,7 @@ def _draw_bic(panel: Axes, snapshot: Snapshot, colour: str) -> None:
 
 
 def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
-    time = snapshot.values("observed_data", "time_s")
+    time = snapshot.time_s
     period = float(time[-1] - time[0]) / (time.size - 1)
     difference = rotation_difference(
         snapshot.values("predictive", "residual_rpm"), snapshot.number("optimum", ROTATION), period

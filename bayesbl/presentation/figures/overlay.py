@@ -17,13 +17,13 @@ _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor c
 
 @stored_figure(
     "The measured signals with those of the simulated bench, and their difference.",
-    10,
+    15,
     holding("predictive/simulated_motor_speed_rpm"),
-    name="signal",
+    name="simulation",
 )
 def overlay(tree: xr.DataTree) -> Figure:
     """One row of panels per snapshot: the middle rotation of each channel that was compared."""
-    parts = snapshots(tree)
+    parts = snapshots(tree, "predictive/simulated_motor_speed_rpm")
     channels = [c for c in _CHANNELS if any(_has(part, c) for part in parts)]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
     spec = layout.grid(figure, len(parts), len(channels), top=0.45, between=(0.55, 0.65))
@@ -58,11 +58,11 @@ def _has(snapshot: Snapshot, channel: str) -> bool:
 
 
 def _draw(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) -> None:
-    time = snapshot.values("observed_data", "time_s")
+    time = snapshot.time_s
     period = snapshot.number("predictive", "rotation_period_s")
     begin = time[0] + 0.5 * max(0.0, time[-1] - time[0] - period)
     inside = (time >= begin) & (time <= begin + period)
-    measured = snapshot.values("observed_data", channel)[inside]
+    measured = snapshot.channel(channel)[inside]
     upper.plot(time[inside], measured, color=style.MEASURED, linewidth=0.6)
     simulated = snapshot.values("predictive", f"simulated_{channel}")[inside]
     upper.plot(time[inside], simulated, color=style.MODEL, linewidth=0.9)

@@ -16,7 +16,7 @@ TURN = 2.0 * np.pi
 """A rotation of the load in rad."""
 
 _BINS = 40
-_LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
+LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 
 
 def density(
@@ -58,7 +58,7 @@ def limit_line(panel: Axes, tree: xr.DataTree) -> None:
             limit,
             color=LIMIT,
             linewidth=0.9,
-            linestyle=_LIMIT_DASHES,
+            linestyle=LIMIT_DASHES,
             label=f"limit {limit:g} mrad",
         )
 

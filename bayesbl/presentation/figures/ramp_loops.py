@@ -28,7 +28,7 @@ from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 )
 def ramp_loops(tree: xr.DataTree) -> Figure:
     """A panel per snapshot: its files from their middles; the band is the play, 2δ."""
-    parts = snapshots(tree)
+    parts = snapshots(tree, "loop")
     lines = 2 if len(parts) == 1 else 1
     figure, axes = layout.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * layout.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):

@@ -34,7 +34,7 @@ class _Signal:
 
     @classmethod
     def of(cls, snapshot: Snapshot) -> _Signal:
-        time, speed = (snapshot.values("observed_data", n) for n in ("time_s", "motor_speed_rpm"))
+        time, speed = snapshot.time_s, snapshot.channel("motor_speed_rpm")
         names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
         # By the time's length: a sample that was left out has no residual, like the padding.
         curves = (snapshot.groups["predictive"][n].values[: time.size] for n in names)
@@ -51,7 +51,7 @@ class _Signal:
 )
 def signal(tree: xr.DataTree) -> Figure:
     """One block per snapshot: the whole recording, a positive and a negative pulse."""
-    parts = snapshots(tree)
+    parts = snapshots(tree, "predictive/model_rpm")
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
     spec = layout.grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
     heads: list[Axes] = []
@@ -71,6 +71,9 @@ def signal(tree: xr.DataTree) -> Figure:
             top = figure.add_subplot(inner[0, column], sharey=upper)
             bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
             _draw_part(top, bottom, data.within(begin, end))
+            for edge in impact_window(snapshot, positive):
+                for axes in (top, bottom):
+                    axes.axvline(edge, color=style.NEUTRAL, linewidth=0.6, linestyle=":")
             for axes in (upper, lower):
                 panels.shade(axes, begin, end)
             top.tick_params(labelbottom=False, labelleft=False)
@@ -89,7 +92,13 @@ def signal(tree: xr.DataTree) -> Figure:
 
 def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
     """Start and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
-    time = snapshot.values("observed_data", "time_s")
+    start, end = impact_window(snapshot, positive)
+    return start - 0.4 * (end - start), end + 0.4 * (end - start)
+
+
+def impact_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
+    """Start and end, in s, of the window of the pulse that is nearest to the middle."""
+    time = snapshot.time_s
     symbol = {
         name: snapshot.number("optimum", name)
         for name in (START, WINDOW_START, WINDOW_END, SEPARATION, ROTATION)
@@ -98,7 +107,7 @@ def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
     first = symbol[START] + symbol[WINDOW_START] - (0.0 if positive else symbol[SEPARATION])
     middle = 0.5 * (time[0] + time[-1] - length)
     start = first + symbol[ROTATION] * round((middle - first) / symbol[ROTATION])
-    return start - 0.4 * length, start + 1.4 * length
+    return start, start + length
 
 
 def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
@@ -146,7 +155,8 @@ def _legend(figure: Figure, interval: str) -> None:
             Line2D([], [], color=style.MEASURED, label="measured"),
             Line2D([], [], color=style.MODEL, label="model at the optimum"),
             Patch(color=style.BAND, label=band),
+            Line2D([], [], color=style.NEUTRAL, linestyle=":", label="window of the fit"),
         ],
         loc="upper center",
-        ncols=3,
+        ncols=4,
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import xarray as xr
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.snapshots import snapshots
+from bayesbl.presentation.figures.snapshots import holds, route_holding, snapshots
 from bayesbl.presentation.figures.style import publication_style
 
 Parts = Callable[[xr.DataTree], Iterable[tuple[str, tuple[object, ...]]]]
@@ -20,11 +20,15 @@ def whole(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
     yield "", (tree,)
 
 
-def each_snapshot(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
-    """One figure per snapshot; that of a fit has no name of its own."""
-    compared = "snapshot" in tree["posterior"].dims
-    for snapshot in snapshots(tree):
-        yield file_ending(snapshot.name) if compared else "", (snapshot,)
+def each_snapshot(path: str) -> Parts:
+    """One figure per snapshot of the route that holds this; that of a fit has no own name."""
+
+    def parts(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
+        compared = tree.attrs["kind"] == "compare"
+        for snapshot in snapshots(tree, path):
+            yield file_ending(snapshot.name) if compared else "", (snapshot,)
+
+    return parts
 
 
 def file_ending(name: str) -> str:
@@ -83,12 +87,10 @@ def stored_figure(
 
 
 def holding(*paths: str) -> Callable[[xr.DataTree], bool]:
-    """Whether a result has groups (``wear``) and variables (``misfit/mean_rpm``)."""
-    return lambda tree: all(_holds(tree, path) for path in paths)
+    """Whether a result has groups (``wear``) and variables (``misfit/mean_rpm``).
 
-
-def _holds(tree: xr.DataTree, path: str) -> bool:
-    group, _, variable = path.partition("/")
-    if group not in tree.children:
-        return False
-    return not variable or variable in tree[group].variables
+    At its root, or in one of its routes.
+    """
+    return lambda tree: all(
+        holds(tree, path) or route_holding(tree, path) is not None for path in paths
+    )

@@ -22,7 +22,7 @@ _BINS = 30
     "Draws of each parameter, a panel each, ensemble by ensemble, with their densities.",
     150,
     holding("posterior/amplitude_rpm"),
-    parts=each_snapshot,
+    parts=each_snapshot("posterior/amplitude_rpm"),
     for_specialists=True,
 )
 def trace(snapshot: Snapshot) -> Figure:

@@ -42,7 +42,7 @@ def wear(tree: xr.DataTree) -> Figure:
     """δ of every dated snapshot with its path since the last repair; when the limit is reached."""
     group = tree[WEAR.name].to_dataset()
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
-    limited = "years_to_limit" in group and not group.attrs["reason"]
+    limited = "years_to_limit" in group
     spec = layout.grid(figure, 1, 2 if limited else 1, top=0.6)
     panels, titles = (
         [figure.add_subplot(spec[0, 0])],
@@ -103,7 +103,7 @@ def _years_ahead(group: xr.Dataset) -> float:
     days = _days(used_dates(group))
     span = (days[-1] - days[0]) / DAYS_PER_YEAR
     ahead = 0.5 * span
-    if "years_to_limit" in group and not group.attrs["reason"]:
+    if "years_to_limit" in group:
         ahead = float(np.quantile(group["years_to_limit"].values, 0.8))
     if "decide_before" in group.attrs:
         asked = _days([Date.fromisoformat(group.attrs["decide_before"])])[0] - days[-1]
@@ -113,7 +113,7 @@ def _years_ahead(group: xr.Dataset) -> float:
 
 
 def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) -> None:
-    has_rate = "law" in group and not group.attrs["reason"]
+    has_rate = "law" in group
     days = _days(used_dates(group))
     level = float(tree.attrs["interval_level"])
     if has_rate:

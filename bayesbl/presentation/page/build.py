@@ -24,7 +24,7 @@ from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, re
 from bayesbl.presentation.page.templates import prose, templates
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
-from bayesbl.results.store import write_text
+from bayesbl.results.store import texts, write_text
 from bayesbl.runs.declared_groups import read_result
 from bayesbl.runs.summary import summarise
 
@@ -145,15 +145,16 @@ def _answer_picture(gaps: Sequence[tuple[str, SnapshotSummary]]) -> Picture | No
 
 
 def _pictures(tree: xr.DataTree, stored: Path | None, draw: Draw) -> list[Picture]:
-    """The stored figures, or fresh ones where there are none."""
+    """The stored figures, and fresh ones of those that a run leaves out."""
     files = {path.stem: path for path in stored.glob("*.png")} if stored else {}
+    known = figures_of(tree)
+    shown = {f.name for f in (figure_of(stem, known) for stem in files) if f is not None}
     with tempfile.TemporaryDirectory() as folder:
-        if not files:
+        if not files or {figure.name for figure in known} - shown:
             # A study's figure is drawn by its study file, which may be gone.
             with suppress(UserError):
                 drawn = draw(tree, Path(folder))
-                files = {path.stem: path for path in drawn if path.suffix == ".png"}
-        known = figures_of(tree)
+                files = {path.stem: path for path in drawn if path.suffix == ".png"} | files
         return [
             Picture(
                 caption(stem, known),
@@ -166,8 +167,7 @@ def _pictures(tree: xr.DataTree, stored: Path | None, draw: Draw) -> list[Pictur
 
 
 def _snapshot_names(tree: xr.DataTree) -> list[str]:
-    posterior = tree["posterior"].to_dataset() if "posterior" in tree.children else {}
-    return [str(name) for name in posterior["snapshot"].values] if "snapshot" in posterior else []
+    return texts(tree.attrs.get("recordings")) if tree.attrs.get("kind") == "compare" else []
 
 
 def _address(data: bytes, kind: str) -> str:

@@ -1,0 +1,361 @@
+"""A measurement as the tree of ``result.nc``, and back: the one place for every route.
+
+The tree has a group for each route that ran (see :mod:`bayesbl.measurement.shared_groups`), the
+draws that answer at its root, and the whole summary as the attribute ``summary``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.config.measurement import CompareConfig, SnapshotConfig
+from bayesbl.measurement.change import Change, changes
+from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
+from bayesbl.measurement.dated_wear import summarise_wear, wear_of
+from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason
+from bayesbl.measurement.shared_groups import CHANGE, GAP, numbered
+from bayesbl.measurement.task import Task
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import Interval, IntervalKind, interval
+from bayesbl.results.provenance import provenance_of
+from bayesbl.results.stacking import stack_snapshots
+from bayesbl.results.store import json_text
+from bayesbl.results.summary_types import origin
+from bayesbl.results.variables import STACKED, dataset
+from bayesbl.ringing.symbols import SYMBOLS
+
+
+def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
+    """The whole result of a fit or a comparison, with its origin."""
+    config = task.config
+    routes = (measured, *measured.beside)
+    groups: dict[str, xr.Dataset] = {}
+    for one in routes:
+        stacked = _stacked({a.name: a.groups for a in one.answers}, config)
+        groups |= {f"{one.route}/{name}": data for name, data in {**stacked, **one.shared}.items()}
+    drawn = {a.name: a.delta_rad for a in measured.answers if a.delta_rad is not None}
+    if drawn:
+        gaps = {
+            n: {"gap": dataset(GAP, {"delta_rad": d}, numbered(d.shape))} for n, d in drawn.items()
+        }
+        groups |= _stacked(gaps, config)
+    wear, wear_reason = None, None
+    if isinstance(config, CompareConfig):
+        ringing = next((r.ringing_change for r in routes if r.ringing_change is not None), None)
+        total, steps = changes(drawn) if drawn else (None, [])
+        groups["change"] = _change_group(total, steps, ringing)
+        if not (measured.without_gap or measured.by_other_joint):
+            wear, wear_reason = wear_of(
+                config, measured.answers, task.seeds.wear, measured.change_reason
+            )
+        if wear is not None:
+            groups["wear"] = wear
+    tree = xr.DataTree.from_dict(groups)
+    tree.attrs = {
+        "kind": config.kind,
+        "route": measured.route,
+        "route_code": measured.why.code,
+        "routes": [one.route for one in routes],
+        "recordings": task.names,
+        "interval_level": config.interval.level,
+        "interval_kind": config.interval.kind,
+        "outcome": measured.outcome,
+        **measured.attributes,
+        **provenance_of(config),
+    }
+    if (limit_rad := limit_rad_of(config)) is not None:
+        tree.attrs["limit_rad"] = limit_rad
+    if config.joint.limit is not None:
+        tree.attrs["limit"] = str(config.joint.limit.stated())
+    summary = {
+        "kind": config.kind,
+        "outcome": measured.outcome,
+        "reason": _reason_of_all(measured),
+        "warnings": [*same_files(task.recordings), *measured.warnings],
+        **origin(tree),
+        "curve": next((one.curve for one in routes if one.curve), None),
+        "answer": {"route": measured.route, **as_stored(measured.why)},
+    }
+    if isinstance(config, CompareConfig):
+        summary |= _compared(measured, config)
+        summary["wear"] = None
+        if wear is not None:
+            dated = summarise_wear(wear, task.names, config.interval, limit_rad)
+            reason = None if wear_reason is None else as_stored(wear_reason)
+            summary["wear"] = {**dated, "limit": tree.attrs.get("limit"), "reason": reason}
+    else:
+        summary |= _answered(measured, 0, config)
+        summary["reason"] = summary["reason"] or _reason_of_all(measured)
+    tree.attrs["summary"] = json_text(summary)
+    return tree
+
+
+def _stacked(
+    groups: Mapping[str, Mapping[str, xr.Dataset]], config: SnapshotConfig
+) -> dict[str, xr.Dataset]:
+    if isinstance(config, CompareConfig):
+        return stack_snapshots(groups)
+    (alone,) = groups.values()
+    return dict(alone)
+
+
+def _change_group(
+    total: Change | None, steps: Sequence[Change], ringing: FloatArray | None
+) -> xr.Dataset:
+    """Draws of the change from first to last, and of each step; what there is not is left out."""
+    values: dict[str, object] = {"ringing_change": ringing}
+    if total is not None:
+        values |= {
+            "change_rad": total.change_rad,
+            "step_change_rad": np.stack([step.change_rad for step in steps]),
+            "step_from": [step.first for step in steps],
+            "step_to": [step.last for step in steps],
+        }
+    return dataset(CHANGE, values)
+
+
+# The summary.
+
+
+def as_stored(reason: Reason) -> dict[str, Any]:
+    """A reason as the summary holds it, without its sentence."""
+    return {"code": reason.code, **reason.values}
+
+
+def one_of(reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """The first of some stored reasons, the others beneath it as ``also``; ``None`` for none."""
+    if not reasons:
+        return None
+    first, *others = reasons
+    return {**first, **({"also": others} if others else {})}
+
+
+def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
+    """Why answers are withheld: each reason once, with the recordings that it holds for."""
+    found: dict[str, tuple[Reason, list[str]]] = {}
+    for answer in measured.answers:
+        for reason in answer.verdict.withholding:
+            found.setdefault(json_text(as_stored(reason)), (reason, []))[1].append(answer.name)
+    reasons = [
+        as_stored(reason) | ({} if len(names) == len(measured.answers) else {"recordings": names})
+        for reason, names in found.values()
+    ]
+    if measured.without_gap:
+        reasons.append(as_stored(NO_CURVE))
+    if measured.change_reason is not None:
+        reasons.append(as_stored(measured.change_reason))
+    return one_of(reasons)
+
+
+def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dict[str, Any]:
+    """Of one recording: the keys of the answer, and under ``routes`` those of every route."""
+    whole = [measured, *measured.beside]
+    routes = {one.route: _of_route(one, one.answers[number], config) for one in whole}
+    routes |= {
+        name: {"route": name, "delta_rad": None, "reason": as_stored(reason)}
+        for name, reason in measured.refused.items()
+    }
+    answer = routes[measured.route]
+    ringing = next((r["amplitude_rpm"] for r in routes.values() if r.get("amplitude_rpm")), None)
+    return {**answer, "amplitude_rpm": ringing, "routes": routes}
+
+
+def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
+    withholding = [as_stored(reason) for reason in answer.verdict.withholding]
+    given = None if answer.is_withheld else answer.delta_rad
+    found = {
+        "route": one.route,
+        "curve": one.curve or None,
+        **answer.numbers,
+        "delta_rad": None if given is None else _interval(given, config),
+        "delta_upper_bound_rad": answer.upper_bound_rad,
+        "diagnostics": {
+            **answer.numbers["diagnostics"],
+            "outcome": answer.verdict.outcome,
+            "reasons": [
+                {**as_stored(reason), "withholds": reason.withholds}
+                for reason in answer.verdict.reasons
+            ],
+        },
+        "reason": one_of(withholding),
+        "model_check": asdict(answer.model_check),
+    }
+    limit_rad = limit_rad_of(config)
+    if limit_rad is not None:
+        found["limit_rad"] = limit_rad
+        above = None if given is None or one.by_other_joint else float(np.mean(given > limit_rad))
+        found["probability_above_limit"] = above
+    if config.joint.limit is not None:
+        limit, windup_rad = config.joint.limit.stated(), windup_rad_of(config)
+        measured = None
+        if (delta := found["delta_rad"]) is not None:
+            ends = {key: limit.stated(delta[key], windup_rad) for key in ("median", "low", "high")}
+            measured = {**delta, **ends}
+        found["limit"] = {"text": str(limit), "unit": limit.name, "measured": measured}
+    return found
+
+
+def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
+    count = len(measured.answers)
+    snapshots = [
+        {
+            "name": measured.answers[number].name,
+            "probability_above_limit": None,
+            **_answered(measured, number, config),
+        }
+        for number in range(count)
+    ]
+    total = _step(measured, 0, count - 1, config)
+    ringing = next((r for r in (measured, *measured.beside) if r.ringing_change is not None), None)
+    grew = None
+    # With a curve it is δ that is withheld, which the curve alone may be the reason for.
+    if ringing is not None and (
+        ringing.curve or not (ringing.answers[0].is_withheld or ringing.answers[-1].is_withheld)
+    ):
+        grew = ringing.ringing_change
+    return {
+        "snapshots": snapshots,
+        "change_rad": total["change_rad"],
+        "changes": [_step(measured, n, n + 1, config) for n in range(count - 1)],
+        "probability_increase": total["probability_increase"],
+        "ringing_change": None if grew is None else _interval(grew, config),
+        "probability_ringing_grew": None if grew is None else float(np.mean(grew > 0.0)),
+        "same_joint": asdict(measured.same_joint),
+        "routes": {
+            one.route: _change_of_route(one, config) for one in (measured, *measured.beside)
+        },
+    }
+
+
+def _change_of_route(one: Measurement, config: CompareConfig) -> dict[str, Any]:
+    """What a route alone says of the change."""
+    step = _step(one, 0, len(one.answers) - 1, config)
+    return {
+        "change_rad": step["change_rad"],
+        "probability_increase": step["probability_increase"],
+        "outcome": one.outcome,
+        "reason": _reason_of_all(one),
+        "same_joint": asdict(one.same_joint),
+    }
+
+
+def _step(measured: Measurement, first: int, last: int, config: CompareConfig) -> dict[str, Any]:
+    ends = [measured.answers[number] for number in (first, last)]
+    before, after = (None if end.is_withheld else end.delta_rad for end in ends)
+    change = None
+    if before is not None and after is not None and measured.change_reason is None:
+        change = after - before
+    return {
+        "from": ends[0].name,
+        "to": ends[1].name,
+        "change_rad": None if change is None else _interval(change, config),
+        "probability_increase": None if change is None else float(np.mean(change > 0.0)),
+    }
+
+
+def _interval(draws: FloatArray, config: SnapshotConfig) -> Interval:
+    return interval(draws, config.interval.level, config.interval.kind)
+
+
+# Back from the tree.
+
+
+@dataclass(frozen=True, slots=True)
+class StoredAnswer:
+    """What one route of a stored result says of one recording.
+
+    Attributes
+    ----------
+    groups
+        Of the route, by name, without the dimension ``snapshot``.
+    summary
+        Its part of the summary; sentences are not in it.
+    """
+
+    name: str
+    groups: Mapping[str, xr.Dataset]
+    summary: Mapping[str, Any]
+    level: float
+    interval_kind: IntervalKind
+
+    def interval(self, group: str, variable: str) -> Interval:
+        """Interval of stored draws, at the level and of the kind of the result."""
+        return interval(self.groups[group][variable].values, self.level, self.interval_kind)
+
+    def number(self, group: str, variable: str) -> float:
+        """A stored scalar."""
+        return float(self.groups[group][variable])
+
+    def values(self, group: str, variable: str) -> FloatArray:
+        """A stored variable, any shape, with the NaN padding of shorter snapshots taken off."""
+        stored = np.asarray(self.groups[group][variable].values, dtype=float)
+        if stored.ndim == 0:
+            return stored
+        for axis in range(stored.ndim):
+            others = tuple(a for a in range(stored.ndim) if a != axis)
+            filled = np.flatnonzero(~np.isnan(stored).all(axis=others))
+            stop = filled[-1] + 1 if filled.size else 0
+            stored = np.take(stored, np.arange(stop), axis=axis)
+        return stored
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Of the recording, shape (n,)."""
+        return self.values("constant_data", "time_s")
+
+    def channel(self, name: str) -> FloatArray:
+        """A channel of the recording, whether the route went by it or not, shape (n,)."""
+        return self.values(
+            "observed_data" if name in self.groups["observed_data"] else "constant_data", name
+        )
+
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Free symbols in the paper's order, δ behind them: all that has draws."""
+        return tuple(n for n in (*SYMBOLS, "delta_rad") if n in self.groups["posterior"])
+
+    @property
+    def withheld(self) -> bool:
+        """Whether δ must not be read, or there is none."""
+        return self.summary["delta_rad"] is None
+
+
+def routes_of(tree: xr.DataTree) -> list[str]:
+    """Routes that a stored result holds whole, the one that answers first."""
+    return [str(name) for name in np.atleast_1d(tree.attrs.get("routes", []))]
+
+
+def summary_of(tree: xr.DataTree) -> dict[str, Any]:
+    """The summary as it is stored, without sentences."""
+    found: dict[str, Any] = json.loads(tree.attrs["summary"])
+    return found
+
+
+def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[StoredAnswer]:
+    """What a route says of every recording of a result, in order; that which answers by default."""
+    summary = summary_of(tree)
+    route = route or tree.attrs["route"]
+    whole = {name: node.to_dataset() for name, node in tree[route].children.items()}
+    if summary["kind"] == "compare":
+        parts = [
+            (
+                part["name"],
+                part["routes"][route],
+                {
+                    group: data.sel({STACKED: part["name"]}) if STACKED in data.dims else data
+                    for group, data in whole.items()
+                },
+            )
+            for part in summary["snapshots"]
+        ]
+    else:
+        (name,) = np.atleast_1d(tree.attrs["recordings"])
+        parts = [(str(name), summary["routes"][route], whole)]
+    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
+    return [StoredAnswer(name, groups, part, level, kind) for name, part, groups in parts]

@@ -1,0 +1,247 @@
+"""Log likelihood of a recording rotation by rotation, and recordings that a posterior predicts.
+
+The noise is that of :mod:`bayesbl.noise.rotation_noise`: what repeats every rotation and the
+waveform lacks is taken off first, so that one rotation is as independent of the next as noise is.
+Leaving out one rotation is then what a leave-one-out comparison of models means here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesbl.compiled import compiled
+from bayesbl.noise.autoregression import autocorrelation, innovation_share
+from bayesbl.noise.process import NoiseModel
+from bayesbl.noise.rotation_noise import Noise
+from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.ringing.estimator import PointEstimate
+from bayesbl.ringing.symbols import (
+    AMPLITUDE,
+    DECAY,
+    FREQUENCY,
+    MEAN,
+    ROTATION,
+    SEPARATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+)
+
+
+def rotations_of(point: PointEstimate) -> NDArray[np.int64]:
+    """Number of the rotation that each sample lies in, shape (n,).
+
+    A rest shorter than half a rotation belongs to the rotation before it.
+    """
+    time = point.objective.time_s
+    turns = (time - time[0]) / point.optimum.symbols[ROTATION]
+    number = np.floor(turns).astype(np.int64)
+    last = max(round(float(turns[-1])) - 1, 0)
+    return np.asarray(np.minimum(number, last), dtype=np.int64)
+
+
+def log_likelihood(
+    point: PointEstimate, draws: Mapping[str, FloatArray], baseline_rpm: FloatArray
+) -> FloatArray:
+    """Log density of each rotation given each draw, shape (…, rotation).
+
+    Parameters
+    ----------
+    draws
+        Free symbols by name, each of shape (…).
+    baseline_rpm
+        Shape (…, 2k).
+    """
+    symbols: dict[str, Any] = {**point.optimum.symbols, **draws}
+    shape = next(iter(draws.values())).shape
+    rows = np.stack(
+        [
+            np.broadcast_to(value, shape).ravel()
+            for value in (
+                symbols[AMPLITUDE],
+                symbols[START] + symbols[WINDOW_START],
+                symbols[DECAY],
+                symbols[FREQUENCY],
+                symbols[MEAN],
+                symbols[WINDOW_END] - symbols[WINDOW_START],
+                symbols[SEPARATION],
+                symbols[ROTATION],
+            )
+        ],
+        axis=1,
+    )
+    objective, noise = point.objective, point.noise
+    repeats, _ = point.misfit.at(
+        objective.time_s - objective.time_s[0], point.optimum.symbols[ROTATION]
+    )
+    coefficients = np.asarray(noise.coefficients, dtype=np.float64)
+    rotation = rotations_of(point)
+    count = int(rotation[-1]) + 1
+    found = np.zeros((len(rows), count))
+    _log_densities(
+        np.ascontiguousarray(rows),
+        np.ascontiguousarray(baseline_rpm.reshape(len(rows), -1)),
+        objective.time_s,
+        objective.period_s,
+        point.optimum.symbols[ROTATION],
+        objective.speed_rpm - repeats,
+        _known_innovations(objective.used, coefficients.size),
+        np.searchsorted(rotation, np.arange(count + 1)),
+        coefficients,
+        noise.differentiated,
+        objective.used,
+        innovation_sd(noise),
+        noise.degrees_of_freedom or 0.0,
+        found,
+    )
+    return found.reshape(*shape, -1)
+
+
+def _known_innovations(used: BoolArray, order: int) -> FloatArray:
+    """1 where a sample and the ``order`` before it are all there, else 0, shape (n,)."""
+    missing = np.convolve(~used, np.ones(order + 1), "full")[: used.size]
+    missing[:order] = 1.0
+    return np.asarray(missing < 0.5, dtype=np.float64)
+
+
+def innovation_sd(noise: Noise) -> float:
+    """Standard deviation of what is new in each sample, rpm."""
+    variance = noise.sd_rpm**2 * innovation_share(noise.coefficients)
+    if noise.differentiated:
+        variance /= _variance_of_change(noise)
+    return math.sqrt(variance)
+
+
+def _variance_of_change(noise: Noise) -> float:
+    """Of an autoregressive process from sample to sample, over its own."""
+    return 2.0 * (1.0 - float(autocorrelation(noise.coefficients, 2)[1]))
+
+
+def predicted(
+    point: PointEstimate,
+    draws: Mapping[str, FloatArray],
+    baseline_rpm: FloatArray,
+    generator: np.random.Generator,
+    *,
+    with_misfit: bool = True,
+) -> FloatArray:
+    """New recordings of the speed, one a draw, with noise of their own, shape (m, n), rpm.
+
+    Parameters
+    ----------
+    draws
+        Free symbols by name, each of shape (m,).
+    baseline_rpm
+        Shape (m, 2k).
+    with_misfit
+        Whether what repeats every rotation and the waveform lacks is added.
+    """
+    objective = point.objective
+    repeats = np.zeros(objective.samples)
+    if with_misfit:
+        since = objective.time_s - objective.time_s[0]
+        repeats, _ = point.misfit.at(since, point.optimum.symbols[ROTATION])
+    rows = []
+    for number, baseline in enumerate(baseline_rpm):
+        symbols = {**point.optimum.symbols, **{n: float(v[number]) for n, v in draws.items()}}
+        linear = np.r_[symbols[MEAN], baseline, symbols[AMPLITUDE]]
+        model = objective.columns(symbols) @ linear
+        rows.append(model + repeats + _drawn(point.noise, model.size, generator))
+    return np.array(rows)
+
+
+def _drawn(noise: Noise, size: int, generator: np.random.Generator) -> FloatArray:
+    model = NoiseModel(noise.sd_rpm, tuple(noise.coefficients), noise.degrees_of_freedom)
+    if not noise.differentiated:
+        return model.draw(size, generator)
+    change = np.diff(model.draw(size + 1, generator))
+    return np.asarray(change / math.sqrt(_variance_of_change(noise)))
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def _log_densities(  # type: ignore[no-untyped-def]
+    rows, baselines, time, period, nominal_turn, speed, counts, rotation,
+    coefficients, differentiated, used, sd, freedom, found,
+):  # fmt: skip
+    """Adds to ``found`` (m, rotation) the log densities of innovations, draw by draw.
+
+    Waves of the load angle are those of ``nominal_turn`` with three terms in the change of their
+    rate: draws of T_w differ by some 1e-5 of it. ``counts`` is 1 where an innovation is known.
+    """
+    n, order, harmonics = time.size, coefficients.size, baselines.shape[1] // 2
+    rest, e, away = np.empty(n), np.empty(n), time - 0.5 * (time[0] + time[n - 1])
+    cosine, sine = np.empty((harmonics, n)), np.empty((harmonics, n))
+    for k in range(harmonics):
+        rate = 2.0 * math.pi * (k + 1) / nominal_turn
+        cosine[k], sine[k] = np.cos(rate * away), np.sin(rate * away)
+    if freedom > 0.0:
+        scale = sd * math.sqrt((freedom - 2.0) / freedom)
+        constant = (
+            math.lgamma(0.5 * (freedom + 1.0))
+            - math.lgamma(0.5 * freedom)
+            - 0.5 * math.log(freedom * math.pi)
+            - math.log(scale)
+        )
+    else:
+        scale = sd
+        constant = -0.5 * math.log(2.0 * math.pi) - math.log(sd)
+    for m in range(rows.shape[0]):
+        amplitude, first, decay, frequency = rows[m, 0], rows[m, 1], rows[m, 2], rows[m, 3]
+        mean, window, separation, turn = rows[m, 4], rows[m, 5], rows[m, 6], rows[m, 7]
+        for i in range(n):
+            rest[i] = speed[i] - mean
+        for k in range(harmonics):
+            c, s = baselines[m, 2 * k], baselines[m, 2 * k + 1]
+            more = 2.0 * math.pi * (k + 1) * (1.0 / turn - 1.0 / nominal_turn)
+            for i in range(n):
+                x = more * away[i]
+                even, odd = 1.0 - 0.5 * x * x, x * (1.0 - x * x / 6.0)
+                co, si = cosine[k, i], sine[k, i]
+                rest[i] -= c * (co * even - si * odd) + s * (si * even + co * odd)
+        for side in range(2):
+            sign = 1.0 if side == 0 else -1.0
+            origin = first if side == 0 else first - separation
+            lowest = math.ceil((time[0] - window - period - origin) / turn)
+            highest = math.floor((time[n - 1] + period - origin) / turn)
+            for pulse in range(lowest, highest + 1):
+                start = origin + turn * pulse
+                begin = np.searchsorted(time, start - period)
+                end = np.searchsorted(time, start + window + period)
+                for i in range(begin, end):
+                    since = time[i] - start
+                    u = max(since, 0.0)
+                    ramp = min(max((window - since) / period + 0.5, 0.0), 1.0)
+                    near = max(1.0 - abs(since) / period, 0.0)
+                    wave = ramp * math.exp(-decay * u) * math.sin(frequency * u)
+                    wave += frequency * period * near * near * near / 6.0
+                    rest[i] -= sign * amplitude * wave
+        if differentiated:
+            centre, number = 0.0, 0
+            for i in range(n):
+                if used[i]:
+                    centre += rest[i]
+                    number += 1
+            centre /= max(number, 1)
+            total = 0.0
+            for i in range(n):
+                total += rest[i] - centre if used[i] else 0.0
+                rest[i] = total
+        for i in range(n):
+            e[i] = rest[i]
+        for k in range(order):
+            phi = coefficients[k]
+            for i in range(order, n):
+                e[i] -= phi * rest[i - 1 - k]
+        for r in range(found.shape[1]):
+            total, number = 0.0, 0.0
+            for i in range(rotation[r], rotation[r + 1]):
+                square = counts[i] * e[i] * e[i] / (scale * scale)
+                total += math.log1p(square / freedom) if freedom > 0.0 else square
+                number += counts[i]
+            share = freedom + 1.0 if freedom > 0.0 else 1.0
+            found[m, r] += number * constant - 0.5 * share * total

@@ -1,0 +1,304 @@
+"""The sentence of every reason that a measurement gives, from its code and numbers.
+
+A measurement stores codes and numbers alone; whoever shows or writes one asks here, and nothing
+reads a sentence back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from bayesbl.units import number
+
+UNLESS_REPAIRED = (
+    "If the joint was repaired, mark the first recording after it (repaired = true); if not, are "
+    "files or dates swapped? What temperature and grease move each date's gap by belongs under "
+    "[wear]: relative_sd_per_date = 0.02 is 2 %."
+)
+
+
+def sentence(reason: Mapping[str, Any]) -> str:
+    """What a stored reason says, with all that stands beneath it.
+
+    Parameters
+    ----------
+    reason
+        ``code``, the values of its sentence by name; ``recordings`` where it holds for some alone,
+        ``also`` with further reasons.
+    """
+    values = {k: v for k, v in reason.items() if k not in _NO_VALUES}
+    told = values.pop("text", None)
+    made = SENTENCES.get(reason["code"])
+    text = str(told) if made is None or told is not None else made(**values)
+    if reason.get("recordings"):
+        text = f"{', '.join(reason['recordings'])}: {text}"
+    return " ".join([text, *map(sentence, reason.get("also", ()))])
+
+
+_NO_VALUES = ("code", "recordings", "also", "withholds", "route")
+
+
+def told(summary: Any) -> Any:
+    """A stored summary with the sentence of every reason in it, as ``text``."""
+    if isinstance(summary, Mapping):
+        whole = {key: told(value) for key, value in summary.items()}
+        if "code" in summary:
+            whole["text"] = sentence(summary)
+        return whole
+    return [told(item) for item in summary] if isinstance(summary, list) else summary
+
+
+def beyond_curve(
+    share: float, low_rad: float, high_rad: float, level: float, bound_rad: float, is_above: bool
+) -> str:
+    """Part of the posterior is beyond the range of the gap curve."""
+    # A finite number of draws never shows that all lie there.
+    part = "More than 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
+    side = "above" if is_above else "below"
+    return (
+        f"{part} of the posterior lies beyond the range of the gap curve ({low_rad:.3g} to "
+        f"{high_rad:.3g} rad). δ is {side} {bound_rad:.3g} rad with {100.0 * level:g} % "
+        "probability. Use a curve that reaches farther, or ask for extrapolation by [curve] "
+        "allow_extrapolation = true."
+    )
+
+
+def box_search_missed(
+    searched: str,
+    amplitude_rpm: float,
+    rmse_rpm: float,
+    gap_as_printed_rad: float,
+    optimum_amplitude_rpm: float,
+    optimum_rmse_rpm: float,
+) -> str:
+    """The paper's own search ended elsewhere."""
+    return (
+        f"The search of {searched}, ended elsewhere than the optimum that the recording suggests: "
+        f"A = {amplitude_rpm:.3g} rpm at RMSE {rmse_rpm:.3g} rpm, of which eq. 4 would make "
+        f"{1e3 * gap_as_printed_rad:.3g} mrad, against A = {optimum_amplitude_rpm:.3g} rpm at "
+        f'RMSE {optimum_rmse_rpm:.3g} rpm. Use [estimator.search] method = "guess".'
+    )
+
+
+def other_speed(curve_rpm: float, recording_rpm: float, relative_error: float) -> str:
+    """The curve is of another speed."""
+    side = "small" if relative_error < 0.0 else "large"
+    return (
+        f"The gap curve is of {curve_rpm:g} rpm, the recording of {recording_rpm:.4g} rpm, where "
+        f"the same gap rings differently: δ would be some {100.0 * abs(relative_error):.0f} % too "
+        f"{side}. Record at {curve_rpm:g} rpm, sweep a bench at this speed, or ask for "
+        "extrapolation by [curve] allow_extrapolation = true."
+    )
+
+
+def repeats_beyond_noise(
+    channel: str,
+    recording: str,
+    highest_order: int,
+    ratio: float,
+    channels: Sequence[str],
+    is_motion: bool,
+) -> str:
+    """Simulation and recording disagree."""
+    which = f"up to load order {highest_order}" if highest_order else "in the mean"
+    repeats, look = "repeats every rotation", "`bayesbl diagnose` looks for what is missing."
+    if is_motion:
+        which = which.replace("load order", "order") + " of the cycle"
+        repeats = "is left"
+        look = "`bayesbl identify` of some recordings, with --effects catalogue, finds which."
+    return (
+        "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
+        f"{channel} of {recording}, {which}, what {repeats} has {ratio:.3g} times the power that "
+        f"noise would leave (disagreement in {', '.join(channels)}). The bench file lacks an "
+        f"effect or has wrong values; {look}"
+    )
+
+
+def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
+    """The other route has no answer; ``because``: its reasons."""
+    why = " ".join(dict.fromkeys(map(sentence, because)))
+    return f"By the amplitude of the ringing, as the direct route has no answer: {why}"
+
+
+def one_date(count: int, repaired: bool) -> str:
+    """A rate needs two dates."""
+    what = "There is only one snapshot" if count == 1 else "There are only snapshots of one day"
+    repair = " since the repair" if repaired else ""
+    return f"{what}{repair}: a rate needs two, at different dates."
+
+
+def ramps_held(
+    skipped_nm: Sequence[float], amplitude_nm: float, needed_nm: float, friction_nm: float
+) -> str:
+    """Ramps of torque that do not show the play."""
+    if skipped_nm:
+        held = ", ".join(f"±{torque:.3g}" for torque in skipped_nm)
+        return (
+            f"The ramps of {held} N m hardly move the joint, and those of ±{amplitude_nm:.3g} N m "
+            "bend the joint so far that its play is a small part of what they leave. Add ramps to "
+            f"about {needed_nm:.2g} N m, twice the friction."
+        )
+    return (
+        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: most of what they move "
+        "goes back with the torque, as in a joint that friction or a preload holds, or one that is "
+        f"bent far. Add ramps of another size: to at least {needed_nm:.2g} N m, or, if these are "
+        f"far beyond the friction already, small ones to about {2.0 * friction_nm:.2g} N m."
+    )
+
+
+def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float) -> str:
+    """The joint is preloaded."""
+    seen = (
+        "At no torque is a flank seen to lift, so the preload is not known."
+        if lifts_nm is None
+        else f"Both flanks carry it up to about {lifts_nm:.2g} N m, where one lifts."
+    )
+    return (
+        "No play is seen: around zero torque the joint is stiffer than beyond (its compliance is "
+        f"{relative_compliance:.2g} of that), as one is that is preloaded. {seen} The "
+        f"{1e3 * width_rad:.2g} mrad that ramps leave between the flanks are compliance held by "
+        "friction; δ is at most half of them."
+    )
+
+
+def soft_flanks(relative_compliance: float, times: float, share: float) -> str:
+    """Soft flanks look like play."""
+    part = (
+        "all of δ, without any play"
+        if share > 1.0
+        else f"{100.0 * share:.0f} % of δ, and more if softer"
+    )
+    return (
+        f"Around zero torque the joint is {relative_compliance:.2g} times as soft as beyond. "
+        "Flanks that are soft at small torque, as those of a strain wave gear, look like play, and "
+        f"the probability of play does not count them: {times:.0f} times as soft as beyond, as is "
+        f"common, they make up {part}. That part is lost motion."
+    )
+
+
+def torque_offset(low_nm: float, high_nm: float) -> str:
+    """The torque has another zero."""
+    low, high = f"{low_nm:.2g}", f"{high_nm:.2g}"
+    about = low if low == high else f"{low} to {high}"
+    return (
+        f"The joint is free about {about} N m, more than friction holds: a load hangs at it, or "
+        "the torque has another zero. This was taken off the torque."
+    )
+
+
+SENTENCES: Mapping[str, Callable[..., str]] = {
+    # Which route answers.
+    "only_route": lambda: "It is the only route that was asked for.",
+    "sharper_and_checked": lambda: (
+        "it goes by the whole recording, and its checks against the bench pass"
+    ),
+    "direct_withheld": lambda: (
+        "it goes by the whole recording, and its checks against the bench decide"
+    ),
+    "motion": lambda: "the joint does not turn at one speed, where the ringing has no curve",
+    "direct_has_no_answer": lambda because="": "simulation of the bench has no answer",
+    "amplitude_has_no_answer": lambda: "the ringing cannot be measured in these recordings",
+    # Against a gap.
+    "no_curve": lambda: (
+        "The same ringing belongs to other gaps on other joints, so there is no δ without a bench "
+        "of this joint (--bench FILE) or the curve of a sweep (--curve RESULT)."
+    ),
+    "ringing_contradicts_bench": lambda: (
+        "The ringing's frequency and decay are not those of the curve's bench at this amplitude, "
+        "whatever its tolerances: δ belongs to another joint, or something other than the gap "
+        "changed. Correct the bench or widen its tolerances."
+    ),
+    "few_curve_draws": lambda effective, total: (
+        f"Only {effective:.0f} of {total} curve draws have the ringing's frequency and decay, too "
+        "few to narrow the bench by them. Narrower tolerances would help."
+    ),
+    "beyond_curve": beyond_curve,
+    "box_search_missed": box_search_missed,
+    "no_baseline": lambda amplitude_rpm, with_baseline_rpm: (
+        "Without a baseline the pulses are fitted to the wave that gravity leaves in the speed: "
+        f"A = {amplitude_rpm:.3g} rpm, but {with_baseline_rpm:.3g} rpm beside one harmonic of the "
+        "load angle. Set [estimator.model] baseline_harmonics = 1."
+    ),
+    "other_speed": other_speed,
+    "other_rotation": lambda rotation_s, expected_s, gear_ratio, speed_rpm, fitting_ratio: (
+        f"The speed repeats every {rotation_s:.4g} s, but with a gear ratio of {gear_ratio:g} the "
+        f"load turns once in {expected_s:.4g} s at {speed_rpm:.4g} rpm. Is the gear ratio right "
+        f"(the recording would fit one of {fitting_ratio:.4g}), and the unit of the speed?"
+    ),
+    "recording_contradicts_bench": lambda: (
+        "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
+    ),
+    "repeats_beyond_noise": repeats_beyond_noise,
+    # Of a change.
+    "change_without_drift": lambda: (
+        "The change by the amplitude does not include what [joint] may_drift allows, so it is "
+        "withheld."
+    ),
+    "routes_disagree": lambda names: (
+        "Simulation of the bench and the ringing's amplitude disagree beyond their intervals in "
+        f"{', '.join(names)}, though they rest on one bench, so the change is withheld: the bench "
+        "lacks an effect or has wrong values (`bayesbl diagnose` looks for what is missing)."
+    ),
+    # What limits an answer.
+    "by_amplitude_instead": by_amplitude_instead,
+    "no_current": lambda: (
+        "There is no motor current in the recording, so the speed alone was used: with the "
+        "current δ would be several times sharper."
+    ),
+    "widened": lambda times: (
+        "Noise that goes round in the speed loop, or something like it, makes the impacts differ: "
+        f"the interval is {times:.2g} times as wide for it."
+    ),
+    "counted_twice": lambda name: (
+        f"The bench was identified from {name} too, so this recording counts twice and its "
+        "interval is somewhat too narrow. Measure later recordings with that bench."
+    ),
+    # Of wear.
+    "one_date": one_date,
+    "gap_withheld": lambda names: f"The gap is withheld for {', '.join(names)}.",
+    "gap_fell": lambda name, fall_rad, standard_deviations: (
+        f"{name} lies {number(1e3 * fall_rad, 3)} mrad below the snapshot before it "
+        f"({standard_deviations:.1f} standard deviations), and wear does not heal. "
+        f"{UNLESS_REPAIRED}"
+    ),
+    "gap_shrank": lambda: f"The gap shrank, and wear does not heal. {UNLESS_REPAIRED}",
+    # Of ramps of torque.
+    "ramps_held": ramps_held,
+    "no_play": no_play,
+    "play_unsure": lambda probability, relative_compliance: (
+        f"Whether there is play is not certain (probability {100.0 * probability:.0f} %): around "
+        f"zero torque the joint is {relative_compliance:.2g} times as soft as beyond, but not "
+        "alike at all positions. δ includes that there may be none."
+    ),
+    "soft_flanks": soft_flanks,
+    "ramps_skipped": lambda skipped_nm, amplitude_nm: (
+        f"The ramps of {', '.join(f'±{torque:.3g}' for torque in skipped_nm)} N m hardly move the "
+        f"joint, as friction holds it; those of ±{amplitude_nm:.3g} N m were used."
+    ),
+    "torque_offset": torque_offset,
+    "torque_turned": lambda: (
+        "The torque counts against the position in the file, and was turned round."
+    ),
+    "no_gear_ratio": lambda: (
+        "No gear_ratio is given: position and torque are taken as those of the output."
+    ),
+    "files_without_cycle": lambda missing, files, amplitude_nm: (
+        f"{missing} of {files} files have no cycle of ±{amplitude_nm:.3g} N m, and do not count "
+        "for δ."
+    ),
+    "positions_differ": lambda: (
+        "One position round the turn in each snapshot, and not the same one: the intervals allow "
+        "for a gap that changes round the turn by up to 70 %. Give ramps at three positions or "
+        "more (files = […])."
+    ),
+    "one_position": lambda: (
+        "One position round the turn: δ is the gap there. How it changes round the turn is not "
+        "known, nor in the interval; give ramps at three positions or more (files = […])."
+    ),
+    "one_cycle": lambda: (
+        "One cycle alone: how much repeated ramps scatter is not known, and the interval allows "
+        "for up to 70 % of the gap."
+    ),
+}
+"""Code to what makes its sentence of its values."""

@@ -1,0 +1,93 @@
+"""Log likelihood by rotation is that of the noise model; what is predicted scatters like it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_recordings import synthetic_recording
+from scipy import stats
+from synthetic_ringing import QUICK
+
+from bayesbl.noise.autoregression import innovation_share, innovations
+from bayesbl.noise.process import NoiseModel
+from bayesbl.ringing.estimator import Estimator, PointEstimate
+from bayesbl.ringing.model import model_speed
+from bayesbl.ringing.pointwise import innovation_sd, log_likelihood, predicted, rotations_of
+from bayesbl.ringing.symbols import AMPLITUDE, DECAY, ROTATION
+
+
+@pytest.fixture(scope="module")
+def point() -> PointEstimate:
+    recording = synthetic_recording(
+        QUICK, NoiseModel(1.5, (0.6,)), np.random.default_rng(1), rotations=4.2, sampling_hz=250.0
+    )
+    return Estimator().estimate(recording, np.random.SeedSequence(1))
+
+
+def draws_around(point: PointEstimate) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Three settings of A and τ, and of the baseline."""
+    best = point.optimum
+    draws = {
+        AMPLITUDE: best.symbols[AMPLITUDE] + np.array([0.0, 1.0, -2.0]),
+        DECAY: best.symbols[DECAY] * np.array([1.0, 1.1, 0.9]),
+    }
+    return draws, np.tile(best.baseline_rpm, (3, 1)) + np.array([[0.0], [0.2], [-0.1]])
+
+
+def by_hand(point: PointEstimate, symbols: dict[str, float], baseline: np.ndarray) -> np.ndarray:
+    """By NumPy and SciPy, one rotation after the other."""
+    objective, noise = point.objective, point.noise
+    time = objective.time_s
+    repeats, _ = point.misfit.at(time - time[0], point.optimum.symbols[ROTATION])
+    rest = objective.speed_rpm - model_speed(time, symbols, baseline.tolist()) - repeats
+    order = len(noise.coefficients)
+    sd = noise.sd_rpm * np.sqrt(innovation_share(noise.coefficients))
+    if noise.degrees_of_freedom is None:
+        law = stats.norm(scale=sd)
+    else:
+        freedom = noise.degrees_of_freedom
+        law = stats.t(freedom, scale=sd * np.sqrt((freedom - 2.0) / freedom))
+    each = law.logpdf(innovations(rest, noise.coefficients))
+    return np.bincount(rotations_of(point)[order:], each)
+
+
+@pytest.mark.parametrize("freedom", [None, 5.0])
+def test_the_log_likelihood_is_that_of_the_noise_s_innovations(point, freedom):
+    own = replace(point, noise=replace(point.noise, degrees_of_freedom=freedom))
+    draws, baseline = draws_around(own)
+    found = log_likelihood(own, draws, baseline)
+    assert found.shape == (3, 4), "a rest of a fifth belongs to the rotation before"
+    for n in range(3):
+        symbols = own.optimum.symbols | {name: float(v[n]) for name, v in draws.items()}
+        np.testing.assert_allclose(found[n], by_hand(own, symbols, baseline[n]), rtol=1e-8)
+
+
+def test_samples_that_are_left_out_add_nothing(point):
+    draws, baseline = draws_around(point)
+    left_out = np.zeros(point.objective.samples, dtype=bool)
+    left_out[400:420] = True
+    objective = type(point.objective)(
+        point.objective.model, point.objective.time_s, point.objective.speed_rpm, excluded=left_out
+    )
+    less = log_likelihood(replace(point, objective=objective), draws, baseline)
+    whole = log_likelihood(point, draws, baseline)
+    changed = np.flatnonzero(~np.isclose(less[0], whole[0]))
+    assert list(changed) == [int(rotations_of(point)[400])]
+
+
+def test_the_innovations_of_a_differentiated_process_are_those_of_the_process(point):
+    """A white process of sd 1 changes from sample to sample with the variance 2."""
+    white = replace(point.noise, sd_rpm=np.sqrt(2.0), coefficients=np.zeros(0), differentiated=True)
+    assert innovation_sd(white) == pytest.approx(1.0)
+
+
+def test_recordings_that_are_predicted_scatter_like_the_noise(point):
+    draws = {AMPLITUDE: np.full(40, point.optimum.symbols[AMPLITUDE])}
+    baseline = np.tile(point.optimum.baseline_rpm, (40, 1))
+    found = predicted(point, draws, baseline, np.random.default_rng(2))
+    assert found.shape == (40, point.objective.samples)
+    # 40 recordings of 1470 samples: the standard deviation is known to 0.6 % with AR(1) 0.6.
+    assert found.std(axis=0).mean() == pytest.approx(point.noise.sd_rpm, rel=0.03)
+    assert np.abs(found.mean(axis=0) - point.optimum.predict(point.objective.time_s)).mean() < 1.0
