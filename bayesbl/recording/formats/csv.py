@@ -524,7 +524,8 @@ def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int
 
 def _no_table(file: Path, text: _Text, lines: Sequence[str]) -> RecordingError:
     """Nothing is quoted: a name may lead to any file."""
-    if not text.is_clean and not text.encoding.startswith("utf-16"):
+    wide = text.encoding.startswith("utf-16")
+    if not wide and re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", text.data[:_MIDDLE_BYTES]):
         found = "binary data"
     elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
         return RecordingError(
