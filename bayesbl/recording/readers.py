@@ -83,8 +83,8 @@ def read_recording(
     repairs = Counter(table.repairs)
     stamps, values = _values(path, table, time_column, others)
     table = table.without_values()
-    values = held(values, repairs)
     _check_length(path, values)
+    values = held(values, repairs)
     _check_finite(path, table, others, values)
     rows = np.flatnonzero(np.isfinite(stamps))
     if rows.size >= MINIMUM_SAMPLES:

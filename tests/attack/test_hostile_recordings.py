@@ -376,6 +376,32 @@ def test_the_limit_is_one_setting_for_every_format(
         read_recording(path)
 
 
+LONG = {
+    "a line without end": (bytes(30_000_000), "not a CSV"),
+    "lines without samples": (b"time_s,x\n0,1\n0,1\n" + b"\n" * 30_000_000, "not a CSV"),
+    "samples without end": (b"time_s,x\n" + b"0,1\n" * 6_000_000, "too much memory"),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", LONG)
+def test_no_text_takes_long_or_large_memory(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import gzip
+
+    content, told = LONG[kind]
+    monkeypatch.setenv(LIMIT_VARIABLE, "50")
+    path = tmp_path / "a.csv.gz"
+    path.write_bytes(gzip.compress(content, 1))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begin = time.process_time()
+    with pytest.raises(RecordingError, match=told):
+        read_recording(path)
+    assert time.process_time() - begin < LONGEST_S
+    assert 1024.0 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) < 3e8
+
+
 # A reader that breaks down
 
 BREAKING = """

@@ -514,3 +514,9 @@ def test_the_form_of_a_date_is_no_unit_and_a_count_of_samples_is_asked_for(tmp_p
     time = guess_columns(path, read_table(path)).columns[0]
     assert (time.name, time.unit) == ("sample", UNKNOWN)
     assert '"4 ms"' in time.reason
+
+
+@pytest.mark.parametrize("count", [0, 1, 15])
+def test_a_table_of_few_rows_is_too_short_in_every_stage(count: int, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="too short"):
+        recorded(tmp_path, {"time_s": TIME[:count], "motor_speed_rpm": SPEED[:count]})

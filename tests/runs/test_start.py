@@ -144,7 +144,7 @@ def test_a_file_without_speed_is_refused(measured, tmp_path, capsys):
     ("first", "third", "told"),
     [
         ("2000.5", "OVL", 'line 4, column "speed": There is text in a column of numbers.'),
-        ("rpm", "2000.5", "Found: 's'. Expected: a number; delete a row of units"),
+        ("rpm", "OVL", 'line 4, column "speed": There is text in a column of numbers.'),
         ("", "", 'column "speed": This column is not a series of numbers. Found: 1 finite'),
     ],
 )

@@ -76,6 +76,9 @@ MOST_INCOMPLETE = 0.05
 _INCOMPLETE = "incomplete line left out, as a lost sample"
 _HEAD_LINES, _MIDDLE_LINES, _MIDDLE_BYTES = 400, 200, 1 << 16
 _BLOCK = 20_000
+_LONGEST_LINE = 4_000_000
+_MOST_SKIPPED = 1_000_000
+"""Lines that are no samples, beyond as many as samples."""
 
 _SCOPE_TIMES = 12.0
 """Times its size that an export of Scope takes, whose cells are texts until all are there."""
@@ -287,6 +290,13 @@ def read_csv(file: Path, data: bytes) -> Table:
         If it is not text, or holds no table or no sample. Nothing of it is quoted before its lines
         have proved to be numbers.
     """
+    for begin in range(0, len(data), _LONGEST_LINE):
+        part = data[begin : begin + _LONGEST_LINE]
+        if len(part) == _LONGEST_LINE and b"\n" not in part and b"\r" not in part:
+            found = f"a line of more than {_LONGEST_LINE // 1_000_000} MB"
+            raise RecordingError(
+                "This is not a CSV file.", file=file, found=found, expected=_EXPECTED
+            )
     text = _Text.of(data)
     head = list(islice(text.lines(), _HEAD_LINES))
     if is_scope_export("\n".join(head)):
@@ -514,7 +524,8 @@ def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int
 
 def _no_table(file: Path, text: _Text, lines: Sequence[str]) -> RecordingError:
     """Nothing is quoted: a name may lead to any file."""
-    if not text.is_clean and not text.encoding.startswith("utf-16"):
+    wide = text.encoding.startswith("utf-16")
+    if not wide and re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", text.data[:_MIDDLE_BYTES]):
         found = "binary data"
     elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
         return RecordingError(
@@ -546,6 +557,10 @@ def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int,
             control += len(raw) - len(line)
         if index < layout.begin:
             continue
+        if index % _BLOCK == 0:
+            require_memory(file, len(text.data) + 48.0 * rows, f"{rows} lines, or more")
+            if len(skipped) > rows + _MOST_SKIPPED:
+                raise _no_table(file, text, [])
         if (len(line.split()) == width if spaced else line.count(separator) == marks) and (
             line[:1] in _BEGINS
         ):
