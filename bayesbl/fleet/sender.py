@@ -135,6 +135,7 @@ class Sender:
         self._client.on_connect_fail = self._on_connect_fail
         self._answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._again = outbox.sent()
+        self._taken: set[str] = set()
         self._listening = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -155,7 +156,7 @@ class Sender:
         end = time.monotonic() + wait_s
         taken_until = time.monotonic() + REPLY_S
         while (waiting := self._outbox.waiting()) and time.monotonic() < end:
-            if set(waiting) - self._again.keys():
+            if any(self._is_due(file) for file in waiting if file not in self._taken):
                 taken_until = time.monotonic() + REPLY_S
             elif time.monotonic() > taken_until:
                 break
@@ -215,6 +216,7 @@ class Sender:
                 return False
             self._say(f"Answers go to {self._address.in_words}.")
             self._again[file] = time.time() + next_s, next_s
+            self._taken.add(file)
             return True
         return False
 

@@ -34,7 +34,7 @@ from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
 from bayesbl.runs.workflow import Options, Plan, require_output, write_result
 
 TABLE_FILE = "table.csv"
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+_FORMULA = ("=", "+", "-", "@", "\t", "\n")
 
 _OWN_COLUMNS = {
     "failed": ("1", "1 where the case failed, and has no values"),
@@ -177,8 +177,10 @@ def table_csv(lines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _harmless(value: object) -> str:
-    formula = isinstance(value, str) and value.startswith(_FORMULA)
-    return f"'{value}" if formula else cell(value)
+    if not isinstance(value, str):
+        return cell(value)
+    text = value.replace("\r", "\n")  # which csv does not quote
+    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def table_columns(lines: Sequence[Mapping[str, Any]]) -> list[str]:
