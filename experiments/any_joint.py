@@ -100,7 +100,7 @@ def rigid(rng: np.random.Generator) -> list[list[str]]:
     hidden = rng.choice(sorted(TORQUE_TERMS), rng.integers(0, 6), replace=False)
     strengths = {str(name): math.exp(rng.uniform(math.log(0.01), math.log(2.0))) for name in hidden}
     shapes = {name: drawn_shape(rng) for name in strengths}
-    moved = MOTIONS[rng.integers(len(MOTIONS))]
+    moved = MOTIONS[int(rng.integers(len(MOTIONS)))]
     names = [f"r{k}.csv" for k in range(rng.integers(1, 4))]
     for name in names:
         write_rigid(name, rng, machine, moved, strengths, shapes)
@@ -156,12 +156,13 @@ def sines(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
     speed = math.exp(rng.uniform(math.log(0.1), math.log(300.0)))
     rates = 2.0 * math.pi * rng.uniform(0.1, 2.0, 3)
     phases = rng.uniform(0.0, 2.0 * math.pi, 3)
-    return sum(speed / w * np.sin(w * time + p) for w, p in zip(rates, phases, strict=True))
+    waves = [speed / w * np.sin(w * time + p) for w, p in zip(rates, phases, strict=True)]
+    return np.asarray(sum(waves))
 
 
 def turning(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:
     """One way, at one speed, rad."""
-    return rng.choice([-1.0, 1.0]) * math.exp(rng.uniform(-2.0, 6.0)) * time
+    return np.asarray(rng.choice([-1.0, 1.0]) * math.exp(rng.uniform(-2.0, 6.0)) * time)
 
 
 def moves(rng: np.random.Generator, time: np.ndarray) -> np.ndarray:

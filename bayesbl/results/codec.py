@@ -15,6 +15,7 @@ import io
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -96,6 +97,8 @@ def _plain(value: object, put: Callable[[Array], object]) -> Any:
             return value.item()
         case Path():
             return str(value)
+        case date():
+            return value.isoformat()
         case Mapping():
             return {str(key): _plain(item, put) for key, item in value.items()}
         case list() | tuple():

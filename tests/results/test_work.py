@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +79,14 @@ def test_seeds_are_told_apart_by_their_place():
     first, second = np.random.SeedSequence(1).spawn(2)
     assert address(first) != address(second)
     assert address(first) == address(np.random.SeedSequence(1).spawn(1)[0])
+
+
+def test_a_problem_with_dates_has_an_address_and_dates_come_back():
+    """A configuration of dated recordings is part of what an identification is kept by."""
+    first, later = date(2025, 3, 1), date(2026, 3, 1)
+    assert address({"date": first}) == address({"date": date(2025, 3, 1)})
+    assert address({"date": first}) != address({"date": later})
+    assert decoder(date)(encoded(later)) == later
 
 
 def test_damaged_and_foreign_entries_are_not_believed(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from bayesbl.diagnosis.free_motion.trajectory import (
     FreeMotionComparison,
     free_motion_candidates,
@@ -18,6 +20,7 @@ from bayesbl.diagnosis.rigid.preparation import (
 )
 from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
+from bayesbl.errors import RecordingError
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED
 
 CHANNELS = (MOTOR_POSITION, MOTOR_SPEED)
@@ -56,6 +59,16 @@ def free_motion_problem(task: Task) -> Problem:
         unknown,
         compared.load_angle_known or not gravity,
     )
+    for made in (comparison, *comparison.folds()):
+        for piece in made.pieces:
+            if not np.ptp(piece.kept(piece.measured)) > 0.0:
+                raise RecordingError(
+                    "Nothing moves in a part that is to be fitted or predicted.",
+                    file=next(r.place for r in recordings if r.name == piece.name),
+                    where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
+                    found=f"{channel} that never changes",
+                    expected="a recording of a motion from its start to its end",
+                )
     scale = "gravity" if gravity else "the inertia"
     notes = [
         *notes_of(recordings),

@@ -78,7 +78,8 @@ class FreeMotionComparison:
         ]
         low = [*(bound for _, bound, _ in shared.values()), *[-np.inf] * (2 * len(used))]
         high = [*(bound for _, _, bound in shared.values()), *[np.inf] * (2 * len(used))]
-        scale = np.maximum(np.abs(first), 1e-3 * np.abs(first).max())
+        # What begins at rest at zero has the size of its motion.
+        scale = np.maximum(np.abs(first), 1e-3 * (np.abs(first).max() or self._speed))
 
         def misfit(x: FloatArray) -> FloatArray:
             values = dict(zip(names, x * scale, strict=True))
