@@ -2,8 +2,8 @@
 
     python docs/make_paper.py
 
-writes ``docs/paper.md``. Whatever it names is looked up: a function that is not there, a file that is
-missing or a variable that no group declares ends it, and ``tests/test_docs.py`` with it.
+writes ``docs/paper.md``. Whatever it names is looked up: a function that is not there, a file that
+is missing or a variable that no group declares ends it, and ``tests/test_docs.py`` with it.
 """
 
 from __future__ import annotations
@@ -44,15 +44,20 @@ ITEMS = (
         "Eq. 1, 2",
         "two masses with a dead zone",
         ("bench.kernel:simulate", "bench.effects.backlash:EFFECT"),
-        ("configs/bench.toml gap_form = \"dead_zone\"",),
+        ('configs/bench.toml gap_form = "dead_zone"',),
     ),
     Item(
         "K_BL, τ_l",
         "variable stiffness (arctan), the default gap",
         ("bench.kernel:simulate",),
-        ("configs/bench.toml gap_form = \"arctan\"",),
+        ('configs/bench.toml gap_form = "arctan"',),
     ),
-    Item("Table 1", "system parameters", ("bench.parameters:BENCH_PARAMETERS",), ("configs/bench.toml [parameters]",)),
+    Item(
+        "Table 1",
+        "system parameters",
+        ("bench.parameters:BENCH_PARAMETERS",),
+        ("configs/bench.toml [parameters]",),
+    ),
     Item(
         "Eq. 3",
         "the ringing after one impact",
@@ -86,39 +91,84 @@ ITEMS = (
         "posterior of the seven symbols under the recording's noise",
         ("ringing.posterior:sample_posterior", "noise.rotation_noise:estimate_noise"),
         ("configs/wear_snapshots.toml [posterior]",),
-        ("amplitude/posterior/baseline_rpm", "amplitude/noise/coefficients", "amplitude/log_likelihood/motor_speed_rpm"),
+        (
+            "amplitude/posterior/baseline_rpm",
+            "amplitude/noise/coefficients",
+            "amplitude/log_likelihood/motor_speed_rpm",
+        ),
     ),
     Item(
         "Eq. 4",
         "δ(A) as printed, with its rounding; and the sweep's own cubic with its uncertainty",
-        ("curve.gap_curve:published_curve", "curve.regression:regress", "curve.swept_curve:swept_curve"),
+        (
+            "curve.gap_curve:published_curve",
+            "curve.regression:regress",
+            "curve.swept_curve:swept_curve",
+        ),
         ("configs/wear_published.toml", "configs/sweep.toml"),
-        ("amplitude/curve/coefficients", "amplitude/curve/covariance", "amplitude/curve/coefficient_draws"),
+        (
+            "amplitude/curve/coefficients",
+            "amplitude/curve/covariance",
+            "amplitude/curve/coefficient_draws",
+        ),
     ),
     Item(
         "A₁, A₂, δ₁, δ₂",
         "from draws of A through draws of the curve to δ and its change",
         ("measurement.change:gaps", "measurement.change:changes"),
         ("configs/wear_snapshots.toml",),
-        ("amplitude/posterior/delta_rad", "amplitude/posterior/curve_amplitude_rpm", "amplitude/budget/share"),
+        (
+            "amplitude/posterior/delta_rad",
+            "amplitude/posterior/curve_amplitude_rpm",
+            "amplitude/budget/share",
+        ),
     ),
     Item("Figure 3", "the disturbance and its symbols", ("paper_figures/figure_3.py",)),
     Item("Figure 5", "the variable stiffness", ("paper_figures/figure_5.py",)),
     Item("Figure 6", "recording and simulation", ("paper_figures/figure_6.py",)),
-    Item("Figure 7", "the disturbance as the gap grows", ("paper_figures/figure_7.py", "presentation.figures.disturbance:disturbance"), ("configs/sweep.toml",)),
-    Item("Figure 8", "amplitude and gap, the regression", ("paper_figures/figure_8.py", "presentation.figures.curve:curve"), ("configs/sweep.toml",)),
-    Item("Figure 9", "recordings with the fitted model", ("paper_figures/figure_9.py", "presentation.figures.signal:signal"), ("configs/wear_snapshots.toml",)),
-    Item("Figure 10", "the two gaps", ("paper_figures/figure_10.py", "presentation.figures.amplitude_to_gap:amplitude_to_gap", "presentation.figures.gap:gap"), ("configs/wear_snapshots.toml",)),
-    Item("Section 5", "how CMA-ES of the paper does on recordings of known truth", ("experiments/search.py",), ("configs/search_study.toml",)),
-)  # fmt: skip
+    Item(
+        "Figure 7",
+        "the disturbance as the gap grows",
+        ("paper_figures/figure_7.py", "presentation.figures.disturbance:disturbance"),
+        ("configs/sweep.toml",),
+    ),
+    Item(
+        "Figure 8",
+        "amplitude and gap, the regression",
+        ("paper_figures/figure_8.py", "presentation.figures.curve:curve"),
+        ("configs/sweep.toml",),
+    ),
+    Item(
+        "Figure 9",
+        "recordings with the fitted model",
+        ("paper_figures/figure_9.py", "presentation.figures.signal:signal"),
+        ("configs/wear_snapshots.toml",),
+    ),
+    Item(
+        "Figure 10",
+        "the two gaps",
+        (
+            "paper_figures/figure_10.py",
+            "presentation.figures.amplitude_to_gap:amplitude_to_gap",
+            "presentation.figures.gap:gap",
+        ),
+        ("configs/wear_snapshots.toml",),
+    ),
+    Item(
+        "Section 5",
+        "how CMA-ES of the paper does on recordings of known truth",
+        ("experiments/search.py",),
+        ("configs/search_study.toml",),
+    ),
+)
 
 HEAD = """# The paper, piece by piece
 
 Made by `python docs/make_paper.py`, which looks up all that it names.
 
 The paper's method is the amplitude route: `bayesbl run configs/wear_snapshots.toml` stores it whole
-under `/amplitude` of `result.nc`, beside the direct route. `python paper_figures/make_all.py` draws the
-paper's figures. Figures 1, 2 and 4 are photographs and diagrams.
+under `/amplitude` of `result.nc`, beside the direct route. `python paper_figures/make_all.py` draws
+the paper's figures. Figures 1, 2 and 4 are photographs and diagrams.
 
 | in the paper | what | code | configuration | result |
 |---|---|---|---|---|"""

@@ -7,7 +7,7 @@ import sys
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.presentation.figures.amplitude_to_gap import THROUGH, amplitude_to_gap
+from bayesbl.presentation.figures.gap import gap
 from bayesbl.presentation.figures.snapshots import (
     GAP,
     credible_interval,
@@ -22,7 +22,7 @@ def data(stored: Stored) -> xr.DataTree:
     """Draws of A, δ and the change, and the curve between them."""
     return picked(
         stored.tree("wear_swept"),
-        posterior=(AMPLITUDE, THROUGH, GAP),
+        posterior=(AMPLITUDE, GAP),
         curve=("delta_rad", "low_rad", "high_rad"),
         change=None,
         diagnostics=(),
@@ -36,14 +36,14 @@ def caption(tree: xr.DataTree) -> str:
     )
     draws = 1e3 * tree["change"].to_dataset()["change_rad"].values
     return (
-        "(a) Amplitude A and gap δ of both recordings on the curve that was swept on the bench, "
-        f"with their draws and posterior distributions along the axes: {gaps}. (b) The whole "
-        "curve. The change of the gap, both recordings through the same draws of the curve: "
+        "(a) Gap δ of both recordings, by the amplitude of their ringing and the curve that was "
+        f"swept on the bench: {gaps}. (b) The change of the gap, both recordings through the same "
+        "draws of the curve: "
         f"{interval_in_words(tree, credible_interval(tree, draws))}."
     )
 
 
-FIGURE = PaperFigure("figure_10", data, amplitude_to_gap, caption)
+FIGURE = PaperFigure("figure_10", data, gap, caption)
 
 if __name__ == "__main__":
     sys.exit(main(FIGURE))

@@ -139,9 +139,13 @@ def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
         start = optima_of(tree)[stored.name]
         if not start.withheld:
             optimum = {**start.symbols, "rmse_rpm": start.rmse_rpm}
+    outcome, reason = whole["diagnostics"]["outcome"], whole["routes"][route]["reason"]
+    if gap is None:
+        outcome = outcome if outcome == "withheld" else "no_curve"
+        reason = reason or whole["reason"]
     return RecordingAnswer(
-        whole["outcome"],
-        None if whole["reason"] is None else whole["reason"]["text"],
+        outcome,
+        None if reason is None else reason["text"],
         tuple(reason["text"] for reason in whole["diagnostics"]["reasons"]),
         route,
         bool(whole["model_check"]["agrees"]),

@@ -355,10 +355,11 @@ def test_a_gap_beyond_the_sweep_is_withheld_with_a_bound(curve: GapCurve) -> Non
     amplitude = np.random.default_rng(1).normal(150.0, 0.5, (4, 500))
     ringing = MeasuredRinging(amplitude, centre, np.diag([0.25, 1e-4, 1e-4]))
     gap = gaps(curve, [ringing], np.random.SeedSequence(1))[0]
-    assert gap.reason is not None
-    assert "is above" in gap.reason
+    (reason,) = gap.reasons
+    assert reason.code == "beyond_curve"
+    assert reason.values["is_above"]
     allowed = gaps(curve, [ringing], np.random.SeedSequence(1), allow_extrapolation=True)[0]
-    assert allowed.reason is None
+    assert allowed.reasons == ()
     assert np.median(allowed.delta_rad) > curve.gap_range_rad[1]
 
 
@@ -571,4 +572,4 @@ def test_a_ringing_that_is_not_the_benchs_withholds_the_gap(curve: GapCurve) -> 
     for softer, contradicted in ((0.0, False), (0.5 * np.log(0.7), True)):
         centre = own + np.array([0.0, softer, 0.0])
         found = gaps(curve, [MeasuredRinging(draws, centre, covariance)], np.random.SeedSequence(2))
-        assert (found[0].reason is not None) == contradicted
+        assert bool(found[0].reasons) == contradicted

@@ -156,7 +156,7 @@ def test_what_is_stated_of_one_snapshot_is_no_change_of_the_joint(tmp_path: Path
     config = task.config.model_copy(update={"recordings": [first, known]})
     found = prepare(config).measure(replace(task, config=config))
     assert found.change_reason is None
-    for snapshot in found.snapshots:
+    for snapshot in found.answers:
         # Of two intervals of 99 % one misses the truth in 2 of 100 seeds; this one is fixed.
         low, high = np.quantile(snapshot.delta_rad, [0.005, 0.995])
         assert low < 8e-4 < high

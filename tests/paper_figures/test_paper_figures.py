@@ -56,8 +56,11 @@ OF_DRAWS = {
     "shared_curve": {"density_per_mrad": 0.18, "interval_mrad": 0.012},
     "figure_6": {"*": 0.01},
     "figure_8": {"curve/*": 3e-3, "gap_curve/*": 3e-3, "gap_curve/coefficients": 0.02},
-    "figure_9": {"predictive/low_rpm": 3e-3, "predictive/high_rpm": 3e-3},
-    "figure_10": {"curve/*": 3e-3},
+    "figure_9": {
+        "amplitude/predictive/low_rpm": 3e-3,
+        "amplitude/predictive/high_rpm": 3e-3,
+    },
+    "figure_10": {"amplitude/curve/*": 3e-3},
 }
 """Arrays that come of draws: tolerance as a share of their largest value."""
 
@@ -104,7 +107,7 @@ def tolerance(figure: str, path: str, golden: dict, values: np.ndarray) -> float
         quantiles = values.reshape(3, -1)
         return OF_TAILS.get(path, MONTE_CARLO) * float(np.nanmax(quantiles[2] - quantiles[0]))
     rules = OF_DRAWS.get(figure, {})
-    group = f"{path.split('/')[0]}/*"
+    group = f"{path.rpartition('/')[0]}/*"
     share = rules.get(path, rules.get(group, rules.get("*", EXACT)))
     return share * float(np.nanmax(np.abs(values)))
 

@@ -180,7 +180,7 @@ def test_every_section_is_there(tree):
 
 
 def test_a_withheld_gap_is_nowhere_on_the_page(tree):
-    tree = judged(tree, "before", "after")
+    tree = judged(tree, "wear_before", "wear_after")
     told = Reader(page(tree, [])).text
     assert "Do not decide from these recordings." in told
     assert "The sampler did not converge." in told

@@ -20,8 +20,8 @@ TEXTS = xr.Dataset({name: ("case", ["text"]) for name in ("message", "commit")})
         ({"kind": "study"}, {"row_1": ROW}, "row_1: no message; row_1: no commit"),
         ({"kind": "study"}, {"row_2": ROW.merge(TEXTS).isel(case=0)}, "failed over ()"),
         ({"kind": "study"}, {}, "no study"),
-        ({"kind": "fit", "route": "scenic"}, {}, "route 'scenic'"),
-        ({"kind": "compare"}, {}, "route None"),
+        ({"kind": "fit", "routes": ["scenic"]}, {}, "routes scenic"),
+        ({"kind": "compare"}, {}, "routes none"),
         ({"kind": "scenic"}, {}, "kind 'scenic'"),
     ],
 )

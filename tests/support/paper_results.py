@@ -24,7 +24,8 @@ GOLDEN = Path(__file__).with_name("golden_paper_figures.json")
 POINTS = 13
 """Of an array along each dimension that a golden keeps: first, last, and evenly between."""
 
-SAMPLED = ("chain", "draw", "draw_regression", "draw_lack_of_fit", "draw_bench")
+SAMPLED = ("chain", "draw", "ringing_chain", "ringing_draw")
+SAMPLED += ("draw_regression", "draw_lack_of_fit", "draw_bench")
 """Dimensions of random draws: their 5, 50 and 95 % quantiles are kept."""
 
 SMALLER = {
