@@ -32,6 +32,7 @@ ROOMS = (
     "ramps",
     "ringing",
     "matching",
+    "model_search",
     "naming",
     "curve",
     "config",
