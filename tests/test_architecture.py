@@ -1,4 +1,4 @@
-"""How the package is built: rooms import downwards, no circles, files of a readable length."""
+"""How the package is built: rooms import downwards, no circles."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ ROOMS = (
     "ramps",
     "ringing",
     "matching",
+    "model_search",
     "naming",
     "curve",
     "config",
@@ -46,14 +47,6 @@ ROOMS = (
     "__main__",
 )
 """From the lowest to the highest: a room imports from itself and from those before it."""
-
-MOST_LINES = 500
-
-LONGER = {
-    "bench/kernel.py": "numba inlines and caches only what is in one file",
-    "ringing/sums_of_squares.py": "numba inlines and caches only what is in one file",
-}
-"""Files that may be longer than ``MOST_LINES``, and why."""
 
 SAME_IDEA = {
     "bench": "a bench: as it is, as a file, its commands",
@@ -188,15 +181,6 @@ def test_imports_go_downwards(imports):
 
 def test_no_file_imports_itself_over_others(imports):
     assert not circles(imports)
-
-
-def test_no_file_is_long():
-    lines = {
-        path.relative_to(PACKAGE).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
-        for path in files().values()
-    }
-    long = {name for name, count in lines.items() if count > MOST_LINES}
-    assert long == set(LONGER)
 
 
 def test_files_of_one_name_are_the_same_idea_in_several_rooms():

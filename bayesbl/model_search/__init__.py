@@ -1,0 +1,1 @@
+"""One question asked of every view: what does the bench lack? See :mod:`.linear`."""

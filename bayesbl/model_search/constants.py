@@ -1,0 +1,37 @@
+"""What decides, each with where it comes from."""
+
+from __future__ import annotations
+
+NAMED_AT = 0.99
+"""Probability from which a hypothesis is reported. One false name in a hundred is the most that a
+reader should meet where the model is right."""
+
+EXPECTED_HYPOTHESES = 0.5
+"""Hypotheses that hold in a joint nobody has looked at, spread evenly over all of the search. With
+k of them each has the odds of 0.5 to k, so that a longer catalogue raises no false alarm."""
+
+DISCREPANCY_ABSENT = 0.5
+"""Prior probability that one kind of discrepancy is not there at all."""
+
+DISCREPANCY_SPACING = 2.0**0.5
+"""Ratio of neighbouring scales of a discrepancy. A scale of m columns is known to 1/√(2m) of itself
+at best: 0.35 in the logarithm resolves what eight columns can show."""
+
+DISCREPANCY_LARGEST = 1.0e4
+"""Largest scale of a discrepancy, in standard deviations of a sample's noise. Wider than any real
+joint leaves: the prior is flat in the logarithm, so a decade more costs 0.1 in ln(evidence)."""
+
+PAIRS = 100_000
+"""Pairs of terms up to which all are tried; beyond, those with one of the BEAM best terms."""
+
+BEAM = 48
+"""Sets carried on to the next larger size; each in turn is tried with every other term."""
+
+KEPT_BELOW = 12.0
+"""ln of odds against the best set, beyond which a set is dropped: 6e-6."""
+
+CONFOUNDED_MOST = 4
+"""Hypotheses of a set that is reported because they share one probability; more say nothing."""
+
+NONLINEAR_BEST = 10
+"""Sets that are refitted with their full shapes."""

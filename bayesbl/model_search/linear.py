@@ -1,0 +1,754 @@
+"""Which hypotheses a residual asks for, and what that leaves open for the parameters.
+
+A view (closed loop, inverse dynamics, speed lines, free motion) linearises at its fit:
+
+    r = J u + Σ_k s_k C_k a_k + H h + e,   e ~ N(0, I)
+
+r is the whitened residual, u the shift of the fitted parameters, a_k the sizes of hypotheses in
+units of their usual size (normal or half-normal with standard deviation 1), s_k whether a
+hypothesis is there, h what none of them explains, each group of its columns with a scale that is
+learned. All but s, the signs and the scales is normal, so that u, h and the hypotheses that are
+always there are marginalised exactly, from Gram matrices (Rasmussen and
+Williams 2006, section 2.7).
+Half-normal sizes multiply the evidence by 2 an amplitude and by the probability of the orthant,
+by expectation propagation (Cunningham, Hennig and Lacoste-Julien 2011), exact for one amplitude.
+The prior over sets is a Bernoulli one (George and McCulloch 1993); sets are enumerated up to pairs
+and continued from the best. Nothing here knows what a hypothesis means.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import log_ndtr, ndtr, ndtri
+
+from bayesbl.model_search.constants import (
+    BEAM,
+    CONFOUNDED_MOST,
+    DISCREPANCY_ABSENT,
+    DISCREPANCY_LARGEST,
+    DISCREPANCY_SPACING,
+    EXPECTED_HYPOTHESES,
+    KEPT_BELOW,
+    NAMED_AT,
+    PAIRS,
+)
+from bayesbl.recording.types import FloatArray
+
+_LOG_TWO_PI = math.log(2.0 * math.pi)
+_LARGEST_BATCH = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Term:
+    """One way a hypothesis can look.
+
+    Attributes
+    ----------
+    hypothesis
+        Its label. Several terms of one label are alternatives: shapes, starts. At most one of them
+        is in a set.
+    columns
+        (N, k) whitened change of the prediction by one usual size of each amplitude.
+    positive
+        The amplitude cannot be negative: a half-normal prior (k = 1).
+    always
+        Never selected, always there.
+    prior_weight
+        Share of the hypothesis' prior probability.
+    excludes
+        Labels of hypotheses that it cannot stand beside.
+    """
+
+    hypothesis: str
+    columns: FloatArray
+    positive: bool = False
+    always: bool = False
+    prior_weight: float = 1.0
+    excludes: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        if self.columns.ndim != 2 or (self.positive and self.columns.shape[1] != 1):
+            raise ValueError(f"{self.hypothesis}: columns of shape {self.columns.shape}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiscrepancyGroup:
+    """Columns of what no hypothesis explains that share one learned scale.
+
+    Attributes
+    ----------
+    kind
+        What it is: ``"motor_torque_over_motor_angle"``, ``"motor_speed_error"``, …
+    columns
+        Which of :attr:`Linearised.discrepancy`.
+    """
+
+    kind: str
+    columns: slice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """A view at its fit.
+
+    Attributes
+    ----------
+    residual
+        (N,) whitened, measured less predicted.
+    jacobian
+        (N, d) change of the prediction by each fitted parameter.
+    prior_precision
+        (d, d) of the fitted parameters; zeros where nothing is known.
+    prior_pull
+        (d,) gradient of the log prior at the fit: zeros at the prior's centre.
+    terms
+        The catalogue as this view sees it.
+    discrepancy
+        (N, m) columns, in any unit; each group is scaled to a root mean square of one.
+    groups
+        What these columns are.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    prior_precision: FloatArray
+    prior_pull: FloatArray
+    terms: Sequence[Term]
+    discrepancy: FloatArray
+    groups: Sequence[DiscrepancyGroup] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Priors:
+    """``expected``: hypotheses in a joint nobody has looked at, even over all, but for those whose
+    own prior ``probability`` is stated; ``discrepancy_absent``: probability for each group."""
+
+    expected: float = EXPECTED_HYPOTHESES
+    probability: Mapping[str, float] = field(default_factory=dict)
+    discrepancy_absent: float = DISCREPANCY_ABSENT
+
+    def log_odds(self, hypotheses: Iterable[str]) -> dict[str, float]:
+        """Of each hypothesis to be there."""
+        labels = list(hypotheses)
+        even = min(self.expected / max(1, len(labels)), 0.5)
+        every = {name: self.probability.get(name, even) for name in labels}
+        return {name: math.log(p) - math.log1p(-p) for name, p in every.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A set of terms at one scale of the discrepancy.
+
+    Attributes
+    ----------
+    terms
+        Indices into :attr:`Linearised.terms`, those always there left out.
+    scales
+        Standard deviation of each discrepancy group in units of a sample's noise; 0: absent.
+    log_posterior
+        ln of the probability.
+    """
+
+    terms: tuple[int, ...]
+    scales: tuple[float, ...]
+    log_posterior: float
+    _level: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """Chi-square less its freedom: at the fit, beside the terms, and beside the discrepancy too."""
+
+    before: float
+    beside_terms: float
+    beside_all: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draws:
+    """(n, c) sizes in usual ones of all columns of all terms, (n, m) of the discrepancy's columns
+    as the caller scaled them, (n, d) what both move the fitted parameters by."""
+
+    sizes: FloatArray
+    discrepancy: FloatArray
+    shift: FloatArray
+
+
+def orthant(
+    mean: FloatArray, precision: FloatArray, positive: np.ndarray, sweeps: int = 12
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """ln P(a > 0 where ``positive``) of normals, and mean and covariance within, of each row.
+
+    Expectation propagation on the sites a_i > 0. Exact where one amplitude is bounded; elsewhere to
+    some parts in a thousand. (B, n), (B, n, n) and (B, n) to (B,), (B, n) and (B, n, n).
+    """
+    covariance = np.linalg.inv(precision)
+    natural = np.einsum("bij,bj->bi", precision, mean)
+    mu, sigma = mean.copy(), covariance.copy()
+    t, v = np.zeros_like(mean), np.zeros_like(mean)
+    log_site = np.zeros_like(mean)
+    bounded = [i for i in range(mean.shape[1]) if positive[:, i].any()]
+    if len(bounded) == 1:
+        sweeps = 1
+    for _ in range(sweeps):
+        moved = 0.0
+        for i in bounded:
+            on = positive[:, i]
+            s = sigma[:, i, i]
+            cavity = 1.0 / np.maximum(1.0 / s - t[:, i], 1e-12 / s)
+            middle = cavity * (mu[:, i] / s - v[:, i])
+            z = middle / np.sqrt(cavity)
+            log_z = log_ndtr(z)
+            hazard = np.exp(-0.5 * z * z - 0.5 * _LOG_TWO_PI - log_z)
+            far = z < -50.0
+            zf = np.where(far, z, -50.0)
+            shrunk = np.where(far, 1.0 / zf**2, 1.0 - hazard * (z + hazard))
+            inside = np.where(far, -np.sqrt(cavity) / zf, middle + np.sqrt(cavity) * hazard)
+            spread = cavity * np.clip(shrunk, 1e-12, 1.0)
+            t_new = np.where(on, np.maximum(1.0 / spread - 1.0 / cavity, 0.0), 0.0)
+            v_new = np.where(on, inside / spread - middle / cavity, 0.0)
+            dt, dv = t_new - t[:, i], v_new - v[:, i]
+            row = sigma[:, :, i].copy()
+            grow = 1.0 + dt * s
+            mu = mu + ((dv - dt * mu[:, i]) / grow)[:, None] * row
+            sigma = sigma - (dt / grow)[:, None, None] * row[:, :, None] * row[:, None, :]
+            t[:, i], v[:, i] = t_new, v_new
+            moved = max(moved, float(np.max(np.abs(dt) * s / grow)))
+            site = -0.5 * np.log1p(t_new * cavity) + 0.5 * (
+                (middle / cavity + v_new) ** 2 * cavity / (1.0 + t_new * cavity)
+                - middle**2 / cavity
+            )
+            log_site[:, i] = np.where(on, log_z - site, 0.0)
+        if moved < 1e-4:
+            break
+    tilted = precision + t[:, :, None] * np.eye(mean.shape[1])
+    log_det = np.linalg.slogdet(tilted)[1] - np.linalg.slogdet(precision)[1]
+    normal = 0.5 * (((natural + v) * mu).sum(1) - (natural * mean).sum(1)) - 0.5 * log_det
+    return np.asarray(log_site.sum(1) + normal), mu, np.asarray(sigma, dtype=float)
+
+
+def _factor(gram: FloatArray) -> FloatArray:
+    """A⁻¹ of a positive semidefinite matrix of columns in any unit; directions without data: 0."""
+    scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    kept = values > 1e-12 * max(1.0, float(values[-1]) if values.size else 1.0)
+    part = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+    return np.asarray(part @ part.T)
+
+
+class _Grams:
+    """Everything that depends on the view alone: the Gram matrices with u marginalised."""
+
+    def __init__(self, view: Linearised, priors: Priors) -> None:
+        self.view, self.priors = view, priors
+        self.size = view.residual.size
+        terms = view.terms
+        free = [i for i, t in enumerate(terms) if t.always and not t.positive]
+        self.bound = [i for i, t in enumerate(terms) if t.always and t.positive]
+        self.selected = [i for i, t in enumerate(terms) if not t.always]
+        own = [i for i in range(len(terms)) if i not in set(free)]
+        widths = {i: terms[i].columns.shape[1] for i in range(len(terms))}
+        self.free = free
+        self.d = view.jacobian.shape[1]
+        self.scale_of_column = self._discrepancy_scale()
+        empty = np.zeros((self.size, 0))
+        nuisance = np.hstack([view.jacobian, *(terms[i].columns for i in free)])
+        columns = np.hstack([empty, *(terms[i].columns for i in own)])
+        h = view.discrepancy * self.scale_of_column
+        rest = np.hstack([columns, h])
+        q = nuisance.shape[1]
+        prior = np.eye(q)
+        prior[: self.d, : self.d] = view.prior_precision
+        pull = np.zeros(q)
+        pull[: self.d] = view.prior_pull
+        self.k, self.m, self.q = columns.shape[1], h.shape[1], q
+        self.nuisance_gram = nuisance.T @ nuisance + prior
+        self.inverse = _factor(self.nuisance_gram)
+        self.cross = nuisance.T @ rest
+        self.nuisance_pull = nuisance.T @ view.residual + pull
+        self.raw_gram = rest.T @ rest
+        self.gram = self.raw_gram - self.cross.T @ self.inverse @ self.cross
+        self.right = rest.T @ view.residual - self.cross.T @ (self.inverse @ self.nuisance_pull)
+        self.chi_square = float(view.residual @ view.residual) - float(
+            self.nuisance_pull @ self.inverse @ self.nuisance_pull
+        )
+        gram_u = self.nuisance_gram[: self.d, : self.d]
+        self.inverse_u = _factor(gram_u)
+        pull_u = self.nuisance_pull[: self.d]
+        self.chi_square_alone = float(view.residual @ view.residual) - float(
+            pull_u @ self.inverse_u @ pull_u
+        )
+        effective = float(np.sum(self.inverse_u * (gram_u - view.prior_precision)))
+        self.freedom = self.size - effective
+        # A padded column of zeros lets terms of several widths stand in one batch.
+        self.width = max((widths[i] for i in self.selected), default=1)
+        places = itertools.accumulate((widths[i] for i in own), initial=0)
+        starts = dict(zip(own, places, strict=False))
+        self.columns_of = np.full((len(terms), self.width), self.k)
+        for i in self.selected:
+            self.columns_of[i, : widths[i]] = starts[i] + np.arange(widths[i])
+        self.bound_columns = np.array([starts[i] for i in self.bound], dtype=int)
+        self.is_positive = np.zeros(self.k + 1, dtype=bool)
+        for i in own:
+            self.is_positive[starts[i]] = terms[i].positive
+        odds = priors.log_odds(dict.fromkeys(terms[i].hypothesis for i in self.selected))
+        self.log_prior = np.zeros(len(terms))
+        for i in self.selected:
+            self.log_prior[i] = odds[terms[i].hypothesis] + math.log(terms[i].prior_weight)
+        self.apart = self._apart()
+        lowest = 1.0 / math.sqrt(max(1, self.size))
+        steps = math.ceil(math.log(DISCREPANCY_LARGEST / lowest) / math.log(DISCREPANCY_SPACING))
+        self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
+        self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float, float]] = {}
+
+    def _discrepancy_scale(self) -> FloatArray:
+        squares = (self.view.discrepancy**2).sum(axis=0)
+        scale = np.zeros(squares.size)
+        for group in self.view.groups:
+            total = squares[group.columns].sum()
+            scale[group.columns] = math.sqrt(self.size / total) if total > 0.0 else 0.0
+        return scale
+
+    def _apart(self) -> np.ndarray:
+        """Which terms cannot stand beside which."""
+        terms = self.view.terms
+        apart = np.zeros((len(terms), len(terms)), dtype=bool)
+        labels = np.array([t.hypothesis for t in terms])
+        for i, term in enumerate(terms):
+            apart[i] = (labels == term.hypothesis) | np.isin(labels, list(term.excludes))
+        return apart | apart.T
+
+    def precision_of_h(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+        """Columns of h that are there, and their prior precision."""
+        there, precision = [], []
+        for index, group in zip(level, self.view.groups, strict=True):
+            if index:
+                inside = np.arange(self.m)[group.columns]
+                there.append(inside[self.scale_of_column[inside] > 0.0])
+                precision.append(np.full(there[-1].size, self.lattice[index] ** -2.0))
+        if not there:
+            return np.zeros(0, dtype=int), np.zeros(0)
+        return np.concatenate(there), np.concatenate(precision)
+
+    def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float, float]:
+        """Padded Gram and right side of the terms with h marginalised, its ln evidence, and χ²
+        that it takes."""
+        if level not in self._cache:
+            k = self.k
+            gram, right = np.zeros((k + 1, k + 1)), np.zeros(k + 1)
+            gram[:k, :k], right[:k] = self.gram[:k, :k], self.right[:k]
+            log_evidence = taken = 0.0
+            there, precision = self.precision_of_h(level)
+            if there.size:
+                at = there + k
+                root = np.sqrt(precision)
+                # (R⁻¹ G R⁻¹ + I), R² the precision: well scaled at every scale.
+                inside = self.gram[np.ix_(at, at)] / np.outer(root, root) + np.eye(there.size)
+                lower = np.linalg.cholesky(inside)
+                cross = np.linalg.solve(lower, self.gram[np.ix_(at, np.arange(k))] / root[:, None])
+                own = np.linalg.solve(lower, self.right[at] / root)
+                gram[:k, :k] -= cross.T @ cross
+                right[:k] -= cross.T @ own
+                taken = float(own @ own)
+                log_evidence = 0.5 * taken - float(np.log(np.diag(lower)).sum())
+            absent = self.priors.discrepancy_absent
+            for index in level:
+                log_evidence += math.log(
+                    absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
+                )
+            self._cache[level] = gram, right, log_evidence, taken
+        return self._cache[level]
+
+    def columns(self, sets: np.ndarray) -> np.ndarray:
+        """(B, n) of the terms in each set, and those always there."""
+        chosen = self.columns_of[sets].reshape(len(sets), -1)
+        every = np.broadcast_to(self.bound_columns, (len(sets), self.bound_columns.size))
+        return np.concatenate([chosen, every], axis=1)
+
+    def log_posterior(
+        self, sets: np.ndarray, level: tuple[int, ...], *, sweeps: int = 12
+    ) -> FloatArray:
+        """ln of prior times evidence of sets of one size, (B, l) indices, at one level."""
+        if len(sets) > _LARGEST_BATCH:
+            parts = np.array_split(sets, math.ceil(len(sets) / _LARGEST_BATCH))
+            return np.concatenate([self.log_posterior(p, level, sweeps=sweeps) for p in parts])
+        gram, right, base, _ = self.at(level)
+        columns = self.columns(sets)
+        result = np.asarray(base + self.log_prior[sets].sum(axis=1))
+        if columns.shape[1] == 0:
+            return result
+        precision = gram[columns[:, :, None], columns[:, None, :]] + np.eye(columns.shape[1])
+        b = right[columns]
+        mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
+        result = result + 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
+        positive = self.is_positive[columns]
+        if positive.any():
+            log_inside = orthant(mean, precision, positive, sweeps)[0]
+            result = result + math.log(2.0) * positive.sum(1) + log_inside
+        return np.asarray(result)
+
+    def normal(
+        self, terms: tuple[int, ...], level: tuple[int, ...]
+    ) -> tuple[np.ndarray, FloatArray, FloatArray]:
+        """Columns of a set (those always there last), mean and precision before the signs."""
+        gram, right, _, _ = self.at(level)
+        columns = self.columns(np.array([terms], dtype=int).reshape(1, len(terms)))[0]
+        columns = columns[columns < self.k]
+        precision = gram[np.ix_(columns, columns)] + np.eye(columns.size)
+        return columns, np.linalg.solve(precision, right[columns]), precision
+
+
+def search(
+    linearised: Linearised, priors: Priors | None = None, max_terms: int = 3
+) -> ModelPosterior:
+    """The posterior over sets of hypotheses, their sizes and what they move.
+
+    Scales of the discrepancy are taken on a lattice: those that suit the best sets and their
+    neighbours. Sets of up to two terms are all tried (:data:`PAIRS`), larger ones continued from
+    the best.
+    """
+    grams = _Grams(linearised, priors or Priors())
+    groups = len(linearised.groups)
+    nowhere = (0,) * groups
+    levels = list(dict.fromkeys([nowhere, _climb(grams, (), nowhere)]))
+    pool: dict[tuple[int, ...], float] = {}
+    done = 0
+    while done < len(levels) and done < 8:
+        for terms, value in _enumerate(grams, levels[done], max_terms).items():
+            pool[terms] = max(value, pool.get(terms, -math.inf))
+        done += 1
+        best = sorted(pool, key=lambda s: -pool[s])[:4]
+        for terms in best if groups else ():
+            level = _climb(grams, terms, levels[done - 1])
+            if level not in levels:
+                levels.append(level)
+    every = dict.fromkeys(n for level in levels for n in (level, *_neighbours(grams, level)))
+    top = max(pool.values())
+    sets = [terms for terms, value in pool.items() if value > top - 2.0 * KEPT_BELOW]
+    by_size: dict[int, list[tuple[int, ...]]] = {}
+    for terms in sets:
+        by_size.setdefault(len(terms), []).append(terms)
+    scored: list[tuple[float, tuple[int, ...], tuple[int, ...]]] = []
+    for level in every:
+        for length, some in by_size.items():
+            array = np.array(some, dtype=int).reshape(len(some), length)
+            values = grams.log_posterior(array, level)
+            scored += zip(values.tolist(), some, itertools.repeat(level))
+    top = max(score for score, _, _ in scored)
+    scored = [item for item in scored if item[0] > top - KEPT_BELOW]
+    total = top + math.log(sum(math.exp(score - top) for score, _, _ in scored))
+    models = tuple(
+        Model(terms, tuple(float(grams.lattice[i]) for i in level), score - total, level)
+        for score, terms, level in sorted(scored, key=lambda item: -item[0])
+    )
+    return ModelPosterior(linearised, models, grams)
+
+
+def _enumerate(
+    grams: _Grams, level: tuple[int, ...], max_terms: int
+) -> dict[tuple[int, ...], float]:
+    """ln prior times evidence of the sets worth keeping at one level."""
+    nothing = np.zeros((1, 0), dtype=int)
+    result: dict[tuple[int, ...], float] = {(): float(grams.log_posterior(nothing, level)[0])}
+    selected = np.array(grams.selected, dtype=int)
+    if not selected.size or max_terms < 1:
+        return result
+    last = selected[:, None]
+    values = grams.log_posterior(last, level, sweeps=1)
+    for size in range(1, max_terms + 1):
+        order = np.argsort(-values, kind="stable")
+        top = max(values[order[0]], max(result.values()))
+        for i in order[:2000]:
+            if values[i] < top - 3.0 * KEPT_BELOW and i != order[0]:
+                break
+            result[tuple(sorted(last[i].tolist()))] = float(values[i])
+        if size == max_terms:
+            break
+        whole = size == 1 and selected.size**2 <= 2 * PAIRS
+        base = last if whole else last[order[:BEAM]]
+        wider = np.concatenate(
+            [np.repeat(base, selected.size, axis=0), np.tile(selected, len(base))[:, None]], axis=1
+        )
+        forbidden = grams.apart[wider[:, :-1], wider[:, -1:]].any(axis=1)
+        wider = np.sort(wider[~forbidden], axis=1)
+        if not len(wider):
+            break
+        last = np.unique(wider, axis=0)
+        values = grams.log_posterior(last, level, sweeps=1)
+    return result
+
+
+def _climb(grams: _Grams, terms: tuple[int, ...], start: tuple[int, ...]) -> tuple[int, ...]:
+    """The level that suits a set best, one group after the other."""
+    array = np.array([terms], dtype=int).reshape(1, len(terms))
+    level = list(start)
+
+    def value(group: int, index: int) -> float:
+        trial = (*level[:group], index, *level[group + 1 :])
+        return float(grams.log_posterior(array, trial, sweeps=2)[0])
+
+    for _ in range(3):
+        before = tuple(level)
+        for group in range(len(level)):
+            tried = {i: value(group, i) for i in (0, *range(1, grams.lattice.size, 4))}
+            best = max(tried, key=lambda i: tried[i])
+            near = range(max(1, best - 3), min(grams.lattice.size, best + 4)) if best else ()
+            tried |= {i: value(group, i) for i in near}
+            level[group] = max(tried, key=lambda i: tried[i])
+        if tuple(level) == before:
+            break
+    return tuple(level)
+
+
+def _neighbours(grams: _Grams, level: tuple[int, ...]) -> Iterable[tuple[int, ...]]:
+    """Levels beside one: each group alone a step up, down, or absent."""
+    for group, index in enumerate(level):
+        steps = {0, index - 1, index + 1, index - 2, index + 2} if index else {1}
+        for other in sorted(steps - {index}):
+            if 0 <= other < grams.lattice.size:
+                yield (*level[:group], other, *level[group + 1 :])
+
+
+@dataclass(frozen=True, eq=False)
+class ModelPosterior:
+    """What :func:`search` says.
+
+    Attributes
+    ----------
+    linearised
+        What was searched.
+    models
+        Sets at their scales, the most probable first; probabilities sum to one.
+    """
+
+    linearised: Linearised
+    models: tuple[Model, ...]
+    _grams: _Grams
+
+    @cached_property
+    def sets(self) -> dict[tuple[int, ...], float]:
+        """Probability of each set of terms, the most probable first."""
+        result: dict[tuple[int, ...], float] = {}
+        for model in self.models:
+            result[model.terms] = result.get(model.terms, 0.0) + math.exp(model.log_posterior)
+        return dict(sorted(result.items(), key=lambda item: -item[1]))
+
+    def labels(self, terms: Iterable[int]) -> frozenset[str]:
+        """Hypotheses of a set of terms."""
+        return frozenset(self.linearised.terms[i].hypothesis for i in terms)
+
+    @cached_property
+    def inclusion(self) -> dict[str, float]:
+        """Probability of each selected hypothesis, the most probable first."""
+        result = dict.fromkeys((t.hypothesis for t in self.linearised.terms if not t.always), 0.0)
+        for terms, probability in self.sets.items():
+            for label in self.labels(terms):
+                result[label] += probability
+        return dict(sorted(result.items(), key=lambda item: -item[1]))
+
+    @cached_property
+    def named(self) -> tuple[str, ...]:
+        """Hypotheses of at least the stated probability."""
+        return tuple(label for label, p in self.inclusion.items() if p >= NAMED_AT)
+
+    @cached_property
+    def confounded(self) -> tuple[tuple[str, ...], ...]:
+        """Smallest sets of hypotheses, none named, one of which is there almost surely."""
+        result: list[tuple[str, ...]] = []
+        used = set(self.named)
+        while members := self._smallest_cover(used):
+            result.append(members)
+            used |= set(members)
+        return tuple(result)
+
+    def _smallest_cover(self, used: set[str]) -> tuple[str, ...]:
+        """Hypotheses, none of those used, of which the sets hold one almost surely; or none."""
+        left = [(self.labels(terms) - used, p) for terms, p in self.sets.items()]
+        members: list[str] = []
+        while len(members) < CONFOUNDED_MOST and sum(p for _, p in left) > 1.0 - NAMED_AT:
+            gain: dict[str, float] = {}
+            for labels, probability in left:
+                for label in labels:
+                    gain[label] = gain.get(label, 0.0) + probability
+            if not gain:
+                return ()
+            members.append(max(gain, key=lambda label: gain[label]))
+            left = [(labels, p) for labels, p in left if members[-1] not in labels]
+        return tuple(members) if sum(p for _, p in left) <= 1.0 - NAMED_AT else ()
+
+    @cached_property
+    def disagreement(self) -> Disagreement:
+        """Averaged over the models."""
+        grams = self._grams
+        beside_terms = beside_all = 0.0
+        for model in self.models:
+            weight = math.exp(model.log_posterior)
+            nowhere = (0,) * len(model._level)
+            taken = []
+            for level in (nowhere, model._level):
+                columns, _, precision = grams.normal(model.terms, level)
+                _, right, _, by_h = grams.at(level)
+                b = right[columns]
+                positive = grams.is_positive[columns]
+                solved = _within(b, precision, positive)
+                taken.append(by_h + 2.0 * float(b @ solved) - float(solved @ precision @ solved))
+            there, prior = grams.precision_of_h(model._level)
+            at = there + grams.k
+            gram = grams.gram[np.ix_(at, at)]
+            freedom = float(np.trace(np.linalg.solve(gram + np.diag(prior), gram)))
+            left = grams.chi_square - grams.freedom
+            beside_terms += weight * (left - taken[0])
+            beside_all += weight * (left - taken[1] + freedom)
+        return Disagreement(grams.chi_square_alone - grams.freedom, beside_terms, beside_all)
+
+    @cached_property
+    def explained_share(self) -> float:
+        """Of the excess chi-square at the fit, what the terms take."""
+        d = self.disagreement
+        return (d.before - d.beside_terms) / d.before if d.before > 0.0 else 0.0
+
+    @cached_property
+    def discrepancy_share(self) -> float:
+        """Of the excess chi-square at the fit, what the discrepancy takes beyond its freedom."""
+        d = self.disagreement
+        return max(0.0, d.beside_terms - d.beside_all) / d.before if d.before > 0.0 else 0.0
+
+    def corrected(self, ln_ratio: Mapping[tuple[int, ...], float]) -> ModelPosterior:
+        """With the evidence of sets multiplied: of a nonlinear refit over the linear one."""
+        raw = [m.log_posterior + ln_ratio.get(m.terms, 0.0) for m in self.models]
+        top = max(raw)
+        total = top + math.log(sum(math.exp(value - top) for value in raw))
+        models = (
+            replace(m, log_posterior=value - total)
+            for m, value in zip(self.models, raw, strict=True)
+        )
+        return replace(self, models=tuple(sorted(models, key=lambda m: -m.log_posterior)))
+
+    def draw(self, generator: np.random.Generator, n: int) -> Draws:
+        """Sizes, discrepancy and what they move the fitted parameters by, of the average.
+
+        Draws of the nonlinear posterior of u without any of it plus this shift are draws of the
+        posterior of everything; for a linear model exactly.
+        """
+        grams, view = self._grams, self.linearised
+        weights = np.exp([m.log_posterior for m in self.models])
+        counts = generator.multinomial(n, weights / weights.sum())
+        widths = [t.columns.shape[1] for t in view.terms]
+        starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
+        own = [i for i in range(len(widths)) if i not in set(grams.free)]
+        place = np.concatenate(
+            [np.zeros(0, int), *(np.arange(starts[i], starts[i + 1]) for i in own)]
+        )
+        place_free = np.concatenate(
+            [np.zeros(0, int), *(np.arange(starts[i], starts[i + 1]) for i in grams.free)]
+        )
+        sizes, h = np.zeros((n, int(starts[-1]))), np.zeros((n, grams.m))
+        at = 0
+        for model, count in zip(self.models, counts, strict=True):
+            if not count:
+                continue
+            rows = slice(at, at + count)
+            at += count
+            columns, mean, precision = grams.normal(model.terms, model._level)
+            a = _truncated(
+                mean,
+                np.asarray(np.linalg.inv(precision), dtype=float),
+                grams.is_positive[columns],
+                count,
+                generator,
+            )
+            sizes[rows, place[columns]] = a
+            there, prior = grams.precision_of_h(model._level)
+            both = np.concatenate([columns, there + grams.k])
+            if there.size:
+                inside = there + grams.k
+                gram = grams.gram[np.ix_(inside, inside)] + np.diag(prior)
+                right = grams.right[inside] - a @ grams.gram[np.ix_(columns, inside)]
+                lower = np.linalg.cholesky(gram)
+                centre = np.linalg.solve(gram, right.T).T
+                noise = generator.standard_normal((count, there.size))
+                h[rows, there] = centre + np.linalg.solve(lower.T, noise.T).T
+            if grams.free:
+                values = np.concatenate([a, h[rows, there]], axis=1)
+                centre = (grams.nuisance_pull - values @ grams.cross[:, both].T) @ grams.inverse
+                block = grams.inverse[grams.d :, grams.d :]
+                root = np.linalg.cholesky(block)
+                noise = generator.standard_normal((count, block.shape[0]))
+                sizes[rows, place_free] = centre[:, grams.d :] + noise @ root.T
+        order = generator.permutation(n)
+        sizes, h = sizes[order], h[order]
+        signal = sizes[:, place] @ grams.cross[: grams.d, : grams.k].T
+        signal += h @ grams.cross[: grams.d, grams.k :].T
+        signal += sizes[:, place_free] @ grams.nuisance_gram[grams.d :, : grams.d]
+        shift = -signal @ grams.inverse_u
+        return Draws(sizes, h * grams.scale_of_column, shift)
+
+
+def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:
+    """Most probable sizes with their signs."""
+    if not right.size:
+        return right
+    from scipy.optimize import lsq_linear
+
+    lower = np.where(positive, 0.0, -np.inf)
+    root = np.linalg.cholesky(precision).T
+    return np.asarray(
+        lsq_linear(root, np.linalg.solve(root.T, right), (lower, np.inf)).x, dtype=float
+    )
+
+
+def _truncated(
+    mean: FloatArray,
+    covariance: FloatArray,
+    positive: np.ndarray,
+    n: int,
+    generator: np.random.Generator,
+    sweeps: int = 60,
+) -> FloatArray:
+    """(n, k) draws of a normal with some amplitudes positive: n chains of Gibbs side by side."""
+    result = np.zeros((n, mean.size))
+    bounded, free = np.flatnonzero(positive), np.flatnonzero(~positive)
+    if bounded.size:
+        sub = covariance[np.ix_(bounded, bounded)]
+        precision = np.linalg.inv(sub)
+        middle = mean[bounded]
+        x = np.maximum(np.broadcast_to(middle, (n, bounded.size)), 0.0).copy()
+        for _ in range(sweeps if bounded.size > 1 else 1):
+            for i in range(bounded.size):
+                others = [j for j in range(bounded.size) if j != i]
+                sd = 1.0 / math.sqrt(precision[i, i])
+                centre = (
+                    middle[i]
+                    - (x[:, others] - middle[others]) @ precision[others, i] / precision[i, i]
+                )
+                x[:, i] = _above_zero(centre, sd, generator)
+        result[:, bounded] = x
+    if free.size:
+        centre = np.broadcast_to(mean[free], (n, free.size))
+        rest = covariance[np.ix_(free, free)]
+        if bounded.size:
+            gain = np.linalg.solve(sub, covariance[np.ix_(bounded, free)])
+            centre = centre + (result[:, bounded] - mean[bounded]) @ gain
+            rest = rest - covariance[np.ix_(free, bounded)] @ gain
+        root = np.linalg.cholesky(rest)
+        result[:, free] = centre + generator.standard_normal((n, free.size)) @ root.T
+    return result
+
+
+def _above_zero(centre: FloatArray, sd: float, generator: np.random.Generator) -> FloatArray:
+    """A draw above zero of each normal."""
+    z = centre / sd
+    uniform = generator.uniform(size=z.size)
+    near = z > -6.0
+    tail = ndtr(np.where(near, z, 0.0)) * uniform
+    x = -ndtri(np.clip(tail, 1e-300, 1.0 - 1e-16)) + z
+    # Far below zero the part above it falls off exponentially (Robert 1995).
+    far = np.where(near, 1.0, -z)
+    x = np.where(near, x, -np.log(uniform) / far)
+    return np.asarray(np.maximum(x, 0.0) * sd)

@@ -1,0 +1,267 @@
+"""Laws of the comparison of sets of hypotheses."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from bayesbl.model_search.constants import NAMED_AT
+from bayesbl.model_search.linear import (
+    DiscrepancyGroup,
+    Linearised,
+    Priors,
+    Term,
+    orthant,
+    search,
+)
+
+
+def view(residual, terms, *, jacobian=None, discrepancy=None, precision=None):
+    n = residual.size
+    jacobian = np.zeros((n, 0)) if jacobian is None else jacobian
+    d = jacobian.shape[1]
+    h = np.zeros((n, 0)) if discrepancy is None else discrepancy
+    groups = [] if discrepancy is None else [DiscrepancyGroup("smooth", slice(0, h.shape[1]))]
+    precision = np.eye(d) if precision is None else precision
+    return Linearised(residual, jacobian, precision, np.zeros(d), terms, h, groups)
+
+
+def smooth(n, count):
+    x = np.linspace(0.0, 1.0, n)
+    return np.column_stack([np.cos(np.pi * k * x) for k in range(1, count + 1)])
+
+
+def covariance_evidence(lin, columns):
+    """ln N(r; 0, I + J P⁻¹ Jᵀ + C Cᵀ): an independent way to the evidence of normal sizes."""
+    n = lin.residual.size
+    cov = np.eye(n) + lin.jacobian @ np.linalg.inv(lin.prior_precision) @ lin.jacobian.T
+    cov = cov + columns @ columns.T
+    return stats.multivariate_normal(np.zeros(n), cov).logpdf(lin.residual)
+
+
+def test_odds_of_sets_of_normal_sizes_are_those_of_the_covariance():
+    rng = np.random.default_rng(1)
+    terms = [Term(f"h{i}", rng.standard_normal((30, 1 + i % 2))) for i in range(4)]
+    residual = rng.standard_normal(30) + terms[1].columns @ [0.7, -0.2]
+    lin = view(residual, terms, jacobian=rng.standard_normal((30, 2)))
+    posterior = search(lin, Priors(expected=1.0))
+    odds = math.log(0.25 / 0.75)
+    expected = {}
+    for size in range(4):
+        for some in itertools.combinations(range(4), size):
+            columns = np.hstack([np.zeros((30, 0)), *(terms[i].columns for i in some)])
+            expected[some] = size * odds + covariance_evidence(lin, columns)
+    top = np.logaddexp.reduce(list(expected.values()))
+    for some, probability in posterior.sets.items():
+        assert probability == pytest.approx(math.exp(expected[some] - top), abs=2e-4)
+
+
+@pytest.mark.parametrize("signs", [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)])
+def test_odds_of_half_normal_sizes_are_those_of_numerical_integration(signs):
+    rng = np.random.default_rng(2)
+    c = rng.standard_normal((12, 2)) * 0.4
+    c[:, 1] += 0.6 * c[:, 0]
+    residual = c @ (np.array(signs) * 0.6) + rng.standard_normal(12)
+    terms = [Term("a", c[:, :1], positive=True), Term("b", c[:, 1:], positive=True)]
+    posterior = search(view(residual, terms), Priors(expected=0.8))
+
+    def likelihood(a, b):
+        e = residual - c @ [a, b]
+        return math.exp(-0.5 * e @ e + 0.5 * residual @ residual)
+
+    half = stats.halfnorm.pdf
+    alone = [
+        integrate.quad(lambda a: likelihood(a, 0.0) * half(a), 0.0, 9.0)[0],
+        integrate.quad(lambda b: likelihood(0.0, b) * half(b), 0.0, 9.0)[0],
+    ]
+    both = integrate.dblquad(lambda b, a: likelihood(a, b) * half(a) * half(b), 0, 9, 0, 9)[0]
+    odds = 0.4 / 0.6
+    weights = {(): 1.0, (0,): odds * alone[0], (1,): odds * alone[1], (0, 1): odds**2 * both}
+    total = sum(weights.values())
+    for some, weight in weights.items():
+        assert posterior.sets.get(some, 0.0) == pytest.approx(weight / total, abs=0.005)
+
+
+def test_orthants_agree_with_simulation_and_far_ones_are_finite():
+    rng = np.random.default_rng(3)
+    root = rng.standard_normal((4, 4))
+    cov = root @ root.T + np.eye(4)
+    mean = rng.standard_normal(4)
+    draws = rng.multivariate_normal(mean, cov, 400_000)
+    inside = draws[(draws[:, :3] > 0.0).all(axis=1)]
+    positive = np.array([[True, True, True, False]])
+    log_p, m, v = orthant(mean[None], np.linalg.inv(cov)[None], positive)
+    assert math.exp(log_p[0]) == pytest.approx(len(inside) / len(draws), rel=0.02)
+    assert m[0] == pytest.approx(inside.mean(axis=0), abs=0.06)
+    assert np.sqrt(np.diag(v[0])) == pytest.approx(inside.std(axis=0), rel=0.06)
+    far = orthant(np.array([[-300.0, 2.0]]), np.eye(2)[None], np.array([[True, True]]))[0]
+    assert far[0] == pytest.approx(stats.norm.logsf(300.0) + stats.norm.logsf(-2.0), rel=1e-4)
+
+
+def test_probabilities_hold_where_the_truth_is_drawn_from_the_prior():
+    """Calibration: of hypotheses with a probability around p, a share p is there."""
+    rng = np.random.default_rng(4)
+    n, probabilities, truths, ranks = 80, [], [], []
+    for _ in range(150):
+        terms = [
+            Term(f"h{i}", rng.standard_normal((n, 1)) * 0.35, positive=i % 2 == 0) for i in range(6)
+        ]
+        jacobian = rng.standard_normal((n, 2)) * 0.3
+        there = rng.uniform(size=6) < 0.2
+        size = np.where(np.arange(6) % 2 == 0, np.abs(rng.standard_normal(6)), 1.0)
+        size = np.where(np.arange(6) % 2, rng.standard_normal(6), size) * there
+        u = rng.standard_normal(2)
+        residual = jacobian @ u + np.hstack([t.columns for t in terms]) @ size
+        lin = view(residual + rng.standard_normal(n), terms, jacobian=jacobian)
+        posterior = search(lin, Priors(expected=1.2), max_terms=6)
+        probabilities += [posterior.inclusion[f"h{i}"] for i in range(6)]
+        truths += there.tolist()
+        shift = posterior.draw(rng, 300).shift[:, 0]
+        precision = jacobian.T @ jacobian + np.eye(2)
+        centre = np.linalg.solve(precision, jacobian.T @ lin.residual)
+        own = rng.multivariate_normal(centre, np.linalg.inv(precision), 300)[:, 0]
+        ranks.append(np.mean(own + shift < u[0]))
+    p, t = np.array(probabilities), np.array(truths, dtype=float)
+    for low, high in ((0.0, 0.1), (0.1, 0.4), (0.4, 0.8), (0.8, 1.0)):
+        inside = (p >= low) & (p <= high)
+        spread = math.sqrt((p[inside] * (1.0 - p[inside])).sum()) / inside.sum()
+        assert abs(t[inside].mean() - p[inside].mean()) < 3.5 * spread
+    assert stats.kstest(ranks, "uniform").pvalue > 0.001
+
+
+def test_a_hidden_law_beside_the_parameter_is_covered_by_what_it_leaves_open():
+    """Always there: the parameter's posterior holds it though the law does not show."""
+    rng = np.random.default_rng(5)
+    n, z = 200, []
+    for _ in range(200):
+        jacobian = rng.standard_normal((n, 1)) * 0.5
+        law = Term("law", 0.9 * jacobian + 0.05 * rng.standard_normal((n, 1)), True, True)
+        u, size = rng.standard_normal(), abs(rng.standard_normal())
+        residual = jacobian[:, 0] * u + law.columns[:, 0] * size + rng.standard_normal(n)
+        posterior = search(view(residual, [law], jacobian=jacobian))
+        shift = posterior.draw(rng, 400).shift[:, 0]
+        precision = float(jacobian[:, 0] @ jacobian[:, 0]) + 1.0
+        own = float(jacobian[:, 0] @ residual) / precision
+        every = own + shift + rng.standard_normal(400) / math.sqrt(precision)
+        z.append(np.mean(every < u))
+    assert stats.kstest(z, "uniform").pvalue > 0.001
+
+
+def test_the_scale_of_the_discrepancy_is_learned():
+    rng = np.random.default_rng(6)
+    h = smooth(2000, 20)
+    for scale in (0.3, 3.0, 30.0):
+        size = rng.standard_normal(20)
+        signal = h @ size * scale / math.sqrt(np.mean((h @ size) ** 2))
+        model = search(view(signal + rng.standard_normal(2000), [], discrepancy=h)).models[0]
+        assert model.scales[0] == pytest.approx(scale, rel=0.6)
+    nothing = search(view(rng.standard_normal(2000), [], discrepancy=h))
+    assert nothing.models[0].scales == (0.0,)
+
+
+def test_the_draws_of_the_discrepancy_are_in_the_callers_unit():
+    rng = np.random.default_rng(7)
+    h = smooth(500, 6) * 1e-3
+    size = rng.standard_normal(6) * 1e4
+    draws = search(view(h @ size + rng.standard_normal(500), [], discrepancy=h)).draw(rng, 300)
+    error = (draws.discrepancy - size) / draws.discrepancy.std(axis=0)
+    assert np.abs(error.mean(axis=0)).max() < 4.0
+
+
+def test_units_and_the_order_of_columns_change_nothing():
+    rng = np.random.default_rng(8)
+    n = 150
+    jacobian, h = rng.standard_normal((n, 3)), smooth(n, 8)
+    terms = [Term(f"h{i}", rng.standard_normal((n, 1 + i % 2)) * 0.3) for i in range(8)]
+    residual = terms[3].columns @ [0.9, 0.5] + h @ rng.standard_normal(8) + rng.standard_normal(n)
+    lin = view(residual, terms, jacobian=jacobian, discrepancy=h)
+    base = search(lin).inclusion
+    unit = np.array([1e-6, 1.0, 1e5])
+    other = replace(
+        lin,
+        jacobian=jacobian / unit,
+        prior_precision=np.diag(unit**-2.0),
+        discrepancy=h * 1e4,
+        terms=terms[::-1],
+    )
+    for name, probability in search(other).inclusion.items():
+        assert probability == pytest.approx(base[name], abs=1e-6)
+
+
+def test_columns_that_are_alike_share_the_probability_and_are_reported_together():
+    rng = np.random.default_rng(9)
+    column = rng.standard_normal((300, 1))
+    terms = [Term(name, column.copy()) for name in "abc"]
+    terms.append(Term("other", rng.standard_normal((300, 1))))
+    posterior = search(view(column[:, 0] * 1.5 + rng.standard_normal(300), terms))
+    assert posterior.named == ()
+    assert [set(group) for group in posterior.confounded] == [{"a", "b", "c"}]
+    assert posterior.inclusion["a"] == pytest.approx(posterior.inclusion["c"], rel=1e-9)
+
+
+def test_nothing_hidden_names_nothing_more_often_than_its_prior_says():
+    rng = np.random.default_rng(10)
+    false, total = 0, 300
+    for _ in range(total):
+        terms = [Term(f"h{i}", rng.standard_normal((100, 1)), i % 2 == 0) for i in range(15)]
+        posterior = search(view(rng.standard_normal(100), terms))
+        false += bool(posterior.named or posterior.confounded)
+    assert false <= stats.binom.isf(0.001, total, 1.0 - NAMED_AT)
+
+
+def test_alternatives_and_contained_laws_never_stand_together():
+    rng = np.random.default_rng(11)
+    terms = [
+        Term("line", rng.standard_normal((100, 2)), prior_weight=0.5),
+        Term("line", rng.standard_normal((100, 2)), prior_weight=0.5),
+        Term("whole", rng.standard_normal((100, 1)), excludes=frozenset({"line"})),
+        Term("apart", rng.standard_normal((100, 1))),
+    ]
+    residual = sum(t.columns.sum(axis=1) for t in terms) + rng.standard_normal(100)
+    for some in search(view(residual, terms)).sets:
+        assert len(set(some) & {0, 1, 2}) <= 1
+
+
+def test_what_no_hypothesis_explains_is_held_by_the_discrepancy():
+    rng = np.random.default_rng(12)
+    h = smooth(1000, 15)
+    terms = [Term(f"h{i}", rng.standard_normal((1000, 1))) for i in range(5)]
+    size = 2.0 * rng.standard_normal(15)
+    posterior = search(view(h @ size + rng.standard_normal(1000), terms, discrepancy=h))
+    assert posterior.named == ()
+    assert posterior.discrepancy_share > 0.9
+    residual = 3.0 * terms[0].columns[:, 0] + rng.standard_normal(1000)
+    posterior = search(view(residual, terms, discrepancy=h))
+    assert posterior.named == ("h0",)
+    assert posterior.discrepancy_share < 0.05
+    assert posterior.explained_share > 0.95
+
+
+def test_a_refit_that_changes_the_evidence_changes_the_odds_by_it():
+    rng = np.random.default_rng(13)
+    column = rng.standard_normal((200, 1))
+    terms = [Term("a", column), Term("b", column + 0.05 * rng.standard_normal((200, 1)))]
+    posterior = search(view(column[:, 0] + rng.standard_normal(200), terms))
+    before = posterior.sets[(0,)] / posterior.sets[(1,)]
+    after = posterior.corrected({(0,): 1.5}).sets
+    assert after[(0,)] / after[(1,)] == pytest.approx(before * math.exp(1.5))
+
+
+def test_draws_of_sizes_keep_their_signs_and_agree_with_expectation_propagation():
+    rng = np.random.default_rng(14)
+    c = rng.standard_normal((40, 3)) * 0.3
+    terms = [Term(f"h{i}", c[:, i : i + 1], i < 2, True) for i in range(3)]
+    lin = view(c @ [0.3, 0.1, -0.5] + rng.standard_normal(40), terms)
+    sizes = search(lin).draw(rng, 40_000).sizes
+    precision = c.T @ c + np.eye(3)
+    mean = np.linalg.solve(precision, c.T @ lin.residual)
+    positive = np.array([[True, True, False]])
+    _, m, v = orthant(mean[None], precision[None], positive)
+    assert (sizes[:, :2] >= 0.0).all()
+    assert sizes.mean(axis=0) == pytest.approx(m[0], abs=0.03)
+    assert sizes.std(axis=0) == pytest.approx(np.sqrt(np.diag(v[0])), rel=0.04)
