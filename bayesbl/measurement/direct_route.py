@@ -48,7 +48,8 @@ from bayesbl.measurement.model_check import (
 from bayesbl.measurement.motion_verdict import motion_notes, unknown_start, unseen_gap
 from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
-from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
+from bayesbl.model_search.always_in import beside, directions, marginalised, settled
+from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, changed_beside, find_changes
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive
@@ -144,10 +145,11 @@ class DirectMeasurer(Measurer):
             sampler_of(self.config),
             task.seeds.direct,
         )
+        drift = self.config.joint.drift
         found = task.work.get(
             "direct match",
-            problem,
-            lambda: fit_directly(*problem, self.config.run.workers, task.progress),
+            (*problem, drift),
+            lambda: fit_directly(*problem, self.config.run.workers, task.progress, drift),
             DirectMatch,
         )
         level = self.config.interval.level
@@ -237,24 +239,37 @@ def fit_directly(
     seed: np.random.SeedSequence,
     workers: int = 1,
     progress: StageProgress | None = None,
+    drift: Mapping[str, float] = NO_DRIFT,
 ) -> DirectMatch:
     """Optimum, posterior of all recordings together, and whether one joint made them.
 
-    What changed in the joint between the recordings is freed where it is found.
+    Laws that bias the gap before they show, and what drifts between the recordings, are always
+    allowed for; ``drift``: relative standard deviations in place of the defaults. What changed in
+    the joint beside that is freed where it is found.
     """
     moving = [r.name for r in recordings if r.motion is not None]
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     begun = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
-    fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
+    among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
+    fit, rest = settled(begun, among)
+    check = disagreements(rest.explained(fit))
+    if agrees(check, FALSE_ALARM):
+        joint = changed_beside(fit, among)
+    else:
+        seeking = of_stage(progress, f"Seeking changes in {name}")
+        fit, joint = find_changes(fit, progress=seeking)
+        rest = beside(fit, among)
+        check = disagreements(rest.explained(fit) if joint.explained else fit)
     report = of_stage(progress, f"Sampling {name}")
     withheld = joint.against_bench or not joint.explained
     simulating = of_stage(progress, f"Simulating draws of {name}")
     posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:
-        posterior = widened(posterior, *seed.spawn(1))
-    return DirectMatch(posterior, tuple(disagreements(fit)), joint)
+        scattering, drifting = seed.spawn(2)
+        posterior = marginalised(widened(posterior, scattering), rest, drifting)
+    return DirectMatch(posterior, tuple(check), joint)
 
 
 def direct_verdict(

@@ -1,16 +1,16 @@
-"""What is always taken into account and never selected: laws that bias δ before they show, and drift.
+"""What is always taken into account, never selected: laws that bias δ before they show, and drift.
 
-No test at any level finds a law that moves δ by two standard deviations and the residuals by one. So
-it is never asked whether such a law is there. With u the unknowns of a fit, L = (JᵀJ + P)⁻¹ their
-covariance, and c_k the derivative of the whitened signals by the size of a law in a recording, the
-sizes a = F w, w standard normal (half-normal where a law has one sign), have the posterior
+No test at any level finds a law that moves δ by two standard deviations and the residuals by one.
+So it is never asked whether such a law is there: its size is marginalised, with a prior of its
+usual size (:attr:`bayesbl.bench.effect_declaration.Effect.always_in`). Of a law all snapshots share
+one size; beside it, as everything that drifts, each but the first has its own
+(:mod:`bayesbl.bench.drift`). So the change between snapshots stays sharp where it may.
 
-    A = Fᵀ(CᵀC − CᵀJ L JᵀC)F + 1,   A w̄ = Fᵀ(Cᵀr − CᵀJ L (Jᵀr + pull)),
+Any parameter may besides have been changed between snapshots, gains and payload by people, others
+by damage: a hypothesis with a small probability and a wide size, averaged over.
 
-and each draw of u moves by −L JᵀC F w. Of a law all snapshots share one size, and beside it, as every
-parameter that drifts, each has its own: F holds usual sizes and budgets (:mod:`bayesbl.bench.drift`).
-So the change between snapshots stays sharp where it may. What is far from where the fit has it is
-fitted and sampled as any other unknown; linear is the rest.
+All is linear at a fit (:mod:`bayesbl.model_search.linear`). What is far from where the fit has it
+is made one of its unknowns, fitted and sampled as any other; linear is the rest.
 """
 
 from __future__ import annotations
@@ -20,20 +20,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.drift import drift_of
 from bayesbl.bench.effects import EFFECTS, effect_named
+from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.posterior import TAILS, DirectPosterior
 from bayesbl.matching.signals import SimulatedSignals, Unknown
-from bayesbl.naming.joint_size import search_scale
+from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.truncated_normal import truncated_normal
 
 STEP = 0.1
 """Of derivatives, in usual sizes or budgets."""
@@ -41,11 +39,21 @@ STEP = 0.1
 SHAFT_DAMPING_SHARE = 0.25
 """Of the shaft's damping, which no data sheet states and every bench has from somewhere."""
 
+CHANGED_SHARE = 0.1
+"""Of a parameter: usual size of a change that is no drift."""
+
+CHANGED = 0.01
+"""Probability that one parameter was changed before a snapshot and nobody said so."""
+
+MOST_CHANGED = 3
+"""Parameters that were changed."""
+
 FAR = 3.0
-"""Posterior standard deviations of a size that data put elsewhere than a fit without it has it."""
+"""Posterior standard deviations between a size and none, from which it is an unknown of the fit."""
 
 MOST_ROUNDS = 3
 MOST_TRIES = 20
+SIZES_DRAWN = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +64,9 @@ class Direction:
     ----------
     slot
         As :meth:`Bench.vector` takes it.
-    usual, drift
-        Standard deviations in the slot's unit: of what all snapshots share, and of a snapshot's
-        difference to the first; 0 for none.
+    usual, drift, changed
+        Standard deviations in the slot's unit: of what all snapshots share, of a snapshot's
+        difference to the first by itself, and where people changed it; 0 for none.
     positive
         The shared size is half-normal.
     least
@@ -70,6 +78,7 @@ class Direction:
     slot: str
     usual: float
     drift: float
+    changed: float = 0.0
     positive: bool = False
     least: float = 0.0
     effect: str | None = None
@@ -77,7 +86,7 @@ class Direction:
     @property
     def step(self) -> float:
         """That derivatives are taken over."""
-        return max(STEP * (self.usual or self.drift), self.least)
+        return max(STEP * (self.usual or self.drift or self.changed), self.least)
 
 
 def directions(bench: Bench, stated: Mapping[str, float]) -> list[Direction]:
@@ -86,7 +95,12 @@ def directions(bench: Bench, stated: Mapping[str, float]) -> list[Direction]:
     ``stated``: relative standard deviations of drift by name, in place of the defaults; 0 for none.
     What a bench states with a tolerance has its uncertainty there.
     """
-    return [d for d in _directions(bench, stated) if d.usual > 0.0 or d.drift > 0.0]
+    return [d for d in _directions(bench, stated) if d.usual + d.drift + d.changed > 0.0]
+
+
+def laws(bench: Bench) -> list[Direction]:
+    """Those that are in recordings of one time, between which nothing drifts."""
+    return [replace(d, drift=0.0, changed=0.0) for d in directions(bench, {}) if d.usual > 0.0]
 
 
 def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction]:
@@ -95,7 +109,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
         size = abs(bench.value(info.name))
         share = SHAFT_DAMPING_SHARE if info.name == "shaft_damping_nm_s_per_rad" else 0.0
         usual = 0.0 if info.name in known else share * size
-        yield Direction(info.name, usual, drift_of(info.name, stated) * size)
+        drift = drift_of(info.name, stated) * size
+        yield Direction(info.name, usual, drift, CHANGED_SHARE * size if info.correctable else 0.0)
     present = {effect.name: effect for effect in bench.effects}
     loop_is_stated = any(effect_named(name).enters == "loop" for name in present)
     for effect in EFFECTS:
@@ -111,9 +126,10 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 f"{effect.name}__{item.name}",
                 usual,
                 drift_of(effect.name, stated) * usual,
-                item.low >= 0.0,
-                item.sought_from or 0.0,
-                effect.name,
+                # A loop is ahead of its bench as often as late, by what its drive compensates.
+                positive=item.not_negative and effect.enters != "loop",
+                least=item.sought_from or 0.0,
+                effect=effect.name,
             )
 
 
@@ -123,124 +139,133 @@ class Label:
 
     direction: Direction
     recording: str | None
+    changed: bool = False
 
     @property
     def scale(self) -> float:
         """Standard deviation, in the slot's unit."""
-        return self.direction.usual if self.recording is None else self.direction.drift
+        own = self.direction
+        if self.changed:
+            return own.changed
+        return own.usual if self.recording is None else own.drift
 
     @property
-    def is_positive(self) -> bool:
-        """Half-normal."""
-        return self.recording is None and self.direction.positive
+    def hypothesis(self) -> str:
+        """Name, with the snapshot where it is of one."""
+        name = self.direction.slot.replace("__", ".") + " changed" * self.changed
+        return name if self.recording is None else f"{name} ({self.recording})"
+
+    def term(self, column: FloatArray) -> Term:
+        """As the engine takes it; ``column`` is by one standard deviation, (N,)."""
+        positive = self.recording is None and self.direction.positive
+        return Term(self.hypothesis, column[:, None], positive, always=not self.changed)
 
     def unknown(self, bench: Bench) -> Unknown:
         """As an unknown of a fit."""
         own = self.direction
         if self.recording is not None:
-            return Unknown(own.slot, sd=own.drift, recording=self.recording, added=True)
+            # A change is as large as the recordings have it.
+            sd = self.scale / CHANGED_SHARE if self.changed else self.scale
+            return Unknown(own.slot, sd=sd, recording=self.recording, added=True)
         centre = float(with_neutral(bench, [own]).vector()[0, Slot[own.slot]])
-        low = 0.0 if own.positive else -math.inf
+        low = 0.0 if own.effect is not None and _is_not_negative(own) else -math.inf
         return Unknown(own.slot, low=low, centre=centre, sd=own.usual)
 
 
+def _is_not_negative(direction: Direction) -> bool:
+    name, _, parameter = direction.slot.partition("__")
+    return next(a for a in effect_named(name).amplitudes if a.name == parameter).not_negative
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Sizes:
-    """The posterior of w beside a fit.
+class Beside:
+    """What stands beside a fit.
 
     Attributes
     ----------
     labels
-        Of each w.
-    precision, mean
-        A and w̄, before what is half-normal is cut off, shapes (k, k) and (k,).
-    positive
-        Which are half-normal, shape (k,).
-    best
-        The most probable w, shape (k,).
-    moves
-        Of u by each w, −L JᵀC F, shape (d, k).
+        Of each term.
+    posterior
+        Of sizes and changes, in standard deviations.
+    sizes
+        Their draws, shape (n, k).
     residual
-        Of the fit with w and u at their most probable, shape (N,).
+        Of the fit with all at their mean, shape (N,).
     """
 
     labels: tuple[Label, ...]
-    precision: FloatArray
-    mean: FloatArray
-    positive: NDArray[np.bool_]
-    best: FloatArray
-    moves: FloatArray
+    posterior: ModelPosterior
+    sizes: FloatArray
     residual: FloatArray
-
-    def drawn(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draws of w, shape (count, k)."""
-        covariance = np.linalg.inv(self.precision)
-        cut, rest = np.flatnonzero(self.positive), np.flatnonzero(~self.positive)
-        out = np.empty((count, self.mean.size))
-        if cut.size:
-            own = covariance[np.ix_(cut, cut)]
-            box = np.zeros(cut.size), np.full(cut.size, np.inf)
-            start = np.maximum(self.mean[cut], np.sqrt(np.diag(own)))
-            out[:, cut] = truncated_normal(self.mean[cut], own, start, box, count, rng)
-        if rest.size:
-            among = self.precision[np.ix_(rest, rest)]
-            pulled = (out[:, cut] - self.mean[cut]) @ self.precision[np.ix_(cut, rest)]
-            root = np.linalg.inv(np.linalg.cholesky(among))
-            out[:, rest] = self.mean[rest] - np.linalg.solve(among, pulled.T).T
-            out[:, rest] += rng.standard_normal((count, rest.size)) @ root
-        return out
 
     @property
     def far(self) -> tuple[Label, ...]:
-        """What data put elsewhere than a fit without it has it."""
-        sd = np.sqrt(np.diag(np.linalg.inv(self.precision)))
-        pairs = zip(self.labels, np.abs(self.best) > FAR * sd, strict=True)
-        return tuple(label for label, is_far in pairs if is_far)
+        """What data put elsewhere than a fit without it has it, or surely say has changed."""
+        centre, sd = np.abs(self.sizes.mean(axis=0)), self.sizes.std(axis=0)
+        far = [
+            label
+            for label, at, spread in zip(self.labels, centre, sd, strict=True)
+            if (label.hypothesis in self.posterior.named if label.changed else at > FAR * spread)
+        ]
+        # What has changed has not drifted besides.
+        by_place = {(label.direction.slot, label.recording): label for label in far}
+        return tuple(by_place.values())
 
     def explained(self, fit: SimulatedFit) -> SimulatedFit:
-        """The fit with the residuals that it and the sizes leave together."""
+        """The fit with the residuals that are left beside all this."""
         return replace(fit, residual=self.residual)
 
 
-def sizes(fit: SimulatedFit, among: Sequence[Direction]) -> Sizes:
-    """The posterior of all sizes beside a fit; what is an unknown of its model is left out."""
-    model = fit.model
+def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
+    """What stands beside a fit; what is an unknown of its model already is left out."""
+    model, d = fit.model, fit.point.size
     labels = _labels(model, among)
     ends = np.cumsum([part.size for part in model.by_recording(fit.residual)])[:-1]
     jacobians, residuals = np.split(fit.derivatives(), ends), np.split(fit.residual, ends)
-    moved = np.zeros((fit.point.size, len(labels)))
-    gram, right = np.zeros((len(labels), len(labels))), np.zeros(len(labels))
-    columns, gradient = [], prior_pull(model, fit.point)
+    rows, acting, columns = [], [], []
     for place, (jacobian, residual) in enumerate(zip(jacobians, residuals, strict=True)):
-        own = _scaled_columns(fit, place, labels)
-        columns.append(own)
-        moved += jacobian.T @ own
-        gram += own.T @ own
-        right += own.T @ residual
-        gradient += jacobian.T @ residual
-    moves = -fit.covariance @ moved
-    precision = gram + moved.T @ moves + np.eye(len(labels))
-    mean = np.linalg.solve(precision, right + moves.T @ gradient)
-    positive = np.array([label.is_positive for label in labels], dtype=bool)
-    best = _most_probable(precision, mean, positive)
+        own, by = _columns(fit, place, labels)
+        # Only inner products matter: a triangle has those of all samples.
+        triangle = np.linalg.qr(np.column_stack([jacobian, by, residual]), mode="r")
+        row = np.zeros((len(triangle), d + len(labels) + 1))
+        row[:, [*range(d), *(d + k for k in own), d + len(labels)]] = triangle
+        rows.append(row)
+        acting.append(own)
+        columns.append(by)
+    every = np.concatenate(rows)
+    linearised = Linearised(
+        every[:, -1],
+        every[:, :d],
+        model.prior_precision(),
+        prior_pull(model, fit.point),
+        [label.term(every[:, d + k]) for k, label in enumerate(labels)],
+        np.zeros((len(every), 0)),
+    )
+    priors = Priors(probability={label.hypothesis: CHANGED for label in labels if label.changed})
+    posterior = search(linearised, priors, MOST_CHANGED)
+    drawn = posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
+    size, shift = drawn.sizes.mean(axis=0), drawn.shift.mean(axis=0)
     left = [
-        r - j @ (moves @ best) - own @ best
-        for r, j, own in zip(residuals, jacobians, columns, strict=True)
+        residual - jacobian @ shift - by @ size[own]
+        for residual, jacobian, own, by in zip(residuals, jacobians, acting, columns, strict=True)
     ]
-    return Sizes(labels, precision, mean, positive, best, moves, np.concatenate(left))
+    return Beside(labels, posterior, drawn.sizes, np.concatenate(left))
 
 
 def _labels(model: SimulatedSignals, among: Sequence[Direction]) -> tuple[Label, ...]:
     """Each direction for all snapshots together, and for each but the first."""
-    taken = {(u.name, u.recording) for u in model.unknowns if u.added or u.recording is None}
+    taken = {(u.name, u.recording) for u in model.unknowns}
     owners = [seen.name for seen in model.recordings[1:]]
-    found = [Label(d, None) for d in among if d.usual > 0.0]
-    found += [Label(d, owner) for d in among if d.drift > 0.0 for owner in owners]
-    return tuple(f for f in found if (f.direction.slot, f.recording) not in taken)
+    labels = [Label(d, None) for d in among if d.usual > 0.0]
+    labels += [Label(d, owner) for d in among if d.drift > 0.0 for owner in owners]
+    labels += [Label(d, owner, True) for d in among if d.changed > 0.0 for owner in owners]
+    return tuple(own for own in labels if (own.direction.slot, own.recording) not in taken)
 
 
-def _scaled_columns(fit: SimulatedFit, place: int, labels: Sequence[Label]) -> FloatArray:
-    """C F of one recording, shape (N, k): 0 where a size does not touch it."""
+def _columns(
+    fit: SimulatedFit, place: int, labels: Sequence[Label]
+) -> tuple[list[int], FloatArray]:
+    """Labels that act in a recording, and its whitened signals by each, shape (N, acting)."""
     model, seen = fit.model, fit.model.recordings[place]
     acting = [
         k
@@ -249,87 +274,66 @@ def _scaled_columns(fit: SimulatedFit, place: int, labels: Sequence[Label]) -> F
     ]
     among = list(dict.fromkeys(labels[k].direction for k in acting))
     own = [Unknown(d.slot, recording=seen.name, added=True) for d in among]
-    wider = model.beside(with_neutral(model.bench, among), own).for_differences(
-        np.concatenate([fit.point, np.zeros(len(own))])
-    )
-    points = np.zeros((1 + len(own), fit.point.size + len(own)))
-    points[:, : fit.point.size] = fit.point
+    point = np.concatenate([fit.point, np.zeros(len(own))])
+    wider = model.beside(with_neutral(model.bench, among), own).for_differences(point)
+    points = np.repeat(point[None], 1 + len(own), axis=0)
     for row, direction in enumerate(among):
         points[1 + row, fit.point.size + row] = direction.step
     white = wider.whitened_of(points, place)
-    out = np.zeros((white.shape[1], len(labels)))
-    for k in acting:
-        row = 1 + among.index(labels[k].direction)
-        change = (white[0] - white[row]) * (labels[k].scale / labels[k].direction.step)
-        if np.all(np.isfinite(change)):
-            out[:, k] = change
-    return out
+    changes = np.nan_to_num(white[0] - white[1:], nan=0.0)
+    rows = [among.index(labels[k].direction) for k in acting]
+    scales = [labels[k].scale / labels[k].direction.step for k in acting]
+    return acting, np.asarray(changes[rows].T * scales)
 
 
 def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
     """The bench with every law that it lacks, of no size."""
     have = {effect.name for effect in bench.effects}
-    lacking = dict.fromkeys(d.effect for d in among if d.effect is not None)
     added = [
         BenchEffect(
-            name,
-            {p.name: EffectParameterValue(p.neutral) for p in effect_named(name).parameters},
+            name, {p.name: EffectParameterValue(p.neutral) for p in effect_named(name).parameters}
         )
-        for name in lacking
+        for name in dict.fromkeys(d.effect for d in among if d.effect is not None)
         if name not in have
     ]
     return bench.with_effects(*bench.effects, *added) if added else bench
 
 
-def _most_probable(
-    precision: FloatArray, mean: FloatArray, positive: NDArray[np.bool_]
-) -> FloatArray:
-    """The largest density of what is cut off at zero, shape (k,)."""
-    if not np.any(positive & (mean < 0.0)):
-        return mean
-    root = np.linalg.cholesky(precision).T
-    low = np.where(positive, 0.0, -np.inf)
-    return np.asarray(lsq_linear(root, root @ mean, (low, np.full(mean.size, np.inf))).x)
-
-
-def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Sizes]:
-    """The fit with what data put far away among its unknowns, and the sizes of the rest."""
-    own = sizes(fit, among)
+def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
+    """The fit with what data put far away among its unknowns, and what stands beside that."""
+    rest = beside(fit, among)
     for _ in range(MOST_ROUNDS):
-        if not own.far:
+        far = rest.far
+        if not far:
             break
-        model = fit.model.beside(
-            with_neutral(fit.model.bench, [label.direction for label in own.far]),
-            [label.unknown(fit.model.bench) for label in own.far],
-        )
-        near = fit.point + own.moves @ own.best
-        start = [label.unknown(fit.model.bench).centre for label in own.far]
-        start = np.array(start) + [
-            w * label.scale
-            for label, w in zip(own.labels, own.best, strict=True)
-            if label in own.far
+        bench = with_neutral(fit.model.bench, [label.direction for label in far])
+        own = [label.unknown(bench) for label in far]
+        sizes = [rest.labels.index(label) for label in far]
+        start = [
+            u.centre + label.scale * w
+            for u, label, w in zip(own, far, rest.sizes.mean(axis=0)[sizes], strict=True)
         ]
-        fit = fit_simulated(model, np.concatenate([near, start]), fit.steps)
-        own = sizes(fit, among)
-    return fit, own
+        model = fit.model.beside(bench, own)
+        fit = fit_simulated(model, np.concatenate([fit.point, start]), fit.steps)
+        rest = beside(fit, among)
+    return fit, rest
 
 
 def marginalised(
-    posterior: DirectPosterior, own: Sizes, seed: np.random.SeedSequence
+    posterior: DirectPosterior, rest: Beside, seed: np.random.SeedSequence
 ) -> DirectPosterior:
-    """Draws that no longer take the laws of the bench and its parameters to be as they are.
+    """Draws that no longer take laws and parameters of the bench to be as it has them.
 
     Within the ranges of the unknowns: a draw that would leave them is made anew, and stays where it
     was where none is within.
     """
+    if not rest.labels:
+        return posterior
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
-    if not own.labels:
-        return posterior
-    moved = flat.copy()
-    outside = np.arange(len(flat))
+    moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
-        tried = flat[outside] + own.drawn(outside.size, rng) @ own.moves.T
+        tried = flat[outside] + rest.posterior.draw(rng, outside.size).shift
         within = np.all((tried > model.low) & (tried < model.high), axis=1)
         moved[outside[within]] = tried[within]
         outside = outside[~within]

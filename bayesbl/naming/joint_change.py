@@ -22,6 +22,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import factors_along
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
+from bayesbl.model_search.always_in import Direction
 from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
 from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_own_noise
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
@@ -51,6 +52,9 @@ FURTHEST_CHANGE = 3.0
 MOST_CHANGES = 2
 MOST_ORDERS = 6
 """Of the motor that are listed."""
+
+BEYOND = 2.0
+"""Budgets of drift beyond which a parameter has changed: one in twenty drifts so far."""
 
 FALSE_ALARM = 0.005
 """Of the predictive check and of naming a change, each over all that it tests."""
@@ -140,6 +144,8 @@ class JointFindings:
         Names of what is freed, and of what these recordings cannot tell from it.
     blind_spots
         The one that moves the change of δ most first.
+    allowed
+        What was fitted besides and is no more than a joint may differ from its bench, or drift.
     motor_orders
         Whole orders of the motor that make most of what the bench as believed leaves.
     """
@@ -151,6 +157,7 @@ class JointFindings:
     rivals: tuple[Rival, ...]
     blind_spots: tuple[BlindSpot, ...]
     motor_orders: tuple[int, ...] = ()
+    allowed: tuple[ChangedParameter, ...] = ()
 
     @property
     def agrees(self) -> bool:
@@ -210,6 +217,50 @@ def find_changes(
         tuple(_motor_orders(nominal)),
     )
     return fit, findings
+
+
+def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindings:
+    """What of the joint changed where laws, drift and changes beside a fit explain everything.
+
+    ``among``: what was marginalised, and so is no blind spot; what was far is now an unknown.
+    """
+    names = tuple(seen.name for seen in fit.model.recordings)
+    by_slot = {direction.slot: direction for direction in among}
+    told: list[ChangedParameter] = []
+    allowed: list[ChangedParameter] = []
+    for place, unknown in enumerate(fit.model.unknowns):
+        direction = by_slot.get(unknown.name)
+        # A tolerance of the bench, or what the user lets drift, is flat.
+        if direction is None or not math.isfinite(unknown.sd):
+            continue
+        own = _as_changed(fit, place)
+        drifted = unknown.added and abs(own.found - own.believed) <= BEYOND * direction.drift
+        (allowed if drifted or not unknown.added else told).append(own)
+    spots = [spot for spot in blind_spots(fit) if spot.name.replace(".", "__") not in by_slot]
+    return JointFindings(
+        names,
+        True,
+        tuple(told),
+        tuple(dict.fromkeys(c.name for c in told)),
+        (),
+        tuple(spots),
+        (),
+        tuple(allowed),
+    )
+
+
+def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
+    """An unknown of a fit against the first recording, or where all share it against the bench."""
+    unknown, model = fit.model.unknowns[place], fit.model
+    value, sd = float(fit.point[place]), math.sqrt(float(fit.covariance[place, place]))
+    where = unknown.recording or model.recordings[0].name
+    seen = next(r for r in model.recordings if r.name == where)
+    found = float(model.vectors(fit.point[None], seen)[0, Slot[unknown.name]])
+    believed = (
+        found - value if unknown.added else float(model.bench.vector()[0, Slot[unknown.name]])
+    )
+    name = unknown.name.replace("__", ".")
+    return ChangedParameter(name, unknown.recording, believed, found, sd, _unit(unknown.name))
 
 
 def _motor_orders(fit: SimulatedFit) -> list[int]:
