@@ -16,6 +16,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.impacts import IMPACTS_DIFFER
+from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
@@ -48,7 +49,7 @@ from bayesbl.measurement.model_check import (
 from bayesbl.measurement.motion_verdict import motion_notes, unknown_start, unseen_gap
 from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
-from bayesbl.model_search.always_in import beside, directions, marginalised, settled
+from bayesbl.model_search.always_in import Beside, beside, directions, marginalised, settled
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, changed_beside, find_changes
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
@@ -230,6 +231,67 @@ def direct_unknowns(
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """All recordings fitted together.
+
+    Attributes
+    ----------
+    nominal
+        With the bench as believed and nothing but gaps free, beside what its file leaves open.
+    fit
+        With what changed, and what is far from where the bench has it, among its unknowns.
+    rest
+        Laws, drift and changes that stand beside it.
+    joint
+        Whether one joint made the recordings.
+    check
+        The predictive check, with ``rest`` taken into account.
+    """
+
+    nominal: SimulatedFit
+    fit: SimulatedFit
+    rest: Beside
+    joint: JointFindings
+    check: tuple[RepeatingPower, ...]
+
+    @property
+    def withheld(self) -> bool:
+        """No gap can be given."""
+        return self.joint.against_bench or not self.joint.explained
+
+
+def fit_jointly(
+    bench: Bench,
+    recordings: Sequence[Observed],
+    gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float],
+    workers: int = 1,
+    progress: StageProgress | None = None,
+    drift: Mapping[str, float] = NO_DRIFT,
+) -> JointFit:
+    """The optimum of all recordings together, and whether one joint made them.
+
+    Laws that bias the gap before they show, and what drifts between the recordings, are always
+    allowed for; ``drift``: relative standard deviations in place of the defaults. What changed in
+    the joint beside that is freed where it is found.
+    """
+    moving = [r.name for r in recordings if r.motion is not None]
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
+    name = " and ".join(r.name for r in recordings)
+    aligning = of_stage(progress, f"Fitting the bench to {name}")
+    nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
+    among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
+    fit, rest = settled(nominal, among)
+    check = disagreements(rest.explained(fit))
+    if agrees(check, FALSE_ALARM):
+        return JointFit(nominal, fit, rest, changed_beside(fit, among), tuple(check))
+    fit, joint = find_changes(fit, progress=of_stage(progress, f"Seeking changes in {name}"))
+    rest = beside(fit, among)
+    check = disagreements(rest.explained(fit) if joint.explained else fit)
+    return JointFit(nominal, fit, rest, joint, tuple(check))
+
+
 def fit_directly(
     bench: Bench,
     recordings: Sequence[Observed],
@@ -241,35 +303,17 @@ def fit_directly(
     progress: StageProgress | None = None,
     drift: Mapping[str, float] = NO_DRIFT,
 ) -> DirectMatch:
-    """Optimum, posterior of all recordings together, and whether one joint made them.
-
-    Laws that bias the gap before they show, and what drifts between the recordings, are always
-    allowed for; ``drift``: relative standard deviations in place of the defaults. What changed in
-    the joint beside that is freed where it is found.
-    """
-    moving = [r.name for r in recordings if r.motion is not None]
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
+    """Optimum and posterior of all recordings together, as :func:`fit_jointly` has them."""
+    matched = fit_jointly(bench, recordings, gap_rad, may_drift, workers, progress, drift)
     name = " and ".join(r.name for r in recordings)
-    aligning = of_stage(progress, f"Fitting the bench to {name}")
-    begun = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
-    among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
-    fit, rest = settled(begun, among)
-    check = disagreements(rest.explained(fit))
-    if agrees(check, FALSE_ALARM):
-        joint = changed_beside(fit, among)
-    else:
-        seeking = of_stage(progress, f"Seeking changes in {name}")
-        fit, joint = find_changes(fit, progress=seeking)
-        rest = beside(fit, among)
-        check = disagreements(rest.explained(fit) if joint.explained else fit)
     report = of_stage(progress, f"Sampling {name}")
-    withheld = joint.against_bench or not joint.explained
     simulating = of_stage(progress, f"Simulating draws of {name}")
-    posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
+    withheld = matched.withheld
+    posterior = sample_direct(matched.fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:
         scattering, drifting = seed.spawn(2)
-        posterior = marginalised(widened(posterior, scattering), rest, drifting)
-    return DirectMatch(posterior, tuple(check), joint)
+        posterior = marginalised(widened(posterior, scattering), matched.rest, drifting)
+    return DirectMatch(posterior, matched.check, matched.joint)
 
 
 def direct_verdict(

@@ -1,0 +1,218 @@
+"""Two small changes at once that are not wear: are they called wear?
+
+    bayesbl run configs/small_changes.toml
+
+A case is a pair of recordings of one joint with the same gap; before the second, two of eight parameters change by a few per cent, each
+up or down. Each pair is answered with the motor current and by the speed alone. An increase is
+*called* if its probability is at least ``CALLED_AT`` and the change is not withheld. The answer is
+the normal approximation of the direct route with all that it allows for; sampling changes nothing
+here, as the bench is known.
+
+``wear_found`` is the smallest growth of the gap that is called in 95 of 100: twice the 95 %
+quantile of the normal distribution times the standard deviation of the change. ``alone`` are the
+same numbers with nothing allowed for but the gap, by the nominal fit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt
+
+sys.path.append(str(Path(__file__).parent))
+
+from calibration_statistics import coverage_band
+
+from bayesbl.bench.bench import Bench
+from bayesbl.config.bench import load_bench
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.observed import observed
+from bayesbl.matching.posterior import MATTERS
+from bayesbl.matching.signals import GAP
+from bayesbl.measurement.direct_route import NO_DRIFT, JointFit, fit_jointly
+from bayesbl.probabilities import normal_isf
+from bayesbl.recording.types import FloatArray, Recording
+
+CALLED_AT = 0.95
+LEVEL = 0.9
+DRAWS = 4000
+GAP_RANGE_RAD = (1e-4, 1e-2)
+SNAPSHOTS = ("before", "after")
+PARAMETERS = (
+    "motor_inertia_kg_m2",
+    "load_inertia_kg_m2",
+    "shaft_stiffness_nm_per_rad",
+    "shaft_damping_nm_s_per_rad",
+    "gravity_torque_nm",
+    "torque_constant_nm_per_a",
+    "speed_gain_nm_s_per_rad",
+    "integral_gain_nm_per_rad",
+)
+PAIRS = tuple(itertools.combinations(range(len(PARAMETERS)), 2))
+
+
+class Row(BaseModel):
+    """A row: by how much two parameters change, and how many pairs of recordings there are.
+
+    ``grown``: relative growth of the gap.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    bench: Path
+    share: NonNegativeFloat
+    gap_rad: tuple[float, float]
+    pairs: PositiveInt
+    grown: float = Field(default=0.0, gt=-1.0)
+
+
+COLUMNS = {
+    "first": ("1", "place of one changed parameter in the list, its sign that of the change"),
+    "second": ("1", "the same of the other"),
+    **{
+        f"{answer}_{name}": (unit, f"{meaning}, {answer}")
+        for answer in ("current", "speed")
+        for name, unit, meaning in (
+            ("probability_increase", "1", "posterior probability that the gap grew"),
+            ("error_sd", "1", "error of the change in posterior standard deviations"),
+            ("sd", "1", "posterior standard deviation of the change of ln δ"),
+            ("covered", "1", "1 where the 90 % interval of the change holds the truth"),
+            ("withheld", "1", "1 where the change is withheld"),
+            ("seen", "1", "1 where a change other than of the gap is reported"),
+            ("alone_error_sd", "1", "as error_sd, of the nominal fit with only the gap free"),
+            ("alone_sd", "1", "as sd, of that fit"),
+        )
+    },
+}
+
+
+def count(row: Row) -> int:
+    """Number of pairs."""
+    return row.pairs
+
+
+def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
+    """One pair, answered with and without the current."""
+    rng = np.random.default_rng(seed)
+    chosen = PAIRS[index % len(PAIRS)]
+    signs = rng.choice([-1.0, 1.0], 2)
+    gap = math.exp(rng.uniform(*np.log(row.gap_rad)))
+    bench = load_bench(row.bench)
+    changed = bench.with_parameters(
+        **{
+            PARAMETERS[place]: bench.value(PARAMETERS[place]) * (1.0 + sign * row.share)
+            for place, sign in zip(chosen, signs, strict=True)
+        }
+    )
+    recordings = [
+        _recorded(joint, own, name, rng)
+        for joint, own, name in zip(
+            (bench, changed), (gap, gap * (1.0 + row.grown)), SNAPSHOTS, strict=True
+        )
+    ]
+    out = {
+        "first": signs[0] * (chosen[0] + 1.0),
+        "second": signs[1] * (chosen[1] + 1.0),
+    }
+    for answer in ("current", "speed"):
+        seen = [observed(recording, bench) for recording in recordings]
+        if answer == "speed":
+            seen = [replace(s, signals=s.signals[:1]) for s in seen]
+        matched = fit_jointly(bench, seen, GAP_RANGE_RAD, NO_DRIFT)
+        truth = math.log1p(row.grown)
+        change = _changes(matched, rng)
+        alone, alone_sd = _change(matched.nominal)
+        low, high = np.quantile(change, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+        own = {
+            "probability_increase": float(np.mean(change > 0.0)),
+            "error_sd": float((change.mean() - truth) / change.std()),
+            "sd": float(change.std()),
+            "covered": float(low < truth < high),
+            "withheld": float(_withheld(matched, change)),
+            "seen": float(bool(matched.joint.changed)),
+            "alone_error_sd": (alone - truth) / alone_sd,
+            "alone_sd": alone_sd,
+        }
+        out |= {f"{answer}_{name}": value for name, value in own.items()}
+    return out
+
+
+def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+    """Share called wear, share withheld, and the least wear that is found."""
+    size = cases.sizes["case"]
+    line: dict[str, float | str] = {
+        "pairs": float(size),
+        "nominal_at_most": coverage_band(size, 1.0 - CALLED_AT)[1],
+    }
+    for answer in ("current", "speed"):
+        own = {name: cases[f"{answer}_{name}"].values for name in _NAMES}
+        given = own["withheld"] == 0.0
+        needed = 2.0 * normal_isf(1.0 - CALLED_AT)
+        errors = np.abs(own["error_sd"][given])
+        line |= {
+            f"{answer}_called": float(np.mean((own["probability_increase"] >= CALLED_AT) & given)),
+            f"{answer}_alone_called": float(
+                np.mean(own["alone_error_sd"] >= normal_isf(1.0 - CALLED_AT))
+            ),
+            f"{answer}_covered": float(own["covered"][given].mean()) if given.any() else math.nan,
+            f"{answer}_withheld": float(1.0 - given.mean()),
+            f"{answer}_seen": float(own["seen"].mean()),
+            f"{answer}_largest_error_sd": float(np.max(errors, initial=0.0)),
+            f"{answer}_wear_found": float(np.expm1(needed * np.median(own["sd"]))),
+            f"{answer}_alone_wear_found": float(np.expm1(needed * np.median(own["alone_sd"]))),
+        }
+    return line
+
+
+_NAMES = (
+    "probability_increase",
+    "error_sd",
+    "sd",
+    "covered",
+    "withheld",
+    "seen",
+    "alone_error_sd",
+    "alone_sd",
+)
+
+
+def _recorded(bench: Bench, gap_rad: float, name: str, rng: np.random.Generator) -> Recording:
+    start = float(rng.uniform(-math.pi, math.pi))
+    return bench.simulate(gap_rad, start_angle_rad=start, seed=rng, name=name)
+
+
+def _change(fit: SimulatedFit) -> tuple[float, float]:
+    """Of ln δ by a fit, with its standard deviation."""
+    toward = np.zeros(fit.point.size)
+    toward[fit.model.index(GAP, SNAPSHOTS[1])], toward[fit.model.index(GAP, SNAPSHOTS[0])] = 1, -1
+    return float(toward @ fit.point), math.sqrt(float(toward @ fit.covariance @ toward))
+
+
+def _changes(matched: JointFit, rng: np.random.Generator) -> FloatArray:
+    """Draws of the change of ln δ."""
+    fit = matched.fit
+    root = np.linalg.cholesky(fit.covariance)
+    draws = fit.point + rng.standard_normal((DRAWS, fit.point.size)) @ root.T
+    draws += matched.rest.posterior.draw(rng, DRAWS).shift
+    first, last = (fit.model.index(GAP, name) for name in SNAPSHOTS)
+    return np.asarray(draws[:, last] - draws[:, first])
+
+
+def _withheld(matched: JointFit, change: FloatArray) -> bool:
+    """Withheld by the joint check, or between rivals that are apart."""
+    if matched.withheld:
+        return True
+    low, high = np.quantile(change, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    apart = [
+        abs(float(np.log(rival.gaps_rad[-1] / rival.gaps_rad[0])) - float(np.median(change)))
+        for rival in matched.joint.rivals
+    ]
+    return max(apart, default=0.0) > MATTERS * float(high - low)
