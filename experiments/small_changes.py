@@ -2,11 +2,11 @@
 
     bayesbl run configs/small_changes.toml
 
-A case is a pair of recordings of one joint with the same gap; before the second, two of eight parameters change by a few per cent, each
-up or down. Each pair is answered with the motor current and by the speed alone. An increase is
-*called* if its probability is at least ``CALLED_AT`` and the change is not withheld. The answer is
-the normal approximation of the direct route with all that it allows for; sampling changes nothing
-here, as the bench is known.
+A case is a pair of recordings of one joint with the same gap; before the second, two of eight
+parameters change by a few per cent, each up or down. Each pair is answered with the motor current
+and by the speed alone. An increase is *called* if its probability is at least ``CALLED_AT`` and the
+change is not withheld. The answer is the normal approximation of the direct route with all that it
+allows for; sampling changes nothing here, as the bench is known.
 
 ``wear_found`` is the smallest growth of the gap that is called in 95 of 100: twice the 95 %
 quantile of the normal distribution times the standard deviation of the change. ``alone`` are the
