@@ -9,8 +9,8 @@ by its size, at a fit with J and L = (JᵀJ + P)⁻¹: a size s that is not mode
 ``bias`` is how many posterior standard deviations δ is off when z is 3, where no search names it
 yet; ``hides``, the chance that z is below 3 if the size is half-normal with its usual size (a
 quarter of a parameter). A law with a bias above 1 that hides in more than one of twenty joints is
-always in (``always_in`` in its file under ``bayesbl/bench/effects``). A case is a bench drawn within
-a factor of the reference bench's values; values of laws with several shapes are those of the worst.
+always in (``always_in`` in its file under ``bayesbl/bench/effects``). A case is a bench drawn
+within a factor of the reference bench's values; a law with several shapes is shown by its worst.
 """
 
 from __future__ import annotations

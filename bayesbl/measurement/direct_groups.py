@@ -324,14 +324,16 @@ def _diagnostics(posterior: DirectPosterior, index: int) -> xr.Dataset:
 
 
 def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
-    """How much of the variance of ln δ would be there if the bench were known exactly."""
+    """Shares of the variance of ln δ: by noise, were the bench known exactly; by laws that it may
+    lack and by drift; the rest by what it states with a tolerance."""
     fit = posterior.fit
     place = own_unknowns(posterior, recording)[DELTA]
+    beside = 1.0 - min(1.0, float(posterior.model_widening[place]) ** -2.0)
     free = np.array([i for i, u in enumerate(fit.model.unknowns) if u.recording is not None])
     if free.size == len(fit.model.unknowns):
-        return {"noise": 1.0}
+        return {"noise": 1.0 - beside, "laws_and_drift": beside}
     known = fit.curvature + fit.model.prior_precision()
     alone = np.linalg.inv(known[np.ix_(free, free)])
     noise = float(alone[list(free).index(place), list(free).index(place)])
-    share = min(1.0, noise / float(posterior.draws[..., place].var()))
-    return {"noise": share, "bench": 1.0 - share}
+    share = min(1.0 - beside, noise / float(posterior.draws[..., place].var()))
+    return {"noise": share, "laws_and_drift": beside, "bench": 1.0 - beside - share}

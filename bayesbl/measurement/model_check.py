@@ -31,9 +31,10 @@ from bayesbl.units import number
 def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
     """One recording against its bench."""
     own = [c for c in found.changed if c.recording in (None, recording)]
+    allowed = [c for c in found.allowed if c.recording in (None, recording)]
     return JointCheck(
         found.explained and not own,
-        [_item(c) for c in own],
+        [_item(c) for c in (*own, *allowed)],
         found.could_be if own else (),
     )
 
