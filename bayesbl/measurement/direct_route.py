@@ -286,7 +286,8 @@ def fit_jointly(
     check = disagreements(rest.explained(fit))
     if agrees(check, FALSE_ALARM):
         return JointFit(nominal, fit, rest, changed_beside(fit, among), tuple(check))
-    fit, joint = find_changes(fit, progress=of_stage(progress, f"Seeking changes in {name}"))
+    seeking = of_stage(progress, f"Seeking changes in {name}")
+    fit, joint = find_changes(fit, among=among, progress=seeking)
     rest = beside(fit, among)
     check = disagreements(rest.explained(fit) if joint.explained else fit)
     return JointFit(nominal, fit, rest, joint, tuple(check))

@@ -172,7 +172,11 @@ class JointFindings:
 
 
 def find_changes(
-    nominal: SimulatedFit, false_alarm: float = FALSE_ALARM, *, progress: Progress | None = None
+    nominal: SimulatedFit,
+    false_alarm: float = FALSE_ALARM,
+    *,
+    among: Sequence[Direction] = (),
+    progress: Progress | None = None,
 ) -> tuple[SimulatedFit, JointFindings]:
     """What the bench would have to have, in all recordings or in one, to explain them.
 
@@ -182,6 +186,8 @@ def find_changes(
         All recordings of a joint fitted together with the bench as believed.
     false_alarm
         Of the predictive check and of the search, each over all that it tests.
+    among
+        What is marginalised beside the fit that is made here, and so is no blind spot.
     progress
         Called with (fits made, fits expected).
 
@@ -213,7 +219,7 @@ def find_changes(
             for found in naming.effects
             for rival in found.indistinguishable
         ),
-        tuple(blind_spots(fit, false_alarm)) if explained else (),
+        tuple(blind_spots(fit, false_alarm, among)) if explained else (),
         tuple(_motor_orders(nominal)),
     )
     return fit, findings
@@ -236,14 +242,13 @@ def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindin
         own = _as_changed(fit, place)
         drifted = unknown.added and abs(own.found - own.believed) <= BEYOND * direction.drift
         (allowed if drifted or not unknown.added else told).append(own)
-    spots = [spot for spot in blind_spots(fit) if spot.name.replace(".", "__") not in by_slot]
     return JointFindings(
         names,
         True,
         tuple(told),
         tuple(dict.fromkeys(c.name for c in told)),
         (),
-        tuple(spots),
+        tuple(blind_spots(fit, among=among)),
         (),
         tuple(allowed),
     )
@@ -454,8 +459,12 @@ def _own_effects(bench: Bench) -> list[Candidate]:
     return found
 
 
-def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[BlindSpot]:
+def blind_spots(
+    fit: SimulatedFit, false_alarm: float = FALSE_ALARM, among: Sequence[Direction] = ()
+) -> list[BlindSpot]:
     """Changes in the last recording that would pass, the one that moves the change of δ most first.
+
+    But for those ``among`` what is marginalised.
 
     With J the derivatives of the fit, C = (JᵀJ + P)⁻¹ and j that by the change, a change of size η
     moves the unknowns by C Jᵀj η if it is not modelled, and is found where η exceeds its standard
@@ -471,10 +480,12 @@ def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[Bli
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
     least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
     least += normal_isf(MISSED)
-    derivatives = fit.derivatives()
+    derivatives, marginalised = fit.derivatives(), {direction.slot for direction in among}
     spots = []
     for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)], one_by_one=True):
         if candidate.recording != last or len(amplitude_places(candidate)) != 1:
+            continue
+        if marginalised & {u.name for u in candidate.unknowns}:
             continue
         spots += [
             _largest_hidden(fit, candidate, columns, derivatives, toward, least)
