@@ -33,8 +33,12 @@ from bayesbl.matching.signals import SimulatedSignals, Unknown
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
 from bayesbl.recording.types import FloatArray
 
-STEP = 0.1
-"""Of derivatives, in usual sizes or budgets."""
+SEEN_STEP = 4.0
+"""Standard deviations of noise by which the signals change over a derivative's step: less drowns in
+the simulator's own error, more is curved."""
+
+FIRST_STEP, LARGEST_STEP = 0.3, 2.0
+"""Of derivatives, in usual sizes, changes or budgets."""
 
 SHAFT_DAMPING_SHARE = 0.25
 """Of the shaft's damping, which no data sheet states and every bench has from somewhere."""
@@ -50,6 +54,9 @@ MOST_CHANGED = 3
 
 FAR = 3.0
 """Posterior standard deviations between a size and none, from which it is an unknown of the fit."""
+
+LEAST_LEFT = 0.01
+"""Share of a positive parameter that no drift or change takes."""
 
 MOST_ROUNDS = 3
 MOST_TRIES = 20
@@ -84,9 +91,17 @@ class Direction:
     effect: str | None = None
 
     @property
-    def step(self) -> float:
-        """That derivatives are taken over."""
-        return max(STEP * (self.usual or self.drift or self.changed), self.least)
+    def size(self) -> float:
+        """Of the order of what there may be."""
+        return self.usual or self.drift or self.changed
+
+    @property
+    def is_not_negative(self) -> bool:
+        """A law of which the simulator takes no negative size."""
+        name, _, parameter = self.slot.partition("__")
+        return bool(parameter) and any(
+            a.not_negative for a in effect_named(name).amplitudes if a.name == parameter
+        )
 
 
 def directions(bench: Bench, stated: Mapping[str, float]) -> list[Direction]:
@@ -163,18 +178,14 @@ class Label:
     def unknown(self, bench: Bench) -> Unknown:
         """As an unknown of a fit."""
         own = self.direction
+        value = float(with_neutral(bench, [own]).vector()[0, Slot[own.slot]])
+        least = 0.0 if own.is_not_negative or value > 0.0 else -math.inf
         if self.recording is not None:
             # A change is as large as the recordings have it.
             sd = self.scale / CHANGED_SHARE if self.changed else self.scale
-            return Unknown(own.slot, sd=sd, recording=self.recording, added=True)
-        centre = float(with_neutral(bench, [own]).vector()[0, Slot[own.slot]])
-        low = 0.0 if own.effect is not None and _is_not_negative(own) else -math.inf
-        return Unknown(own.slot, low=low, centre=centre, sd=own.usual)
-
-
-def _is_not_negative(direction: Direction) -> bool:
-    name, _, parameter = direction.slot.partition("__")
-    return next(a for a in effect_named(name).amplitudes if a.name == parameter).not_negative
+            low = LEAST_LEFT * value - value if math.isfinite(least) else -math.inf
+            return Unknown(own.slot, low, sd=sd, recording=self.recording, added=True)
+        return Unknown(own.slot, least, centre=value, sd=own.usual)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,12 +212,14 @@ class Beside:
     @property
     def far(self) -> tuple[Label, ...]:
         """What data put elsewhere than a fit without it has it, or surely say has changed."""
-        centre, sd = np.abs(self.sizes.mean(axis=0)), self.sizes.std(axis=0)
-        far = [
-            label
-            for label, at, spread in zip(self.labels, centre, sd, strict=True)
-            if (label.hypothesis in self.posterior.named if label.changed else at > FAR * spread)
-        ]
+        far = []
+        for label, drawn in zip(self.labels, self.sizes.T, strict=True):
+            # Less than none of a law is none of it, but something else: that stays linear.
+            lacks = label.direction.effect is not None and label.direction.is_not_negative
+            at = float(drawn.mean() if lacks else abs(drawn.mean()))
+            named = label.hypothesis in self.posterior.named
+            if named if label.changed else at > FAR * float(drawn.std()):
+                far.append(label)
         # What has changed has not drifted besides.
         by_place = {(label.direction.slot, label.recording): label for label in far}
         return tuple(by_place.values())
@@ -276,14 +289,33 @@ def _columns(
     own = [Unknown(d.slot, recording=seen.name, added=True) for d in among]
     point = np.concatenate([fit.point, np.zeros(len(own))])
     wider = model.beside(with_neutral(model.bench, among), own).for_differences(point)
-    points = np.repeat(point[None], 1 + len(own), axis=0)
-    for row, direction in enumerate(among):
-        points[1 + row, fit.point.size + row] = direction.step
-    white = wider.whitened_of(points, place)
-    changes = np.nan_to_num(white[0] - white[1:], nan=0.0)
+    slopes = _slopes(wider, point, place, among)
     rows = [among.index(labels[k].direction) for k in acting]
-    scales = [labels[k].scale / labels[k].direction.step for k in acting]
-    return acting, np.asarray(changes[rows].T * scales)
+    return acting, np.asarray(slopes[rows].T * [labels[k].scale for k in acting])
+
+
+def _slopes(
+    model: SimulatedSignals, point: FloatArray, place: int, among: Sequence[Direction]
+) -> FloatArray:
+    """Of the whitened signals of a recording by the last unknowns of its model, (k, N)."""
+    own = np.arange(point.size - len(among), point.size)
+    steps = np.array([max(FIRST_STEP * d.size, d.least) for d in among])
+    here = model.whitened_of(point[None], place)[0]
+    slopes, pending = np.zeros((len(among), here.size)), np.arange(len(among))
+    for _ in range(2):
+        points = np.repeat(point[None], pending.size, axis=0)
+        points[np.arange(pending.size), own[pending]] = steps[pending]
+        changes = np.nan_to_num(here - model.whitened_of(points, place), nan=0.0)
+        slopes[pending] = changes / steps[pending, None]
+        size = np.linalg.norm(changes, axis=1)
+        better = steps[pending] * SEEN_STEP / np.maximum(size, 1e-12)
+        largest = [LARGEST_STEP * among[int(k)].size for k in pending]
+        better = np.clip(better, [among[int(k)].least for k in pending], largest)
+        unfit = (better > 2.0 * steps[pending]) | (better < 0.2 * steps[pending])
+        steps[pending], pending = better, pending[unfit]
+        if not pending.size:
+            break
+    return slopes
 
 
 def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
