@@ -6,7 +6,7 @@ A case is a pair of recordings of one joint with the same gap; before the second
 parameters change by a few per cent, each up or down. Each pair is answered with the motor current
 and by the speed alone. An increase is *called* if its probability is at least ``CALLED_AT`` and the
 change is not withheld. The answer is the normal approximation of the direct route with all that it
-allows for; sampling changes nothing here, as the bench is known.
+allows for, from a fit that starts at the truth.
 
 ``wear_found`` is the smallest growth of the gap that is called in 95 of 100: twice the 95 %
 quantile of the normal distribution times the standard deviation of the change. ``alone`` are the
@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,16 +32,20 @@ from calibration_statistics import coverage_band
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import observed
-from bayesbl.matching.posterior import MATTERS
-from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import NO_DRIFT, JointFit, fit_jointly
+from bayesbl.matching.alignment import refitted
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.motions import noise_of
+from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.posterior import MATTERS, TAILS
+from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
+from bayesbl.measurement.direct_route import NO_DRIFT, direct_unknowns
+from bayesbl.model_search.always_in import beside, directions, settled
+from bayesbl.naming.joint_change import FALSE_ALARM, Rival, find_changes
 from bayesbl.probabilities import normal_isf
-from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.recording.types import FloatArray
 
 CALLED_AT = 0.95
-LEVEL = 0.9
 DRAWS = 4000
 GAP_RANGE_RAD = (1e-4, 1e-2)
 SNAPSHOTS = ("before", "after")
@@ -61,7 +65,8 @@ PAIRS = tuple(itertools.combinations(range(len(PARAMETERS)), 2))
 class Row(BaseModel):
     """A row: by how much two parameters change, and how many pairs of recordings there are.
 
-    ``grown``: relative growth of the gap.
+    ``grown``: relative growth of the gap. ``bench_off``: the joint is drawn within the tolerances
+    of its bench.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -72,6 +77,7 @@ class Row(BaseModel):
     gap_rad: tuple[float, float]
     pairs: PositiveInt
     grown: float = Field(default=0.0, gt=-1.0)
+    bench_off: bool = False
 
 
 COLUMNS = {
@@ -85,10 +91,13 @@ COLUMNS = {
             ("error_sd", "1", "error of the change in posterior standard deviations"),
             ("sd", "1", "posterior standard deviation of the change of ln δ"),
             ("covered", "1", "1 where the 90 % interval of the change holds the truth"),
+            ("gap_error_sd", "1", "error of the second ln δ in posterior standard deviations"),
+            ("gap_covered", "1", "1 where the 90 % interval of the second δ holds the truth"),
             ("withheld", "1", "1 where the change is withheld"),
             ("seen", "1", "1 where a change other than of the gap is reported"),
             ("alone_error_sd", "1", "as error_sd, of the nominal fit with only the gap free"),
             ("alone_sd", "1", "as sd, of that fit"),
+            ("wider", "1", "sd of the second ln δ over that of the nominal fit"),
         )
     },
 }
@@ -106,18 +115,20 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     signs = rng.choice([-1.0, 1.0], 2)
     gap = math.exp(rng.uniform(*np.log(row.gap_rad)))
     bench = load_bench(row.bench)
-    changed = bench.with_parameters(
+    joint = bench.draw(rng) if row.bench_off else bench
+    changed = joint.with_parameters(
         **{
-            PARAMETERS[place]: bench.value(PARAMETERS[place]) * (1.0 + sign * row.share)
+            PARAMETERS[place]: joint.value(PARAMETERS[place]) * (1.0 + sign * row.share)
             for place, sign in zip(chosen, signs, strict=True)
         }
     )
+    gaps = (gap, gap * (1.0 + row.grown))
+    starts = rng.uniform(-math.pi, math.pi, 2)
     recordings = [
-        _recorded(joint, own, name, rng)
-        for joint, own, name in zip(
-            (bench, changed), (gap, gap * (1.0 + row.grown)), SNAPSHOTS, strict=True
-        )
+        made.simulate(own, start_angle_rad=float(start), seed=rng, name=name)
+        for made, own, start, name in zip((joint, changed), gaps, starts, SNAPSHOTS, strict=True)
     ]
+    truth = {GAP: np.log(gaps), START_ANGLE: starts}
     out = {
         "first": signs[0] * (chosen[0] + 1.0),
         "second": signs[1] * (chosen[1] + 1.0),
@@ -126,23 +137,61 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         seen = [observed(recording, bench) for recording in recordings]
         if answer == "speed":
             seen = [replace(s, signals=s.signals[:1]) for s in seen]
-        matched = fit_jointly(bench, seen, GAP_RANGE_RAD, NO_DRIFT)
-        truth = math.log1p(row.grown)
-        change = _changes(matched, rng)
-        alone, alone_sd = _change(matched.nominal)
-        low, high = np.quantile(change, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-        own = {
-            "probability_increase": float(np.mean(change > 0.0)),
-            "error_sd": float((change.mean() - truth) / change.std()),
-            "sd": float(change.std()),
-            "covered": float(low < truth < high),
-            "withheld": float(_withheld(matched, change)),
-            "seen": float(bool(matched.joint.changed)),
-            "alone_error_sd": (alone - truth) / alone_sd,
-            "alone_sd": alone_sd,
-        }
+        own = _answered(bench, joint, seen, truth, rng)
         out |= {f"{answer}_{name}": value for name, value in own.items()}
     return out
+
+
+def _answered(
+    bench: Bench,
+    joint: Bench,
+    seen: Sequence[Observed],
+    truth: Mapping[str, FloatArray],
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    """One way to answer: what :func:`bayesbl.measurement.direct_route.fit_jointly` does."""
+    unknowns = direct_unknowns(bench, SNAPSHOTS, GAP_RANGE_RAD)
+    point = [
+        joint.value(u.name) if u.recording is None else truth[u.name][SNAPSHOTS.index(u.recording)]
+        for u in unknowns
+    ]
+    model = SimulatedSignals(bench, seen, unknowns, [noise_of(s, s.signals) for s in seen])
+    nominal = refitted(model, fit_simulated(model, np.array(point)))
+    among = directions(bench, NO_DRIFT)
+    fit, rest = settled(nominal, among)
+    rivals: Sequence[Rival] = ()
+    withheld, told = False, any(u.added for u in fit.model.unknowns)
+    if not agrees(disagreements(rest.explained(fit)), FALSE_ALARM):
+        fit, joint_findings = find_changes(fit, among=among)
+        rest = beside(fit, among)
+        rivals, told = joint_findings.rivals, bool(joint_findings.changed)
+        withheld = joint_findings.against_bench or not joint_findings.explained
+    root = np.linalg.cholesky(fit.covariance)
+    draws = fit.point + rng.standard_normal((DRAWS, fit.point.size)) @ root.T
+    draws += rest.posterior.draw(rng, DRAWS).shift
+    first, last = (draws[:, fit.model.index(GAP, name)] for name in SNAPSHOTS)
+    change, grown = last - first, float(truth[GAP][1] - truth[GAP][0])
+    alone, alone_sd = _change(nominal)
+    width = float(np.diff(np.quantile(change, TAILS))[0])
+    apart = [abs(math.log(r.gaps_rad[1] / r.gaps_rad[0]) - np.median(change)) for r in rivals]
+    return {
+        "probability_increase": float(np.mean(change > 0.0)),
+        "error_sd": float((change.mean() - grown) / change.std()),
+        "sd": float(change.std()),
+        "covered": _holds(change, grown),
+        "gap_error_sd": float((last.mean() - truth[GAP][1]) / last.std()),
+        "gap_covered": _holds(last, float(truth[GAP][1])),
+        "withheld": float(withheld or max(apart, default=0.0) > MATTERS * width),
+        "seen": float(told),
+        "alone_error_sd": (alone - grown) / alone_sd,
+        "alone_sd": alone_sd,
+        "wider": float(last.std()) / nominal.sd(GAP, SNAPSHOTS[1]),
+    }
+
+
+def _holds(draws: FloatArray, truth: float) -> float:
+    low, high = np.quantile(draws, TAILS)
+    return float(low < truth < high)
 
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
@@ -163,6 +212,8 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
                 np.mean(own["alone_error_sd"] >= normal_isf(1.0 - CALLED_AT))
             ),
             f"{answer}_covered": float(own["covered"][given].mean()) if given.any() else math.nan,
+            f"{answer}_gap_covered": float(own["gap_covered"].mean()),
+            f"{answer}_wider": float(np.median(own["wider"])),
             f"{answer}_withheld": float(1.0 - given.mean()),
             f"{answer}_seen": float(own["seen"].mean()),
             f"{answer}_largest_error_sd": float(np.max(errors, initial=0.0)),
@@ -177,16 +228,14 @@ _NAMES = (
     "error_sd",
     "sd",
     "covered",
+    "gap_error_sd",
+    "gap_covered",
     "withheld",
     "seen",
     "alone_error_sd",
     "alone_sd",
+    "wider",
 )
-
-
-def _recorded(bench: Bench, gap_rad: float, name: str, rng: np.random.Generator) -> Recording:
-    start = float(rng.uniform(-math.pi, math.pi))
-    return bench.simulate(gap_rad, start_angle_rad=start, seed=rng, name=name)
 
 
 def _change(fit: SimulatedFit) -> tuple[float, float]:
@@ -194,25 +243,3 @@ def _change(fit: SimulatedFit) -> tuple[float, float]:
     toward = np.zeros(fit.point.size)
     toward[fit.model.index(GAP, SNAPSHOTS[1])], toward[fit.model.index(GAP, SNAPSHOTS[0])] = 1, -1
     return float(toward @ fit.point), math.sqrt(float(toward @ fit.covariance @ toward))
-
-
-def _changes(matched: JointFit, rng: np.random.Generator) -> FloatArray:
-    """Draws of the change of ln δ."""
-    fit = matched.fit
-    root = np.linalg.cholesky(fit.covariance)
-    draws = fit.point + rng.standard_normal((DRAWS, fit.point.size)) @ root.T
-    draws += matched.rest.posterior.draw(rng, DRAWS).shift
-    first, last = (fit.model.index(GAP, name) for name in SNAPSHOTS)
-    return np.asarray(draws[:, last] - draws[:, first])
-
-
-def _withheld(matched: JointFit, change: FloatArray) -> bool:
-    """Withheld by the joint check, or between rivals that are apart."""
-    if matched.withheld:
-        return True
-    low, high = np.quantile(change, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-    apart = [
-        abs(float(np.log(rival.gaps_rad[-1] / rival.gaps_rad[0])) - float(np.median(change)))
-        for rival in matched.joint.rivals
-    ]
-    return max(apart, default=0.0) > MATTERS * float(high - low)
