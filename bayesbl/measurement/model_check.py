@@ -16,8 +16,8 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import Feature, feature_values, features, folded_signal
+from bayesbl.model_search.always_in import CHANGED_TOGETHER
 from bayesbl.naming.joint_change import (
-    CHANGED_TOGETHER,
     FRICTION,
     MOTOR_FRICTION,
     ChangedParameter,

@@ -22,7 +22,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import factors_along
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
-from bayesbl.model_search.always_in import Direction
+from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction
 from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
 from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_own_noise
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
@@ -30,12 +30,6 @@ from bayesbl.naming.search import name_missing
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-
-CHANGED_TOGETHER = {
-    "payload": ("gravity_torque_nm", "load_inertia_kg_m2"),
-    "controller_gains": ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad"),
-}
-"""Bench parameters that one cause changes at once."""
 
 FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "friction_asymmetry")
 """What cold grease changes at once; a recording at one speed and direction hardly tells it apart.
