@@ -56,8 +56,8 @@ CHANGED_SHARE = 0.1
 
 CHANGED = 0.05
 """Probability of one cause before a snapshot, that nobody told of. A judgement: with six causes it
-leaves three joints of four as they were. Where data speak for none it costs nothing; where drift of
-the usual size explains a change nearly as well, it decides how much of the interval is left to it."""
+leaves three joints of four as they were. Where data speak for none it costs nothing; where drift
+explains a change nearly as well, it decides how much of the interval is left to it."""
 
 MOST_CHANGED = 3
 """Parameters that were changed."""

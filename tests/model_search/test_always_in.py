@@ -24,7 +24,7 @@ from bayesbl.model_search.always_in import beside, directions, laws, settled
 BENCH = reference_bench()
 GAP_RAD = 8e-4
 DAMPING = "shaft_damping_nm_s_per_rad"
-INERTIA = "load_inertia_kg_m2"
+INERTIA, GRAVITY = "load_inertia_kg_m2", "gravity_torque_nm"
 STIFFNESS = "shaft_stiffness_nm_per_rad"
 
 
@@ -66,7 +66,7 @@ def test_every_budget_is_of_something_that_exists_and_has_a_source() -> None:
 
 
 def test_what_people_set_does_not_drift_unless_told() -> None:
-    for name in (INERTIA, "gravity_torque_nm", "speed_gain_nm_s_per_rad"):
+    for name in (INERTIA, GRAVITY, "speed_gain_nm_s_per_rad"):
         assert drift_of(name, {}) == 0.0
         assert drift_of(name, {name: 0.02}) == 0.02
 
@@ -116,6 +116,16 @@ def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     assert abs(after) < 2.6 * wider  # one false alarm in a hundred
     # Which parameter it was is less sure than that one was changed.
     assert rest.posterior.sets.get((), 0.0) < 0.01 or len(fit.point) > len(nominal.point)
+
+
+@pytest.mark.long
+def test_a_payload_changes_inertia_and_gravity_at_once() -> None:
+    """Gravity is seen at once; the inertia looked like drift of damping and stiffness."""
+    nominal = pair(scaled(**{INERTIA: 0.97, GRAVITY: 1.03}), seed=3)
+    fit, rest = settled(nominal, directions(BENCH, {}))
+    assert {INERTIA, GRAVITY} <= {u.name for u in fit.model.unknowns if u.added}
+    found, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
+    assert abs(found) < 2.6 * wider  # one false alarm in a hundred
 
 
 @pytest.mark.long
