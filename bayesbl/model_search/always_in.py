@@ -28,7 +28,7 @@ from bayesbl.bench.drift import drift_of
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import Slot
-from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.posterior import TAILS, DirectPosterior
 from bayesbl.matching.signals import SimulatedSignals, Unknown
@@ -45,18 +45,24 @@ FIRST_STEP, LARGEST_STEP = 0.3, 2.0
 SHAFT_DAMPING_SHARE = 0.25
 """Of the shaft's damping, which no data sheet states and every bench has from somewhere."""
 
-CHANGED_TOGETHER = {
+CHANGED_TOGETHER: dict[str, tuple[str, ...]] = {
     "payload": ("gravity_torque_nm", "load_inertia_kg_m2"),
     "controller_gains": ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad"),
 }
-"""Bench parameters that one cause changes at once; every other one has a cause of its own."""
+"""Bench parameters that one cause changes at once."""
+
+CAUSES = CHANGED_TOGETHER | {
+    name: (name,) for name in CORRECTABLE_PARAMETERS if name != "gravity_torque_nm"
+}
+"""What may be changed. The inertia alone is with the posture of the axes behind the joint; gravity
+changes with a mass, so never alone."""
 
 CHANGED_SHARE = 0.1
 """Of a parameter: usual size of a change that is no drift."""
 
 CHANGED = 0.05
-"""Probability of one cause before a snapshot, that nobody told of. A judgement: with six causes it
-leaves three joints of four as they were. Where data speak for none it costs nothing; where drift
+"""Probability of one cause before a snapshot, that nobody told of. A judgement: with nine causes it
+leaves six joints of ten as they were. Where data speak for none it costs nothing; where drift
 explains a change nearly as well, it decides how much of the interval is left to it."""
 
 MOST_CHANGED = 3
@@ -187,7 +193,20 @@ class Label:
     def term(self, columns: FloatArray) -> Term:
         """As the engine takes it; ``columns`` are by one standard deviation each, (N, k)."""
         positive = self.recording is None and self.directions[0].positive
-        return Term(self.hypothesis, columns, positive, always=not self.cause)
+        return Term(
+            self.hypothesis,
+            columns,
+            positive,
+            always=not self.cause,
+            excludes=frozenset(self._others()) if self.cause else frozenset(),
+        )
+
+    def _others(self) -> Iterator[str]:
+        """Hypotheses that change one of its parameters too: each is changed once."""
+        own = {d.slot for d in self.directions}
+        for cause, slots in CAUSES.items():
+            if cause != self.cause and own & set(slots):
+                yield replace(self, cause=cause).hypothesis
 
     def unknowns(self, bench: Bench) -> list[Unknown]:
         """As unknowns of a fit."""
@@ -301,11 +320,8 @@ def _labels(model: SimulatedSignals, among: Sequence[Direction]) -> tuple[Label,
     owners = [seen.name for seen in model.recordings[1:]]
     labels = [Label((d,), None) for d in among if d.usual > 0.0]
     labels += [Label((d,), owner) for d in among if d.drift > 0.0 for owner in owners]
-    together = {slot for slots in CHANGED_TOGETHER.values() for slot in slots}
-    causes: dict[str, tuple[str, ...]] = dict(CHANGED_TOGETHER)
-    causes |= {d.slot: (d.slot,) for d in among if d.slot not in together}
     for owner in owners:
-        for cause, slots in causes.items():
+        for cause, slots in CAUSES.items():
             own = tuple(d for d in among if d.slot in slots and d.changed > 0.0)
             if own:
                 labels.append(Label(own, owner, cause))
