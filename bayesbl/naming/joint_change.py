@@ -458,7 +458,7 @@ def blind_spots(
 ) -> list[BlindSpot]:
     """Changes in the last recording that would pass, the one that moves the change of δ most first.
 
-    But for those ``among`` what is marginalised.
+    But for laws and drift ``among`` what is marginalised.
 
     With J the derivatives of the fit, C = (JᵀJ + P)⁻¹ and j that by the change, a change of size η
     moves the unknowns by C Jᵀj η if it is not modelled, and is found where η exceeds its standard
@@ -474,7 +474,9 @@ def blind_spots(
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
     least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
     least += normal_isf(MISSED)
-    derivatives, marginalised = fit.derivatives(), {direction.slot for direction in among}
+    derivatives = fit.derivatives()
+    # That something was changed by people is only a small probability.
+    marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
     for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)], one_by_one=True):
         if candidate.recording != last or len(amplitude_places(candidate)) != 1:
