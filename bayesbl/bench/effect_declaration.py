@@ -240,6 +240,9 @@ class Effect:
         Whether recordings at a few constant speeds could show that it is this one.
     in_bench_file
         A sentence: how a bench file states it in fewer words than under ``[[effects]]``.
+    always_in
+        It moves δ by more than a standard deviation before it shows, and its usual size may hide
+        (``configs/bias_against_visibility.toml``): every fit of a gap takes it into account.
     """
 
     place: int
@@ -259,6 +262,7 @@ class Effect:
     sought_alone: str | None = None
     sought_in_loop: bool = True
     in_bench_file: str = ""
+    always_in: bool = False
     slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

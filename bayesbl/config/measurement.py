@@ -102,9 +102,11 @@ class Joint(Section):
     """``[joint]``: what is known of the joint itself.
 
     ``may_drift``: how far a bench parameter or ``"effect.parameter"`` may move between the first
-    snapshot and each later one; the interval of the change then includes it. ``rated_torque_nm``,
-    at the output: lost motion is stated at 3 % of it. ``limit_rad`` is a limit of δ in rad,
-    ``limit`` one of δ, play or lost motion in the unit of a data sheet.
+    snapshot and each later one; the interval of the change then includes it. ``drift``: relative
+    standard deviation of what moves by itself between the first snapshot and each later one, by
+    the name of a bench parameter or effect, in place of the default; 0 for none.
+    ``rated_torque_nm``, at the output: lost motion is stated at 3 % of it. ``limit_rad`` is a limit
+    of δ in rad, ``limit`` one of δ, play or lost motion in the unit of a data sheet.
     """
 
     gear_ratio: Positive | None = None
@@ -113,6 +115,7 @@ class Joint(Section):
     limit: Annotated[Limit, BeforeValidator(_limit_of_text)] | None = None
     decide_before: Date | None = None
     may_drift: dict[str, Drift] = Field(default_factory=dict)
+    drift: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
 
     @field_validator("limit_rad")
     @classmethod

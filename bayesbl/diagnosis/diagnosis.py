@@ -71,6 +71,15 @@ class Estimate:
         own = sd if self.logarithmic else sd * self.value
         return replace(self, sd=math.hypot(factor * self.sd, own), draws=draws)
 
+    def shifted(self, shifts: FloatArray) -> Estimate:
+        """A positive value with an independent error of its logarithm, by draws of that, (n,)."""
+        draws = self.draws
+        if draws is not None:
+            draws = draws * np.exp(np.resize(shifts, draws.shape))
+        scale = 1.0 if self.logarithmic else self.value
+        sd = math.hypot(self.sd, scale * float(shifts.std()))
+        return replace(self, value=self.value + scale * float(shifts.mean()), sd=sd, draws=draws)
+
 
 @dataclass(frozen=True, slots=True)
 class NamedEffect:

@@ -97,7 +97,7 @@ class SimulatedFit:
         model = self.model
         if np.all((self.point > model.low) & (self.point < model.high)):
             return self.point
-        pull = self.derivatives().T @ self.residual + _prior_pull(model, self.point)
+        pull = self.derivatives().T @ self.residual + prior_pull(model, self.point)
         return np.asarray(self.point + self.covariance @ pull)
 
     def value(self, name: str, recording: str | None = None) -> float:
@@ -156,7 +156,7 @@ def fit_simulated(
     jacobian, steps = _jacobian(model, point, steps, one_sided=rough)
     holds, value_there, rounds = False, value, 1
     while True:
-        gradient = jacobian.T @ residual + _prior_pull(model, point)
+        gradient = jacobian.T @ residual + prior_pull(model, point)
         curvature = jacobian.T @ jacobian
         shape = curvature + normal
         gained, promised = 0.0, math.inf
@@ -245,7 +245,8 @@ def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray)
     )
 
 
-def _prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
+def prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
+    """Slope of the log prior at a point, shape (d,), flat priors left out."""
     prior = model.normal_prior
     return np.asarray(model.prior_slope - prior.precision @ (point - prior.centre))
 

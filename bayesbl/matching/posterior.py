@@ -90,6 +90,8 @@ class DirectPosterior:
     widening
         90 % interval of each coordinate over that without what rotations scatter by beyond their
         noise, shape (d,).
+    model_widening
+        The same over that with the bench's laws and parameters as they are, shape (d,).
     """
 
     fit: SimulatedFit
@@ -100,6 +102,7 @@ class DirectPosterior:
     refits: int
     diagnostics: Diagnostics
     widening: FloatArray
+    model_widening: FloatArray
 
     def beyond_tolerance(self, recording: str | None, level: float) -> str | None:
         """Why the gap of a recording cannot be told; ``None`` where no tolerance decides it.
@@ -206,7 +209,7 @@ def sample_direct(
             diagnostics = _judge(model, walked, draws, needed, failed)
             chi_square = expected.reshape(draws.shape[:2])
             return DirectPosterior(
-                fit, draws, chi_square, effective, CHECKED, refits, diagnostics, as_it_is
+                fit, draws, chi_square, effective, CHECKED, refits, diagnostics, as_it_is, as_it_is
             )
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
         chi_square, surrogate = regress(model, flat, local.centre, local.covariance, simulating)
@@ -231,6 +234,7 @@ def sample_direct(
         best.chi_square.size,
         best.refits,
         diagnostics,
+        as_it_is,
         as_it_is,
     )
 

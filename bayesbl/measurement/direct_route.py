@@ -70,7 +70,8 @@ from bayesbl.measurement.motion_verdict import (
     unseen_gap,
 )
 from bayesbl.measurement.task import Task, sampler_of
-from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, find_changes
+from bayesbl.model_search.always_in import Beside, beside, directions, marginalised, settled
+from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, changed_beside, find_changes
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive
@@ -171,10 +172,11 @@ class DirectMeasurer(Measurer):
             sampler_of(self.config),
             task.seeds.direct,
         )
+        drift = self.config.joint.drift
         found = task.work.get(
             "direct match",
-            problem,
-            lambda: fit_directly(*problem, self.config.run.workers, task.progress),
+            (*problem, drift),
+            lambda: fit_directly(*problem, self.config.run.workers, task.progress, drift),
             DirectMatch,
         )
         level = self.config.interval.level
@@ -257,6 +259,68 @@ def direct_unknowns(
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """All recordings fitted together.
+
+    Attributes
+    ----------
+    nominal
+        With the bench as believed and nothing but gaps free, beside what its file leaves open.
+    fit
+        With what changed, and what is far from where the bench has it, among its unknowns.
+    rest
+        Laws, drift and changes that stand beside it.
+    joint
+        Whether one joint made the recordings.
+    check
+        The predictive check, with ``rest`` taken into account.
+    """
+
+    nominal: SimulatedFit
+    fit: SimulatedFit
+    rest: Beside
+    joint: JointFindings
+    check: tuple[RepeatingPower, ...]
+
+    @property
+    def withheld(self) -> bool:
+        """No gap can be given."""
+        return self.joint.against_bench or not self.joint.explained
+
+
+def fit_jointly(
+    bench: Bench,
+    recordings: Sequence[Observed],
+    gap_rad: tuple[float, float],
+    may_drift: Mapping[str, float],
+    workers: int = 1,
+    progress: StageProgress | None = None,
+    drift: Mapping[str, float] = NO_DRIFT,
+) -> JointFit:
+    """The optimum of all recordings together, and whether one joint made them.
+
+    Laws that bias the gap before they show, and what drifts between the recordings, are always
+    allowed for; ``drift``: relative standard deviations in place of the defaults. What changed in
+    the joint beside that is freed where it is found.
+    """
+    moving = [r.name for r in recordings if r.motion is not None]
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
+    name = " and ".join(r.name for r in recordings)
+    aligning = of_stage(progress, f"Fitting the bench to {name}")
+    nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
+    among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
+    fit, rest = settled(nominal, among)
+    check = disagreements(rest.explained(fit))
+    if agrees(check, FALSE_ALARM):
+        return JointFit(nominal, fit, rest, changed_beside(fit, among), tuple(check))
+    seeking = of_stage(progress, f"Seeking changes in {name}")
+    fit, joint = find_changes(fit, among=among, progress=seeking)
+    rest = beside(fit, among)
+    check = disagreements(rest.explained(fit) if joint.explained else fit)
+    return JointFit(nominal, fit, rest, joint, tuple(check))
+
+
 def fit_directly(
     bench: Bench,
     recordings: Sequence[Observed],
@@ -266,24 +330,19 @@ def fit_directly(
     seed: np.random.SeedSequence,
     workers: int = 1,
     progress: StageProgress | None = None,
+    drift: Mapping[str, float] = NO_DRIFT,
 ) -> DirectMatch:
-    """Optimum, posterior of all recordings together, and whether one joint made them.
-
-    What changed in the joint between the recordings is freed where it is found.
-    """
-    moving = [r.name for r in recordings if r.motion is not None]
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
+    """Optimum and posterior of all recordings together, as :func:`fit_jointly` has them."""
+    matched = fit_jointly(bench, recordings, gap_rad, may_drift, workers, progress, drift)
     name = " and ".join(r.name for r in recordings)
-    aligning = of_stage(progress, f"Fitting the bench to {name}")
-    begun = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
-    fit, joint = find_changes(begun, progress=of_stage(progress, f"Seeking changes in {name}"))
     report = of_stage(progress, f"Sampling {name}")
-    withheld = joint.against_bench or not joint.explained
     simulating = of_stage(progress, f"Simulating draws of {name}")
-    posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
+    withheld = matched.withheld
+    posterior = sample_direct(matched.fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:
-        posterior = widened(posterior, *seed.spawn(1))
-    return DirectMatch(posterior, tuple(disagreements(fit)), joint)
+        scattering, drifting = seed.spawn(2)
+        posterior = marginalised(widened(posterior, scattering), matched.rest, drifting)
+    return DirectMatch(posterior, matched.check, matched.joint)
 
 
 def direct_verdict(
@@ -742,17 +801,19 @@ def _rotations(posterior: DirectPosterior, index: int) -> float:
 
 
 def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
-    """How much of the variance of ln δ would be there if the bench were known exactly."""
+    """Shares of the variance of ln δ: by noise, were the bench known exactly; by laws that it may
+    lack and by drift; the rest by what it states with a tolerance."""
     fit = posterior.fit
     place = own_unknowns(posterior, recording)[DELTA]
+    model_share = 1.0 - min(1.0, float(posterior.model_widening[place]) ** -2.0)
     free = np.array([i for i, u in enumerate(fit.model.unknowns) if u.recording is not None])
     if free.size == len(fit.model.unknowns):
-        return {"noise": 1.0}
+        return {"noise": 1.0 - model_share, "laws_and_drift": model_share}
     known = fit.curvature + fit.model.prior_precision()
     alone = np.linalg.inv(known[np.ix_(free, free)])
     noise = float(alone[list(free).index(place), list(free).index(place)])
-    share = min(1.0, noise / float(posterior.draws[..., place].var()))
-    return {"noise": share, "bench": 1.0 - share}
+    share = min(1.0 - model_share, noise / float(posterior.draws[..., place].var()))
+    return {"noise": share, "laws_and_drift": model_share, "bench": 1.0 - model_share - share}
 
 
 ROUTE = Route("direct", GROUPS)

@@ -16,8 +16,8 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import Feature, feature_values, features, folded_signal
+from bayesbl.model_search.always_in import CHANGED_TOGETHER
 from bayesbl.naming.joint_change import (
-    CHANGED_TOGETHER,
     FRICTION,
     MOTOR_FRICTION,
     ChangedParameter,
@@ -31,9 +31,10 @@ from bayesbl.units import number
 def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
     """One recording against its bench."""
     own = [c for c in found.changed if c.recording in (None, recording)]
+    allowed = [c for c in found.allowed if c.recording in (None, recording)]
     return JointCheck(
         found.explained and not own,
-        [_item(c) for c in own],
+        [_item(c) for c in (*own, *allowed)],
         found.could_be if own else (),
     )
 

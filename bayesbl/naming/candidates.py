@@ -19,10 +19,10 @@ from bayesbl.bench.effect_declaration import (
     Shape,
 )
 from bayesbl.bench.effects import EFFECTS, effect_named
+from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, Unknown
-from bayesbl.naming.joint_size import search_scale
 from bayesbl.naming.motor_orders import OrderPeak
 from bayesbl.recording.types import FloatArray
 

@@ -22,6 +22,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import factors_along
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
+from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction
 from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
 from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_own_noise
 from bayesbl.naming.motor_orders import OrderPeak, order_peaks
@@ -29,12 +30,6 @@ from bayesbl.naming.search import name_missing
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-
-CHANGED_TOGETHER = {
-    "payload": ("gravity_torque_nm", "load_inertia_kg_m2"),
-    "controller_gains": ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad"),
-}
-"""Bench parameters that one cause changes at once."""
 
 FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "friction_asymmetry")
 """What cold grease changes at once; a recording at one speed and direction hardly tells it apart.
@@ -51,6 +46,9 @@ FURTHEST_CHANGE = 3.0
 MOST_CHANGES = 2
 MOST_ORDERS = 6
 """Of the motor that are listed."""
+
+BEYOND = 2.0
+"""Budgets of drift beyond which a parameter has changed: one in twenty drifts so far."""
 
 FALSE_ALARM = 0.005
 """Of the predictive check and of naming a change, each over all that it tests."""
@@ -140,6 +138,8 @@ class JointFindings:
         Names of what is freed, and of what these recordings cannot tell from it.
     blind_spots
         The one that moves the change of δ most first.
+    allowed
+        What was fitted besides and is no more than a joint may differ from its bench, or drift.
     motor_orders
         Whole orders of the motor that make most of what the bench as believed leaves.
     """
@@ -151,6 +151,7 @@ class JointFindings:
     rivals: tuple[Rival, ...]
     blind_spots: tuple[BlindSpot, ...]
     motor_orders: tuple[int, ...] = ()
+    allowed: tuple[ChangedParameter, ...] = ()
 
     @property
     def agrees(self) -> bool:
@@ -165,7 +166,11 @@ class JointFindings:
 
 
 def find_changes(
-    nominal: SimulatedFit, false_alarm: float = FALSE_ALARM, *, progress: Progress | None = None
+    nominal: SimulatedFit,
+    false_alarm: float = FALSE_ALARM,
+    *,
+    among: Sequence[Direction] = (),
+    progress: Progress | None = None,
 ) -> tuple[SimulatedFit, JointFindings]:
     """What the bench would have to have, in all recordings or in one, to explain them.
 
@@ -175,6 +180,8 @@ def find_changes(
         All recordings of a joint fitted together with the bench as believed.
     false_alarm
         Of the predictive check and of the search, each over all that it tests.
+    among
+        What is marginalised beside the fit that is made here, and so is no blind spot.
     progress
         Called with (fits made, fits expected).
 
@@ -206,10 +213,53 @@ def find_changes(
             for found in naming.effects
             for rival in found.indistinguishable
         ),
-        tuple(blind_spots(fit, false_alarm)) if explained else (),
+        tuple(blind_spots(fit, false_alarm, among)) if explained else (),
         tuple(_motor_orders(nominal)),
     )
     return fit, findings
+
+
+def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindings:
+    """What of the joint changed where laws, drift and changes beside a fit explain everything.
+
+    ``among``: what was marginalised, and so is no blind spot; what was far is now an unknown.
+    """
+    names = tuple(seen.name for seen in fit.model.recordings)
+    by_slot = {direction.slot: direction for direction in among}
+    told: list[ChangedParameter] = []
+    allowed: list[ChangedParameter] = []
+    for place, unknown in enumerate(fit.model.unknowns):
+        direction = by_slot.get(unknown.name)
+        # A tolerance of the bench, or what the user lets drift, is flat.
+        if direction is None or not math.isfinite(unknown.sd):
+            continue
+        own = _as_changed(fit, place)
+        drifted = unknown.added and abs(own.found - own.believed) <= BEYOND * direction.drift
+        (allowed if drifted or not unknown.added else told).append(own)
+    return JointFindings(
+        names,
+        True,
+        tuple(told),
+        tuple(dict.fromkeys(c.name for c in told)),
+        (),
+        tuple(blind_spots(fit, among=among)),
+        (),
+        tuple(allowed),
+    )
+
+
+def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
+    """An unknown of a fit against the first recording, or where all share it against the bench."""
+    unknown, model = fit.model.unknowns[place], fit.model
+    value, sd = float(fit.point[place]), math.sqrt(float(fit.covariance[place, place]))
+    where = unknown.recording or model.recordings[0].name
+    seen = next(r for r in model.recordings if r.name == where)
+    found = float(model.vectors(fit.point[None], seen)[0, Slot[unknown.name]])
+    believed = (
+        found - value if unknown.added else float(model.bench.vector()[0, Slot[unknown.name]])
+    )
+    name = unknown.name.replace("__", ".")
+    return ChangedParameter(name, unknown.recording, believed, found, sd, _unit(unknown.name))
 
 
 def _motor_orders(fit: SimulatedFit) -> list[int]:
@@ -403,8 +453,12 @@ def _own_effects(bench: Bench) -> list[Candidate]:
     return found
 
 
-def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[BlindSpot]:
+def blind_spots(
+    fit: SimulatedFit, false_alarm: float = FALSE_ALARM, among: Sequence[Direction] = ()
+) -> list[BlindSpot]:
     """Changes in the last recording that would pass, the one that moves the change of δ most first.
+
+    But for laws and drift ``among`` what is marginalised.
 
     With J the derivatives of the fit, C = (JᵀJ + P)⁻¹ and j that by the change, a change of size η
     moves the unknowns by C Jᵀj η if it is not modelled, and is found where η exceeds its standard
@@ -421,9 +475,13 @@ def blind_spots(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> list[Bli
     least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
     least += normal_isf(MISSED)
     derivatives = fit.derivatives()
+    # That something was changed by people is only a small probability.
+    marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
     for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)], one_by_one=True):
         if candidate.recording != last or len(amplitude_places(candidate)) != 1:
+            continue
+        if marginalised & {u.name for u in candidate.unknowns}:
             continue
         spots += [
             _largest_hidden(fit, candidate, columns, derivatives, toward, least)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from bayesbl.bench.effects import effect_named
 from bayesbl.matching.signals import GAP
@@ -17,10 +17,6 @@ from bayesbl.naming.candidates import Candidate
 from bayesbl.naming.criteria import left, repeating_misfit
 from bayesbl.naming.explanation import (
     Explanation,
-    explain,
-    gain_threshold,
-    linear_gains,
-    polished,
     reduced,
 )
 from bayesbl.naming.naming import NamedCandidate, Naming
@@ -45,12 +41,6 @@ FORM_OF_GAP_BY_LAW = {"shaft_hysteresis": 0.05}
 Four times as much, as a real shaft's hysteresis may be less like Dahl's than Bouc-Wen's is. Both
 are in the summary of ``bayesbl run configs/open_world.toml``.
 """
-
-
-SHAFT_PARAMETERS = ("shaft_stiffness_nm_per_rad", "shaft_damping_nm_s_per_rad")
-
-BY_CHANCE = 0.01
-"""Of a law that is not there: its gain counts, and what it does to δ widens the interval."""
 
 
 def without_mends(naming: Naming, explained: float = 0.0) -> Naming:
@@ -119,38 +109,6 @@ def form_of_gap(naming: Naming) -> float:
     """Share to which what the named laws of the shaft do to ln δ is not known; 0 without any."""
     names = [law.candidate.name for law in laws_of_shaft(naming)]
     return max((FORM_OF_GAP_BY_LAW.get(name, FORM_OF_GAP) for name in names), default=0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class UnnamedLaw:
-    """What shapes the shaft's torque and is too weak to be named, and how far it moves ln δ."""
-
-    name: str
-    moves: float
-
-
-def unnamed_law(base: Explanation, candidates: Sequence[Candidate]) -> UnnamedLaw | None:
-    """Of the shaft's laws and parameters that gain more than chance the one that moves ln δ most.
-
-    A weak damping is seen in δ before it is seen in what is left: they look alike.
-    """
-    if GAP not in [u.name for u in base.fit.model.unknowns]:
-        return None
-    shaft = [c for c in candidates if _shapes_ringing(c) and c.label not in base.names]
-    found = []
-    for candidate, promise in zip(shaft, linear_gains(base, shaft), strict=True):
-        least = gain_threshold(len(candidate.unknowns), 1, BY_CHANCE)
-        rough = explain(base, candidate) if promise > least else None
-        if rough is None:
-            continue
-        fitted = polished(rough)
-        if base.fit.chi_square - fitted.fit.chi_square > least:
-            found.append(UnnamedLaw(candidate.name, abs(_log_gap(fitted) - _log_gap(base))))
-    return max(found, key=lambda law: law.moves, default=None)
-
-
-def _shapes_ringing(candidate: Candidate) -> bool:
-    return _is_law_of_shaft(candidate) or candidate.name in SHAFT_PARAMETERS
 
 
 def _less(naming: Naming, names: Sequence[NamedCandidate]) -> Explanation | None:

@@ -68,7 +68,17 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
     if not answer.is_ringing_alone(summary):
         yield "Before the recording every gap is equally likely in ln δ."
     if summary["kind"] == "compare":
-        yield "Nothing but the gap changed between the snapshots: same joint, controller and load."
+        if answer.is_simulated(summary):
+            yield (
+                "Between the snapshots damping, friction, stiffness and the motor's torque drift "
+                "by no more than usual ([joint.drift]); controller and load are the same, unless "
+                "a change of them is reported."
+            )
+        else:
+            yield (
+                "Nothing but the gap changed between the snapshots: same joint, controller and "
+                "load."
+            )
     yield from _of_interval(last)
 
 

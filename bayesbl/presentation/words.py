@@ -28,6 +28,7 @@ _SOURCES = {
     "rounding": "rounding of the curve's coefficients",
     "regression": "coefficients of the curve",
     "lack_of_fit": "lack of fit of the curve",
+    "laws_and_drift": "laws that the bench may lack, and drift between snapshots",
     "bench": "tolerances of the bench",
     "repeated_ramps": "scatter of repeated ramps",
     "positions_round_the_turn": "positions round the turn",

@@ -15,6 +15,7 @@ import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import reference_bench
@@ -25,7 +26,6 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.naming.candidates import candidates
-from bayesbl.naming.joint_size import search_scale
 from bayesbl.naming.search import name_missing
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray

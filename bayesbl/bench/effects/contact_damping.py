@@ -31,4 +31,5 @@ EFFECT = Effect(
     depends_on=("twist",),
     data="ringing that dies sooner under high load torque than under low",
     reference="Hunt & Crossley 1975, J. Appl. Mech. 42, 440",
+    always_in=True,
 )

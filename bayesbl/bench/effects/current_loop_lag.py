@@ -31,4 +31,5 @@ EFFECT = Effect(
     enters="loop",
     depends_on=(),
     data="ringing less damped; current behind speed",
+    always_in=True,
 )

@@ -37,4 +37,5 @@ EFFECT = Effect(
         same_as=("load_viscous_friction",),
     ),
     free_motion=True,
+    always_in=True,
 )

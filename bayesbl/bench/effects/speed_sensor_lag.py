@@ -30,4 +30,5 @@ EFFECT = Effect(
     enters="loop",
     depends_on=(),
     data="ringing less damped; pulse fronts rounded",
+    always_in=True,
 )

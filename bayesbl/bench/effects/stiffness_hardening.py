@@ -29,4 +29,5 @@ EFFECT = Effect(
     depends_on=("twist",),
     data="ringing faster under high load torque than under low",
     reference="Tuttle & Seering 1996, IEEE Trans. Robot. Autom. 12, 368",
+    always_in=True,
 )

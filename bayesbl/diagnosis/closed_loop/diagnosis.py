@@ -69,7 +69,6 @@ def diagnosis_of(
     kinds = {candidate.kind for candidate in final.candidates}
     withheld = _why_no_gap(found, posterior, level)
     form = 0.0 if found.learned else form_sd(naming)
-    moves = 0.0 if found.unnamed is None else found.unnamed.moves
     misfit = math.sqrt(misfit_scale(final.fit))
     gap_is_given = not withheld and GAP in [u.name for u in final.fit.model.unknowns]
     doubts = _doubts_in_words(found, form, misfit) if gap_is_given else ()
@@ -107,9 +106,7 @@ def diagnosis_of(
         (*notes, *doubts),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=None
-        if withheld
-        else _delta_after(found, sampled, math.hypot(form, moves), misfit),
+        delta_after=None if withheld else _delta_after(found, sampled, form, misfit),
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
@@ -200,11 +197,6 @@ def _doubts_in_words(found: Findings, form: float, misfit: float) -> Iterator[st
             f"What is left is less than {100.0 * FORM_SHARE:.1g} % of what {laws} explains. The "
             "form of that law may leave as much, so no other name is given for it."
         )
-    if found.unnamed is not None:
-        yield (
-            f"{in_words(found.unnamed.name).capitalize()}, too weak to be named, would move the "
-            f"gap by {100.0 * found.unnamed.moves:.2g} %, and the gap's interval includes that."
-        )
     if misfit > 1.0:
         yield (
             "What is left still repeats. It counts as noise for the gap, whose interval is "
@@ -217,16 +209,16 @@ def _delta_after(
 ) -> Estimate | None:
     """δ with what was named and learned; ``None`` where it is known.
 
-    ``form``: standard deviation of ln δ that the shaft's laws, named or not, add. ``misfit``: of
-    what is left over that of noise.
+    ``form``: standard deviation of ln δ that the form of the shaft's named laws adds. ``misfit``:
+    of what is left over that of noise. Laws that nothing shows are always included.
     """
     if found.learned is None:
         estimate = _averaged_delta(found.naming, found.final, sampled)
     else:
         estimate = _delta(found.final, sampled)
-    if estimate is None or (misfit == 1.0 and form == 0.0):
+    if estimate is None or found.law_shifts is None:
         return estimate
-    return estimate.widened(misfit, form)
+    return estimate.widened(misfit, form).shifted(found.law_shifts)
 
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
+import numpy as np
+
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import (
@@ -22,6 +24,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
+from bayesbl.model_search.always_in import beside, laws
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.criteria import ENOUGH_CLOSED, enough_closed, left
 from bayesbl.naming.explanation import (
@@ -31,17 +34,15 @@ from bayesbl.naming.explanation import (
     reduced,
     with_own_noise,
 )
-from bayesbl.naming.law_forms import (
-    UnnamedLaw,
-    is_within_form,
-    unnamed_law,
-    without_mends,
-)
+from bayesbl.naming.law_forms import is_within_form, without_mends
 from bayesbl.naming.naming import Naming
 from bayesbl.naming.search import name_missing
 from bayesbl.progress import Progress
+from bayesbl.recording.types import FloatArray
 
 MOST_EFFECTS = 3
+
+SHIFTS_DRAWN = 4000
 
 LEAST_LEARNED = 0.5
 """Of what repeats: what removes less than half of it is not what repeats."""
@@ -75,8 +76,8 @@ class Findings:
         What still stands out after naming.
     learned
         What was learned from what naming left; ``final`` has it.
-    unnamed
-        A law of the shaft that is too weak to be named, but not to move δ.
+    law_shifts
+        Draws of what laws that nothing shows add to ln δ; ``None`` where no gap is sought.
     """
 
     believed: Bench
@@ -87,7 +88,7 @@ class Findings:
     residuals_after: ResidualAnalysis
     remaining: tuple[Unexplained, ...]
     learned: Learned | None = None
-    unnamed: UnnamedLaw | None = None
+    law_shifts: FloatArray | None = None
 
 
 def search(
@@ -148,8 +149,18 @@ def search(
         result.after,
         result.remaining,
         learned,
-        unnamed_law(final, catalogue()),
+        _law_shifts(final.fit),
     )
+
+
+def _law_shifts(fit: SimulatedFit) -> FloatArray | None:
+    """See :mod:`bayesbl.model_search.always_in`."""
+    gaps = [k for k, u in enumerate(fit.model.unknowns) if u.name == GAP]
+    if not gaps:
+        return None
+    rest = beside(fit, laws(fit.model.bench))
+    drawn = rest.posterior.draw(np.random.default_rng(0), SHIFTS_DRAWN)
+    return np.asarray(drawn.shift[:, gaps[0]])
 
 
 def _enough_closed(naming: Naming, compared: _Compared) -> tuple[Naming, Explanation]:
