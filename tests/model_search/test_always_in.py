@@ -114,8 +114,6 @@ def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     fit, rest = settled(nominal, directions(BENCH, {}))
     after, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
     assert abs(after) < 2.6 * wider  # one false alarm in a hundred
-    # Which parameter it was is less sure than that one was changed.
-    assert rest.posterior.sets.get((), 0.0) < 0.01 or len(fit.point) > len(nominal.point)
 
 
 @pytest.mark.long
