@@ -1,0 +1,598 @@
+"""Posterior of play, wind-up, ratio, skew and transmission error from both encoders at once.
+
+With x the motor's position at the load and θ_l the load's,
+
+    θ_l = x − s(x; h) + H β + e,        s within ±h
+
+where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, what the
+ratio is off by (x), the skew of the channels (ẋ), inertia that winds the joint up (ẍ), torque, and
+the transmission error: harmonics of motor and load angle (one curve of the angle, the same both
+ways, where the load makes less than a turn). β is normal and integrated out. The noise e is white
+beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
+drift from stroke to stroke so counts once a stroke, not once a sample. In the gap the load is
+where it likes, so the noise is as wide as the gap there.
+
+Every course of the flanks (a load that stays, or coasts on by some deceleration) is tried over a
+grid of h, and their probabilities are added. h, half of what lies between both directions, is δ
+and half of what friction of the load winds up:
+
+    h = δ + w/2
+
+w is c T u with a torque that tells the compliance c and the friction T, of which an unknown share u
+is the load's; else what makers' sheets let expect. δ has a mass at zero. Skew, eccentricity and a
+wrong ratio make no lag that keeps its size from slow to fast and turns with the direction: they are
+told from play by their evidence, here and not before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from bayesbl.compiled import compiled
+from bayesbl.recording.types import FloatArray
+from bayesbl.two_encoders.paths import LONGEST_SKEW_S, Channels, Paths, scaled_paths, load_lag
+
+PLAY_RAD = (1e-5, 0.5)
+"""Range of δ; its logarithm is uniform there."""
+
+NO_PLAY = 0.5
+"""Probability of none, beforehand."""
+
+HELD_RAD, HELD_SPREAD = 2.5e-5, 1.2
+"""Half of what friction winds up, where no torque tells it: median, and standard deviation of ln.
+
+Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of the rated torque, about
+what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
+"""
+
+COASTING = (np.inf, 3.0, 1.0, 0.3, 0.1, 0.0)
+"""Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
+
+STAYS = 0.5
+"""Probability of the first, beforehand."""
+
+CURVE_ORDERS, MOTOR_ORDERS, LOAD_ORDERS = 16, 4, 8
+"""Of the transmission error: of the travel, and of each angle where it makes a turn."""
+
+ANYWHERE, VISIBLE, CHANGE = 0.8, 8.0, np.log(3.0)
+"""Of a load whose way through the gap is not known: its standard deviation there over h (that of a
+normal density as high as the uniform one), the least h over the noise, and the cost of a change
+between flank and gap."""
+
+ECCENTRIC_RAD = 0.015
+"""Standard deviation of what an encoder's ring or magnet that is not centred makes once a turn.
+
+Over a part of a turn it looks like another gear ratio.
+"""
+
+LOOSE = 0.3
+"""Standard deviation in the gap, over h."""
+
+RATIO_STATED = 0.01
+"""Relative standard deviation of a gear ratio that is stated."""
+
+INERTIA_S2 = 3e-4
+"""Standard deviation of (1/2πf)², by which inertia winds up a joint that rings at f = 9 Hz."""
+
+PER_DECADE, DEEPEST = 10, 12.0
+"""Of the first grid of h; log probability below the best from which none is refined."""
+
+DRAWS = (4, 1000)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations and correlation time of e, and the size of the transmission error."""
+
+    white_rad: float
+    drift_rad: float
+    drift_s: float
+    curve_rad: float
+
+    @classmethod
+    def of(cls, logs: FloatArray) -> Noise:
+        """From logarithms."""
+        return cls(*(float(v) for v in np.exp(logs)))
+
+    @property
+    def logs(self) -> FloatArray:
+        """Logarithms, in the order of the attributes."""
+        return np.log([self.white_rad, self.drift_rad, self.drift_s, self.curve_rad])
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How the load gets from flank to flank.
+
+    By its free deceleration, rad/s², and its weight; or in no way that is known (``free``): the
+    lag is then what was measured, wherever that is well within the gap.
+    """
+
+    drag: float
+    prior: float
+    weighs: bool = False
+    free: bool = False
+
+
+@dataclass(slots=True)
+class Cell:
+    """The model at one course and h: log evidence, mean of β and root of its precision."""
+
+    course: int
+    half_rad: float
+    log_evidence: float
+    beta: FloatArray
+    root: FloatArray
+    lag: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Transmission:
+    """Draws of shape (chain, draw), independent of one another, and what they were drawn from.
+
+    Attributes
+    ----------
+    draws
+        ``delta_rad``, ``play_rad``, ``lost_motion_rad``, ``held_windup_rad``, ``gear_ratio``,
+        ``channel_skew_s``, ``transmission_error_rad`` (peak to peak); with a torque that tells it
+        ``compliance_rad_per_nm``.
+    harmonics
+        Draws of amplitudes of the transmission error, rad, by (encoder, order), where that angle
+        makes a turn or more.
+    probability_of_play
+        That δ is not zero.
+    log_odds
+        Log evidence of the best lag over none, without the priors.
+    position_rad, lag_rad, modelled_rad, curve_rad
+        At the bins: the load's angle, motor less load without all but the lag, the lag as
+        modelled, and the transmission error.
+    coasts
+        Probability that the load coasts through the gap.
+    reversals
+        Of the motor.
+    friction_nm, gravity_holds
+        Friction at the output by the torque, and how often the load's weight is above it.
+    """
+
+    paths: Paths
+    draws: dict[str, FloatArray]
+    harmonics: dict[tuple[str, int], FloatArray]
+    probability_of_play: float
+    log_odds: float
+    noise: Noise
+    position_rad: FloatArray
+    lag_rad: FloatArray
+    modelled_rad: FloatArray
+    curve_rad: FloatArray
+    coasts: float
+    reversals: int
+    friction_nm: float | None
+    gravity_holds: float
+
+
+class Design:
+    """H at the bins with the prior standard deviations of β.
+
+    ``curve`` are the columns of the transmission error, whose size is a parameter of the noise.
+    The load's angle in them is as modelled, x − s.
+    """
+
+    def __init__(self, paths: Paths, torque: FloatArray | None, *, stated: bool) -> None:
+        self.motor_rad = paths.binned(paths.motor_rad)
+        self.load_rad = paths.binned(paths.load_rad)
+        self.time_s = paths.binned(paths.time_s)
+        self.travel_rad = float(np.ptp(self.motor_rad))
+        motor_turn = 2.0 * np.pi * abs(paths.slope)
+        plain = [np.ones_like(self.motor_rad), self.motor_rad]
+        plain += [paths.binned(paths.speed), paths.binned(paths.acceleration)]
+        names = ["offset", "ratio", "skew", "inertia"]
+        sd = [1e3, RATIO_STATED if stated else 0.3, LONGEST_SKEW_S]
+        sd += [INERTIA_S2 if torque is None else 0.1]
+        if torque is not None:
+            plain.append(paths.binned(torque))
+            names.append("torque")
+            sd.append(1.0 / max(float(np.std(torque)), 1e-12))
+        self.turns = self.travel_rad > 2.0 * np.pi
+        first = len(names) + (0 if self.turns else 2)
+        orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
+        if self.turns:
+            names += [f"load {n} {part}" for part in ("cos", "sin") for n in orders[0]]
+        else:
+            orders = [np.arange(1, CURVE_ORDERS + 1)]
+            names += ["eccentric, cos", "eccentric, sin", *(f"curve {n}" for n in orders[0])]
+            sd += [ECCENTRIC_RAD, ECCENTRIC_RAD]
+        sd += [1.0 / n for group in orders for n in group]
+        if self.travel_rad > motor_turn:
+            phase = 2.0 * np.pi / motor_turn * self.motor_rad
+            counted = range(1, MOTOR_ORDERS + 1)
+            self.motor_part = [wave(n * phase) for wave in (np.cos, np.sin) for n in counted]
+            names += [f"motor {n} {part}" for part in ("cos", "sin") for n in counted]
+            sd += [1.0 / n for _ in range(2) for n in counted]
+        else:
+            self.motor_part = []
+        self.plain, self.names, self.sd = plain, tuple(names), np.array(sd)
+        self.curve = slice(first, len(names))
+        self.centre = np.zeros(len(names))
+        self.centre[1] = 1.0
+
+    def columns(self, lag: FloatArray) -> FloatArray:
+        """H, shape (bins, k), where the load lags the motor by ``lag``."""
+        angle = self.motor_rad - lag
+        if self.turns:
+            base = np.exp(1j * angle)
+            powers = np.cumprod(np.repeat(base[:, None], LOAD_ORDERS, axis=1), axis=1)
+            waves = [powers.real, powers.imag]
+        else:
+            share = (angle - angle.min()) / max(float(np.ptp(angle)), 1e-300)
+            base = np.exp(1j * np.pi * share)
+            powers = np.cumprod(np.repeat(base[:, None], CURVE_ORDERS, axis=1), axis=1)
+            waves = [np.cos(angle)[:, None], np.sin(angle)[:, None], powers.real]
+        return np.column_stack(
+            [self.plain[0], angle, *self.plain[2:], *waves, *self.motor_part]
+        )
+
+    def precision(self, noise: Noise) -> FloatArray:
+        """Of the prior of β."""
+        sd = self.sd.copy()
+        sd[self.curve] *= noise.curve_rad
+        return sd**-2.0
+
+
+@compiled()
+def _whiten(
+    values: FloatArray, step_s: FloatArray, white: FloatArray, drift: float, drift_s: float
+) -> float:  # pragma: no cover (compiled)
+    """Turn columns (bins, k) into innovations of unit variance, in place; −½ ln of their variance.
+
+    Kalman's filter of a process of Ornstein and Uhlenbeck seen through white noise.
+    """
+    bins, k = values.shape
+    mean = np.zeros(k)
+    variance, log = drift * drift, 0.0
+    for i in range(bins):
+        if i:
+            keep = np.exp(-step_s[i - 1] / drift_s)
+            variance = keep * keep * variance + (1.0 - keep * keep) * drift * drift
+            for j in range(k):
+                mean[j] *= keep
+        total = variance + white[i]
+        gain, scale = variance / total, 1.0 / np.sqrt(total)
+        log -= 0.5 * np.log(total)
+        for j in range(k):
+            innovation = values[i, j] - mean[j]
+            mean[j] += gain * innovation
+            values[i, j] = innovation * scale
+        variance *= 1.0 - gain
+    return log
+
+
+class Model:
+    """The model of one recording at one scaling of the paths."""
+
+    def __init__(
+        self, paths: Paths, design: Design, courses: Sequence[Course], push: FloatArray
+    ) -> None:
+        self.paths, self.design, self.courses, self.push = paths, design, courses, push
+        self.step_s = np.diff(design.time_s)
+        self.seen = design.motor_rad - design.load_rad
+        self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
+        self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
+
+    def see(self, cell: Cell) -> None:
+        """Take the lag from the measurement, with all else as in a cell."""
+        rest = cell.beta.copy()
+        rest[1] = 0.0
+        other = self.design.columns(cell.lag) @ rest
+        self.seen = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
+        self.reference = cell
+
+    def lag(self, course: int, half_rad: float) -> FloatArray:
+        """s at every sample."""
+        if half_rad <= 0.0:
+            return np.zeros(self.paths.motor_rad.size)
+        path, how = self.paths, self.courses[course]
+        push = self.push if how.weighs else np.zeros_like(self.push)
+        start = float(np.clip(self.lead, -half_rad, half_rad))
+        return np.asarray(
+            load_lag(path.motor_rad, path.speed, push, path.time_s, half_rad, how.drag, start)
+        )
+
+    def cell(self, course: int, half_rad: float, noise: Noise) -> Cell:
+        """The evidence there, and β."""
+        design, change = self.design, 0
+        if self.courses[course].free:
+            spread = float(np.hypot(noise.white_rad, noise.drift_rad))
+            if half_rad < VISIBLE * spread:
+                return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
+            margin = min(3.0 * spread, 0.2 * half_rad)
+            inside = np.abs(self.seen) < half_rad - margin
+            lag = np.where(inside, self.seen, half_rad * np.sign(self.seen))
+            loose = np.where(inside, (ANYWHERE * half_rad) ** 2, 0.0)
+            change = int(np.count_nonzero(np.diff(inside)))
+        else:
+            lag = self.paths.binned(self.lag(course, half_rad))
+            loose = (LOOSE * (half_rad - np.abs(lag))) ** 2 if half_rad > 0.0 else 0.0
+        white = np.full(lag.size, noise.white_rad**2) + loose
+        # About the stated ratio: what is left of the load beside x − s.
+        left = design.load_rad + lag - design.motor_rad
+        both = np.column_stack([design.columns(lag), left])
+        log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
+        columns, seen = both[:, :-1], both[:, -1]
+        precision = design.precision(noise)
+        inner = columns.T @ columns
+        inner[np.diag_indices_from(inner)] += precision
+        factor = cho_factor(inner, lower=True)
+        towards = columns.T @ seen
+        beta = cho_solve(factor, towards)
+        square = float(seen @ seen) - float(towards @ beta)
+        diagonal = np.diag(factor[0])
+        beta = beta + design.centre
+        log += -0.5 * square - float(np.log(diagonal).sum()) + 0.5 * float(np.log(precision).sum())
+        return Cell(course, half_rad, log, beta, np.asarray(factor[0]), lag)
+
+    def noise_at(self, course: int, half_rad: float, first: Noise) -> Noise:
+        """The noise of the largest evidence, from a first guess."""
+        floor = max(0.2 * self.paths.load_step_rad, 1e-8)
+        span = float(self.design.time_s[-1] - self.design.time_s[0])
+        low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
+        high = np.log([1.0, 1.0, span, 0.03])
+
+        def cost(logs: FloatArray) -> float:
+            inside = np.clip(logs, low, high)
+            beyond = float(np.sum((logs - inside) ** 2))
+            return -self.cell(course, half_rad, Noise.of(inside)).log_evidence + 10.0 * beyond
+
+        start = np.clip(first.logs, low, high)
+        simplex = np.vstack([start, start + 0.7 * np.eye(4) * np.where(start < high - 1, 1, -1)[:, None]])
+        found = minimize(
+            cost,
+            start,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "maxfev": 160, "xatol": 0.05, "fatol": 0.05},
+        )
+        return Noise.of(np.clip(found.x, low, high))
+
+
+def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
+    """θ_l over θ_m to begin with, and whether it is the stated ratio's.
+
+    The motor's position may be divided by the ratio already, and either sign may be turned.
+    """
+    seen = channels.slope()
+    stated = [] if ratio is None else [1.0 / ratio, 1.0]
+    near = [s for s in stated if 0.4 < abs(seen / s) < 1.6]
+    if not near:
+        return seen, False
+    best = min(near, key=lambda s: abs(np.log(abs(seen / s))))
+    return float(np.copysign(best, seen)), True
+
+
+def of_friction(paths: Paths) -> tuple[float, FloatArray, FloatArray]:
+    """Friction that turns with the direction, N m; the torque of the load's weight; the rest.
+
+    The rest is the torque less that friction: what winds the joint up beside it.
+    """
+    assert paths.torque_nm is not None
+    turning = np.tanh(paths.speed / (0.1 * np.sqrt(np.mean(paths.speed**2))))
+    load = paths.load_rad
+    weight = np.stack([np.ones_like(load), np.cos(load), np.sin(load)], axis=1)
+    columns = np.column_stack([turning, paths.speed, paths.acceleration, weight])
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    beta = np.linalg.lstsq(columns / scale, paths.torque_nm, rcond=1e-6)[0] / scale
+    friction = max(float(beta[0]), 0.0)
+    return friction, weight @ beta[3:], paths.torque_nm - friction * turning
+
+
+def fit_transmission(
+    channels: Channels, seed: np.random.SeedSequence, ratio: float | None = None
+) -> Transmission:
+    """Fit one recording; ``ratio`` is the stated one, motor over load."""
+    slope, stated = start_slope(channels, ratio)
+    skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
+    for _ in range(6):
+        model, friction, weight = _model(channels, slope, skew, stated)
+        noise = model.noise_at(0, 0.0, noise)
+        for density in (4, 4):
+            best = max(_grid(model, [noise], density), key=lambda c: c.log_evidence)
+            model.see(best)
+        names = model.design.names
+        scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
+        moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
+        moved &= abs(skew + late) < LONGEST_SKEW_S
+        scaled = not stated and abs(scale - 1.0) > 5e-3
+        if not moved and not scaled:
+            break
+        skew += float(late) if moved else 0.0
+        slope *= float(scale) if scaled else 1.0
+    free = model.noise_at(best.course, best.half_rad, noise)
+    best = max(_grid(model, [free], 6), key=lambda c: c.log_evidence)
+    model.see(best)
+    free = model.noise_at(best.course, best.half_rad, free)
+    cells = _refined(model, _grid(model, [noise, free], PER_DECADE), [noise, free])
+    return _drawn(model, cells, free, friction, weight, np.random.default_rng(seed))
+
+
+def _model(
+    channels: Channels, slope: float, skew: float, stated: bool
+) -> tuple[Model, float | None, float]:
+    """The model, the friction that a torque shows, and how often the load's weight is above it."""
+    paths = scaled_paths(channels, slope, skew)
+    usual = paths.typical_acceleration
+    rest = 1.0 - STAYS
+    courses = [Course(np.inf, STAYS)]
+    coasting = COASTING[1:]
+    push, torque, friction, weight = np.zeros_like(paths.speed), None, None, 0.0
+    if paths.torque_nm is not None:
+        friction, held, torque = of_friction(paths)
+        level = np.abs(held)
+        moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
+        weight = float(np.mean(level[moving] > friction))
+        drag = 1e3 * usual
+        push = -drag * held / max(friction, 1e-3 * float(level.max()), 1e-300)
+        courses.append(Course(drag, 0.5 * rest, weighs=True))
+        rest *= 0.5
+    courses += [Course(c * usual, 0.8 * rest / len(coasting)) for c in coasting]
+    courses.append(Course(0.0, 0.2 * rest, free=True))
+    return Model(paths, Design(paths, torque, stated=stated), courses, push), friction, weight
+
+
+def _grid(model: Model, noises: Sequence[Noise], per_decade: int) -> list[Cell]:
+    most = 0.6 * float(np.ptp(model.paths.motor_rad))
+    count = int(per_decade * np.log10(max(most, 1e-4) / 1e-6)) + 1
+    halves = np.geomspace(1e-6, max(most, 1e-4), count)
+    return [
+        _best(model, course, float(half), noises)
+        for course in range(len(model.courses))
+        for half in halves
+    ]
+
+
+def _best(model: Model, course: int, half_rad: float, noises: Sequence[Noise]) -> Cell:
+    cells = [model.cell(course, half_rad, noise) for noise in noises]
+    return max(cells, key=lambda c: c.log_evidence)
+
+
+def _refined(model: Model, cells: list[Cell], noises: Sequence[Noise]) -> list[Cell]:
+    """With cells between neighbours that hold much of the probability."""
+    for _ in range(10):
+        cells.sort(key=lambda c: (c.course, c.half_rad))
+        logs = _log_masses(cells, np.zeros(len(cells)), model.courses)
+        heavy = np.flatnonzero(logs - logsumexp(logs) > np.log(0.04))
+        heavy = [i for i in heavy if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5]
+        if not heavy:
+            break
+        cells += [
+            _best(model, cells[i].course, float(half), noises)
+            for i in heavy
+            for half in np.geomspace(cells[i].half_rad, cells[i + 1].half_rad, 5)[1:-1]
+        ]
+    cells.sort(key=lambda c: (c.course, c.half_rad))
+    return cells
+
+
+def _log_masses(cells: Sequence[Cell], prior: FloatArray, courses: Sequence[Course]) -> FloatArray:
+    """Log probability between each cell and the next, shape (cells − 1,).
+
+    ``prior``: log density over ln h at each cell.
+    """
+    weights = np.log([courses[c.course].prior for c in cells])
+    log = np.array([c.log_evidence for c in cells]) + prior + weights
+    width = np.diff(np.log([c.half_rad for c in cells]))
+    same = np.diff([c.course for c in cells]) == 0
+    with np.errstate(divide="ignore"):
+        return np.where(
+            same, np.logaddexp(log[1:], log[:-1]) + np.log(np.where(same, 0.5 * width, 1.0)), -np.inf
+        )
+
+
+def _held_quantiles(compliance: tuple[float, float], friction: float | None) -> FloatArray:
+    """Equally probable values of w/2, rad, shape (q,)."""
+    from scipy.special import ndtri
+
+    if friction is None or compliance[0] < 3.0 * compliance[1]:
+        return HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400))
+    spread = np.maximum(compliance[0] + compliance[1] * ndtri((np.arange(20) + 0.5) / 20), 1e-12)
+    share = (np.arange(40) + 0.5) / 40
+    return np.maximum((friction * spread[:, None] * share).ravel(), 1.1e-6)
+
+
+def _drawn(
+    model: Model,
+    cells: Sequence[Cell],
+    noise: Noise,
+    friction: float | None,
+    weight: float,
+    generator: np.random.Generator,
+) -> Transmission:
+    best = max(cells, key=lambda c: c.log_evidence)
+    names = model.design.names
+    compliance = (0.0, np.inf)
+    if friction is not None:
+        at = names.index("torque")
+        covariance = cho_solve((best.root, True), np.eye(len(names))[:, at])
+        compliance = (-float(best.beta[at]), float(np.sqrt(covariance[at])))
+    held = _held_quantiles(compliance, friction)
+    half = np.array([c.half_rad for c in cells])
+    low, high = PLAY_RAD
+    # Densities over ln h without play, and with it, by a smooth histogram of ln w/2.
+    logs = np.log(held)
+    breadth = 0.1 + 0.2 * float(np.std(logs))
+    bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
+    bare /= breadth * np.sqrt(2.0 * np.pi)
+    gap = half[:, None] - held
+    inside = (gap > low) & (gap < high)
+    of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
+    with_play = of_gap.mean(axis=1) / np.log(high / low)
+    density = NO_PLAY * bare + (1.0 - NO_PLAY) * with_play
+    with np.errstate(divide="ignore"):
+        prior = np.log(density)
+    masses = _log_masses(cells, prior, model.courses)
+    probability = np.exp(masses - logsumexp(masses))
+    count = int(np.prod(DRAWS))
+    interval = generator.choice(probability.size, size=count, p=probability)
+    share = generator.uniform(size=count)
+    lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
+    nearest = interval + (share > 0.5)
+    plays = generator.uniform(size=count) < (
+        (1.0 - NO_PLAY) * with_play[nearest] / np.maximum(density[nearest], 1e-300)
+    )
+    delta = np.zeros(count)
+    for cell in np.unique(nearest[plays]):
+        mine = plays & (nearest == cell)
+        each = of_gap[cell] / of_gap[cell].sum()
+        chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each)]
+        delta[mine] = np.clip(lost[mine] - chosen, low, high)
+    beta = np.empty((count, len(names)))
+    for cell in np.unique(nearest):
+        mine = np.flatnonzero(nearest == cell)
+        normal = generator.standard_normal((len(names), mine.size))
+        moved = solve_triangular(cells[cell].root, normal, lower=True, trans=1)
+        beta[mine] = (cells[cell].beta[:, None] + moved).T
+    paths, design = model.paths, model.design
+    thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
+    mode = cells[int(np.argmax(np.bincount(nearest)))]
+    columns = design.columns(mode.lag)
+    curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
+    draws = {
+        "delta_rad": delta,
+        "play_rad": 2.0 * delta,
+        "lost_motion_rad": 2.0 * lost,
+        "held_windup_rad": 2.0 * (lost - delta),
+        "gear_ratio": 1.0 / (paths.slope * beta[:, names.index("ratio")]),
+        "channel_skew_s": paths.skew_s - beta[:, names.index("skew")],
+        "transmission_error_rad": np.ptp(curves, axis=1),
+    }
+    if friction is not None and compliance[0] > 3.0 * compliance[1]:
+        draws["compliance_rad_per_nm"] = -beta[:, names.index("torque")]
+    pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith((" cos",)) and "," not in name]
+    harmonics = {
+        (side, int(order)): np.hypot(
+            beta[:, names.index(f"{side} {order} cos")],
+            beta[:, names.index(f"{side} {order} sin")],
+        ).reshape(DRAWS)
+        for side, order in pairs
+    }
+    curve = columns[:, design.curve] @ mode.beta[design.curve]
+    none = max(model.cell(0, 0.0, n).log_evidence for n in (noise,))
+    return Transmission(
+        paths,
+        {name: values.reshape(DRAWS) for name, values in draws.items()},
+        harmonics,
+        float(np.mean(plays)),
+        best.log_evidence - none,
+        noise,
+        design.load_rad,
+        columns @ mode.beta - design.load_rad,
+        mode.lag,
+        curve,
+        float(np.mean([cells[c].course > 0 for c in nearest])),
+        paths.reversals,
+        friction,
+        weight,
+    )
