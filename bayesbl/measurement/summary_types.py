@@ -160,7 +160,43 @@ class _FromRamps(TypedDict, total=False):
     ramps: RampsSummary
 
 
-class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps):
+class HarmonicSummary(TypedDict):
+    """Amplitude of an order of the transmission error, per turn of the load or the motor."""
+
+    of: str
+    order: int
+    amplitude_rad: Interval
+
+
+class TransmissionErrorSummary(TypedDict):
+    """Of the load behind the motor, over the angle, the same in both directions.
+
+    ``harmonics`` are of angles that make a turn or more.
+    """
+
+    peak_to_peak_rad: Interval
+    harmonics: list[HarmonicSummary]
+
+
+class _FromTwoEncoders(TypedDict, total=False):
+    """Of the encoders of motor and load.
+
+    ``play_rad`` is 2δ. ``lost_motion_rad`` is between both directions: the play, and what the
+    load's friction winds up. ``delta_upper_bound_rad`` (95 %) where play is not told from none.
+    ``windup_rad_per_nm`` is the compliance at the output, where a torque tells it.
+    ``channel_skew_s`` is how late the load's stamps are.
+    """
+
+    delta_upper_bound_rad: float | None
+    play_rad: Interval | None
+    windup_rad_per_nm: Interval | None
+    gear_ratio: Interval
+    channel_skew_s: Interval
+    transmission_error: TransmissionErrorSummary
+    reversals: int
+
+
+class SnapshotSummary(_FromRinging, _FromSimulation, _FromRamps, _FromTwoEncoders):
     """One snapshot; every route gives the keys here, and some of its own.
 
     ``route`` is the one that answers, ``routes`` has the answer of each that was run.

@@ -235,7 +235,6 @@ def _bins(time: FloatArray, speed: FloatArray) -> NDArray[np.int64]:
 def load_lag(
     motor: FloatArray,
     speed: FloatArray,
-    push: FloatArray,
     time_s: FloatArray,
     half_play: float,
     drag: float,
@@ -245,8 +244,6 @@ def load_lag(
 
     Parameters
     ----------
-    push
-        Acceleration of a free load by its weight, rad/s², shape (n,).
     drag
         Deceleration of a free load by its friction, rad/s²; infinite for one that stays.
     start
@@ -256,16 +253,11 @@ def load_lag(
     load, moving = motor[0] - start, 0.0
     for k in range(motor.size):
         period = time_s[k] - time_s[k - 1] if k else 0.0
-        force = push[k]
-        if moving == 0.0 and abs(force) <= drag:
+        slowed = drag * period if k else np.inf
+        if abs(moving) <= slowed:
             moving = 0.0
         else:
-            moving += force * period
-            slowed = drag * period if k else np.inf
-            if abs(moving) <= slowed:
-                moving = 0.0
-            else:
-                moving -= slowed if moving > 0.0 else -slowed
+            moving -= slowed if moving > 0.0 else -slowed
         load += moving * period
         if motor[k] - load >= half_play:
             load = motor[k] - half_play

@@ -26,7 +26,7 @@ told from play by their evidence, here and not before.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,6 +71,9 @@ ECCENTRIC_RAD = 0.015
 Over a part of a turn it looks like another gear ratio.
 """
 
+PLACES = 24
+"""Along the travel, at which misfits of one pass and the next are compared."""
+
 LOOSE = 0.3
 """Standard deviation in the gap, over h."""
 
@@ -80,8 +83,8 @@ RATIO_STATED = 0.01
 INERTIA_S2 = 3e-4
 """Standard deviation of (1/2πf)², by which inertia winds up a joint that rings at f = 9 Hz."""
 
-PER_DECADE, DEEPEST = 10, 12.0
-"""Of the first grid of h; log probability below the best from which none is refined."""
+PER_DECADE = 4
+"""Of the first grid of h; what holds much of the probability is refined."""
 
 DRAWS = (4, 1000)
 
@@ -110,13 +113,12 @@ class Noise:
 class Course:
     """How the load gets from flank to flank.
 
-    By its free deceleration, rad/s², and its weight; or in no way that is known (``free``): the
+    By its free deceleration, rad/s²; or in no way that is known (``free``): the
     lag is then what was measured, wherever that is well within the gap.
     """
 
     drag: float
     prior: float
-    weighs: bool = False
     free: bool = False
 
 
@@ -152,8 +154,9 @@ class Transmission:
     position_rad, lag_rad, modelled_rad, curve_rad
         At the bins: the load's angle, motor less load without all but the lag, the lag as
         modelled, and the transmission error.
-    coasts
-        Probability that the load coasts through the gap.
+    coasts, followed
+        Probability that the load coasts through the gap by itself, and, of these, in no way that
+        a friction alone would slow it.
     reversals
         Of the motor.
     friction_nm, gravity_holds
@@ -165,12 +168,14 @@ class Transmission:
     harmonics: dict[tuple[str, int], FloatArray]
     probability_of_play: float
     log_odds: float
+    counted: float
     noise: Noise
     position_rad: FloatArray
     lag_rad: FloatArray
     modelled_rad: FloatArray
     curve_rad: FloatArray
     coasts: float
+    followed: float
     reversals: int
     friction_nm: float | None
     gravity_holds: float
@@ -276,10 +281,11 @@ class Model:
     """The model of one recording at one scaling of the paths."""
 
     def __init__(
-        self, paths: Paths, design: Design, courses: Sequence[Course], push: FloatArray
+        self, paths: Paths, design: Design, courses: Sequence[Course]
     ) -> None:
-        self.paths, self.design, self.courses, self.push = paths, design, courses, push
+        self.paths, self.design, self.courses = paths, design, courses
         self.step_s = np.diff(design.time_s)
+        self.counted = 1.0
         self.seen = design.motor_rad - design.load_rad
         self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
@@ -297,10 +303,9 @@ class Model:
         if half_rad <= 0.0:
             return np.zeros(self.paths.motor_rad.size)
         path, how = self.paths, self.courses[course]
-        push = self.push if how.weighs else np.zeros_like(self.push)
         start = float(np.clip(self.lead, -half_rad, half_rad))
         return np.asarray(
-            load_lag(path.motor_rad, path.speed, push, path.time_s, half_rad, how.drag, start)
+            load_lag(path.motor_rad, path.speed, path.time_s, half_rad, how.drag, start)
         )
 
     def cell(self, course: int, half_rad: float, noise: Noise) -> Cell:
@@ -336,27 +341,73 @@ class Model:
         log += -0.5 * square - float(np.log(diagonal).sum()) + 0.5 * float(np.log(precision).sum())
         return Cell(course, half_rad, log, beta, np.asarray(factor[0]), lag)
 
-    def noise_at(self, course: int, half_rad: float, first: Noise) -> Noise:
-        """The noise of the largest evidence, from a first guess."""
+    def residual(self, cell: Cell) -> FloatArray:
+        """e at the bins, rad."""
+        columns = self.design.columns(cell.lag)
+        return np.asarray(self.design.load_rad - columns @ cell.beta)
+
+    def repeats(self, cell: Cell) -> float:
+        """Times that the same misfit is counted: one, and the share that repeats for each more.
+
+        What repeats whenever the motor passes the same place in the same direction is no noise,
+        and does not average out over cycles (one-way analysis of variance).
+        """
+        left, x = self.residual(cell), self.design.motor_rad
+        place = np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int)
+        forward = self.paths.binned(self.paths.speed) > 0.0
+        group = 2 * place + forward
+        stroke = np.cumsum(np.append(False, np.diff(forward.astype(int)) != 0))
+        # A mean for each pass, so that the many samples of one are not taken for many passes.
+        passes, inverse = np.unique(group * (stroke.max() + 1) + stroke, return_inverse=True)
+        mean = np.bincount(inverse, left) / np.bincount(inverse)
+        where = np.unique(passes // (stroke.max() + 1), return_inverse=True)[1]
+        number = np.bincount(where)
+        centre = np.bincount(where, mean) / number
+        freedom = mean.size - number.size
+        often = mean.size / number.size
+        if freedom < 4 or number.size < 2:
+            return 1.0
+        within = float(np.sum((mean - centre[where]) ** 2)) / freedom
+        between = float(np.sum(number * (centre - mean.mean()) ** 2)) / (number.size - 1)
+        common = max(between - within, 0.0) / often
+        return 1.0 + common / max(common + within, 1e-300) * (often - 1.0)
+
+    def fitted(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
+        """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
         floor = max(0.2 * self.paths.load_step_rad, 1e-8)
         span = float(self.design.time_s[-1] - self.design.time_s[0])
         low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
         high = np.log([1.0, 1.0, span, 0.03])
+        left = self.residual(self.cell(course, half_rad, first))
+        jumps = 1.05 * float(np.median(np.abs(np.diff(left))))
+        spread = 1.5 * float(np.median(np.abs(left)))
+        guess = Noise(jumps + 1e-12, spread + 1e-12, first.drift_s, first.curve_rad)
+        starts = [np.clip(each.logs, low, high) for each in (guess, first)]
 
-        def cost(logs: FloatArray) -> float:
-            inside = np.clip(logs, low, high)
-            beyond = float(np.sum((logs - inside) ** 2))
-            return -self.cell(course, half_rad, Noise.of(inside)).log_evidence + 10.0 * beyond
+        def at(point: FloatArray) -> Cell:
+            half = half_rad * float(np.exp(np.clip(point[4], -1.0, 1.0))) if half_rad else 0.0
+            return self.cell(course, half, Noise.of(np.clip(point[:4], low, high)))
 
-        start = np.clip(first.logs, low, high)
-        simplex = np.vstack([start, start + 0.7 * np.eye(4) * np.where(start < high - 1, 1, -1)[:, None]])
-        found = minimize(
-            cost,
-            start,
-            method="Nelder-Mead",
-            options={"initial_simplex": simplex, "maxfev": 160, "xatol": 0.05, "fatol": 0.05},
-        )
-        return Noise.of(np.clip(found.x, low, high))
+        def cost(point: FloatArray) -> float:
+            beyond = float(np.sum((point[:4] - np.clip(point[:4], low, high)) ** 2))
+            return -at(point).log_evidence + 10.0 * (beyond + max(abs(point[4]) - 1.0, 0.0))
+
+        points = [np.append(start, 0.0) for start in starts]
+        start = min(points, key=cost)
+        steps = np.diag([*np.where(start[:4] < high - 1.0, 0.7, -0.7), 0.2])
+        simplex = np.vstack([start, start + steps])[: 6 if half_rad else 5]
+        if half_rad:
+            found = _lowest(cost, simplex, 240)
+        else:
+            found = np.append(_lowest(lambda p: cost(np.append(p, 0.0)), simplex[:, :4], 160), 0.0)
+        return Noise.of(np.clip(found[:4], low, high)), at(found)
+
+
+def _lowest(
+    cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int
+) -> FloatArray:
+    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 3e-3, "fatol": 0.05}
+    return np.asarray(minimize(cost, simplex[0], method="Nelder-Mead", options=options).x)
 
 
 def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
@@ -390,17 +441,22 @@ def of_friction(paths: Paths) -> tuple[float, FloatArray, FloatArray]:
 
 
 def fit_transmission(
-    channels: Channels, seed: np.random.SeedSequence, ratio: float | None = None
+    channels: Channels,
+    seed: np.random.SeedSequence,
+    ratio: float | None = None,
+    progress: Progress | None = None,
 ) -> Transmission:
     """Fit one recording; ``ratio`` is the stated one, motor over load."""
     slope, stated = start_slope(channels, ratio)
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
-    for _ in range(6):
+    free = None
+    for _ in range(8):
         model, friction, weight = _model(channels, slope, skew, stated)
-        noise = model.noise_at(0, 0.0, noise)
-        for density in (4, 4):
-            best = max(_grid(model, [noise], density), key=lambda c: c.log_evidence)
-            model.see(best)
+        noise, _none = model.fitted(0, 0.0, noise)
+        free = free or noise
+        for _again in range(2):
+            best = _likeliest(_grid(model, [free], freely=False))
+            free, best = model.fitted(best.course, best.half_rad, free)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
         moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
@@ -410,11 +466,16 @@ def fit_transmission(
             break
         skew += float(late) if moved else 0.0
         slope *= float(scale) if scaled else 1.0
-    free = model.noise_at(best.course, best.half_rad, noise)
-    best = max(_grid(model, [free], 6), key=lambda c: c.log_evidence)
+    # A load that goes its own way is tried last: it would follow any other skew and ratio too.
     model.see(best)
-    free = model.noise_at(best.course, best.half_rad, free)
-    cells = _refined(model, _grid(model, [noise, free], PER_DECADE), [noise, free])
+    for _ in range(2):
+        own = _likeliest([c for c in _grid(model, [free]) if model.courses[c.course].free])
+        fitted, own = model.fitted(own.course, own.half_rad, free)
+        if own.log_evidence > best.log_evidence:
+            free, best = fitted, own
+            model.see(best)
+    model.counted = model.repeats(best)
+    cells = _refined(model, [*_grid(model, [noise, free]), best], [noise, free])
     return _drawn(model, cells, free, friction, weight, np.random.default_rng(seed))
 
 
@@ -427,29 +488,30 @@ def _model(
     rest = 1.0 - STAYS
     courses = [Course(np.inf, STAYS)]
     coasting = COASTING[1:]
-    push, torque, friction, weight = np.zeros_like(paths.speed), None, None, 0.0
+    torque, friction, weight = None, None, 0.0
     if paths.torque_nm is not None:
         friction, held, torque = of_friction(paths)
         level = np.abs(held)
         moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
         weight = float(np.mean(level[moving] > friction))
-        drag = 1e3 * usual
-        push = -drag * held / max(friction, 1e-3 * float(level.max()), 1e-300)
-        courses.append(Course(drag, 0.5 * rest, weighs=True))
-        rest *= 0.5
     courses += [Course(c * usual, 0.8 * rest / len(coasting)) for c in coasting]
     courses.append(Course(0.0, 0.2 * rest, free=True))
-    return Model(paths, Design(paths, torque, stated=stated), courses, push), friction, weight
+    return Model(paths, Design(paths, torque, stated=stated), courses), friction, weight
 
 
-def _grid(model: Model, noises: Sequence[Noise], per_decade: int) -> list[Cell]:
-    most = 0.6 * float(np.ptp(model.paths.motor_rad))
-    count = int(per_decade * np.log10(max(most, 1e-4) / 1e-6)) + 1
-    halves = np.geomspace(1e-6, max(most, 1e-4), count)
+def _likeliest(cells: Sequence[Cell]) -> Cell:
+    return max(cells, key=lambda c: c.log_evidence)
+
+
+def _grid(model: Model, noises: Sequence[Noise], *, freely: bool = True) -> list[Cell]:
+    """Cells over courses and h, the free course last and only if asked for."""
+    most = max(0.6 * float(np.ptp(model.paths.motor_rad)), 1e-4)
+    halves = np.geomspace(1e-6, most, int(PER_DECADE * np.log10(most / 1e-6)) + 1)
     return [
         _best(model, course, float(half), noises)
-        for course in range(len(model.courses))
+        for course, how in enumerate(model.courses)
         for half in halves
+        if freely or not how.free
     ]
 
 
@@ -462,7 +524,7 @@ def _refined(model: Model, cells: list[Cell], noises: Sequence[Noise]) -> list[C
     """With cells between neighbours that hold much of the probability."""
     for _ in range(10):
         cells.sort(key=lambda c: (c.course, c.half_rad))
-        logs = _log_masses(cells, np.zeros(len(cells)), model.courses)
+        logs = _log_masses(cells, np.zeros(len(cells)), model)
         heavy = np.flatnonzero(logs - logsumexp(logs) > np.log(0.04))
         heavy = [i for i in heavy if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5]
         if not heavy:
@@ -476,13 +538,13 @@ def _refined(model: Model, cells: list[Cell], noises: Sequence[Noise]) -> list[C
     return cells
 
 
-def _log_masses(cells: Sequence[Cell], prior: FloatArray, courses: Sequence[Course]) -> FloatArray:
+def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> FloatArray:
     """Log probability between each cell and the next, shape (cells − 1,).
 
     ``prior``: log density over ln h at each cell.
     """
-    weights = np.log([courses[c.course].prior for c in cells])
-    log = np.array([c.log_evidence for c in cells]) + prior + weights
+    weights = np.log([model.courses[c.course].prior for c in cells])
+    log = np.array([c.log_evidence for c in cells]) / model.counted + prior + weights
     width = np.diff(np.log([c.half_rad for c in cells]))
     same = np.diff([c.course for c in cells]) == 0
     with np.errstate(divide="ignore"):
@@ -516,7 +578,7 @@ def _drawn(
     if friction is not None:
         at = names.index("torque")
         covariance = cho_solve((best.root, True), np.eye(len(names))[:, at])
-        compliance = (-float(best.beta[at]), float(np.sqrt(covariance[at])))
+        compliance = (-float(best.beta[at]), float(np.sqrt(model.counted * covariance[at])))
     held = _held_quantiles(compliance, friction)
     half = np.array([c.half_rad for c in cells])
     low, high = PLAY_RAD
@@ -532,7 +594,7 @@ def _drawn(
     density = NO_PLAY * bare + (1.0 - NO_PLAY) * with_play
     with np.errstate(divide="ignore"):
         prior = np.log(density)
-    masses = _log_masses(cells, prior, model.courses)
+    masses = _log_masses(cells, prior, model)
     probability = np.exp(masses - logsumexp(masses))
     count = int(np.prod(DRAWS))
     interval = generator.choice(probability.size, size=count, p=probability)
@@ -548,10 +610,10 @@ def _drawn(
         each = of_gap[cell] / of_gap[cell].sum()
         chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each)]
         delta[mine] = np.clip(lost[mine] - chosen, low, high)
-    beta = np.empty((count, len(names)))
+    beta, wider = np.empty((count, len(names))), np.sqrt(model.counted)
     for cell in np.unique(nearest):
         mine = np.flatnonzero(nearest == cell)
-        normal = generator.standard_normal((len(names), mine.size))
+        normal = wider * generator.standard_normal((len(names), mine.size))
         moved = solve_triangular(cells[cell].root, normal, lower=True, trans=1)
         beta[mine] = (cells[cell].beta[:, None] + moved).T
     paths, design = model.paths, model.design
@@ -585,13 +647,15 @@ def _drawn(
         {name: values.reshape(DRAWS) for name, values in draws.items()},
         harmonics,
         float(np.mean(plays)),
-        best.log_evidence - none,
+        (best.log_evidence - none) / model.counted,
+        model.counted,
         noise,
         design.load_rad,
-        columns @ mode.beta - design.load_rad,
+        mode.lag + columns @ mode.beta - design.load_rad,
         mode.lag,
         curve,
         float(np.mean([cells[c].course > 0 for c in nearest])),
+        float(np.mean([model.courses[cells[c].course].free for c in nearest])),
         paths.reversals,
         friction,
         weight,
