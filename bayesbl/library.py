@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bayesbl.runs.summary import Summary
 
 File = str | Path
-Route = Literal["auto", "direct", "amplitude", "torque_ramp"]
+Route = Literal["auto", "direct", "amplitude", "torque_ramp", "two_encoders"]
 C = TypeVar("C", bound=RunConfig)
 
 

@@ -36,6 +36,7 @@ GROUPS = {
     "By the amplitude of the ringing": "bayesbl.measurement.amplitude_groups",
     "By simulation of the bench": "bayesbl.measurement.direct_groups",
     "By ramps of torque": "bayesbl.measurement.ramp_groups",
+    "By two encoders": "bayesbl.measurement.two_encoder_route",
     "Of wear": "bayesbl.measurement.dated_wear",
     "Of an identification": "bayesbl.results.identified",
     "Of a diagnosis": "bayesbl.diagnosis.groups",

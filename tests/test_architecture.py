@@ -29,6 +29,7 @@ ROOMS = (
     "bench",
     "sampling",
     "ramps",
+    "two_encoders",
     "ringing",
     "matching",
     "naming",

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import direct_route, joint_check, ringing, torque_ramps, wear, words
+from bayesbl.presentation import (
+    direct_route,
+    joint_check,
+    ringing,
+    torque_ramps,
+    two_encoders,
+    wear,
+    words,
+)
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -93,8 +101,8 @@ def headline(summary: MeasuredSummary) -> str:
             told = words.change_of("The gap", change, "mrad", 1e3)
             return f"{by}{told}; {grew(growth)}{joint_check.unless(summary)}."
     elif summary["delta_rad"] is not None:
-        if (preloaded := torque_ramps.no_play(summary)) is not None:
-            return preloaded
+        if (none := torque_ramps.no_play(summary) or two_encoders.no_play(summary)) is not None:
+            return none
         return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     what = "change of the gap" if summary["kind"] == "compare" else "gap"
     return f"The {what} is withheld: these data do not give an answer that can be trusted."
@@ -154,6 +162,8 @@ def explained(summary: MeasuredSummary) -> str:
     """What δ and the range beneath it are, and what they rest on."""
     if torque_ramps.is_by_ramps(summary):
         condition = "the ramps reach both flanks"
+    elif two_encoders.is_by_two_encoders(summary):
+        condition = two_encoders.CONDITION
     elif direct_route.is_direct(summary):
         condition = "the bench is as its file says"
     else:
@@ -241,6 +251,8 @@ def _snapshot_table(summary: MeasuredSummary) -> Table:
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
     if torque_ramps.is_by_ramps(summary):
         return torque_ramps.snapshot_table(parts, places)
+    if two_encoders.is_by_two_encoders(summary):
+        return two_encoders.snapshot_table(parts, places)
     kind = words.short_kind(first["amplitude_rpm"] or next(iter(first["parameters"].values())))
     alone = ringing.is_alone(summary)
     beside = direct_route.beside(first)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, direct_route, torque_ramps, words
+from bayesbl.presentation import answer, direct_route, torque_ramps, two_encoders, words
 from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -24,6 +24,8 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
             yield from direct_route.blocks(part)
         elif "ramps" in part:
             yield from torque_ramps.blocks(part)
+        elif "transmission_error" in part:
+            yield from two_encoders.blocks(part)
         else:
             yield from _of_amplitude(part, "; ".join(_rivals(tree, name)) or "none")
 

@@ -30,6 +30,7 @@ _SOURCES = {
     "lack_of_fit": "lack of fit of the curve",
     "bench": "tolerances of the bench",
     "repeated_ramps": "scatter of repeated ramps",
+    "held_windup": "wind-up that friction holds",
     "positions_round_the_turn": "positions round the turn",
 }
 
