@@ -22,7 +22,7 @@ from bayesbl.recording.types import FloatArray
 MOST_SAMPLES = 60_000
 """Samples that the load's lag is followed over; longer recordings are averaged to fewer."""
 
-MOST_BINS = 1200
+MOST_BINS = 700
 """Means that the model is fitted to."""
 
 LONGEST_SKEW_S = 0.25

@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp
 
 from bayesbl.compiled import compiled
@@ -71,8 +71,15 @@ ECCENTRIC_RAD = 0.015
 Over a part of a turn it looks like another gear ratio.
 """
 
+ALIKE_RAD = 1e-3
+"""Lag up to which the transmission error is the same at the motor's and the load's angle."""
+
 PLACES = 24
 """Along the travel, at which misfits of one pass and the next are compared."""
+
+MODEL = 5e-3
+"""Relative standard deviation of h for all that the model leaves out: flanks that are not straight,
+impacts, motion between two samples."""
 
 LOOSE = 0.3
 """Standard deviation in the gap, over h."""
@@ -223,24 +230,38 @@ class Design:
             self.motor_part = []
         self.plain, self.names, self.sd = plain, tuple(names), np.array(sd)
         self.curve = slice(first, len(names))
+        self.alike: FloatArray | None = None
         self.centre = np.zeros(len(names))
         self.centre[1] = 1.0
 
     def columns(self, lag: FloatArray) -> FloatArray:
         """H, shape (bins, k), where the load lags the motor by ``lag``."""
         angle = self.motor_rad - lag
+        if float(np.abs(lag).max()) < ALIKE_RAD:
+            if self.alike is None:
+                self.alike = self._whole(self.motor_rad)
+            columns = self.alike.copy()
+            columns[:, 1] = angle
+            return columns
+        return self._whole(angle)
+
+    def _whole(self, angle: FloatArray) -> FloatArray:
         if self.turns:
-            base = np.exp(1j * angle)
-            powers = np.cumprod(np.repeat(base[:, None], LOAD_ORDERS, axis=1), axis=1)
-            waves = [powers.real, powers.imag]
+            phase, orders = angle, LOAD_ORDERS
         else:
-            share = (angle - angle.min()) / max(float(np.ptp(angle)), 1e-300)
-            base = np.exp(1j * np.pi * share)
-            powers = np.cumprod(np.repeat(base[:, None], CURVE_ORDERS, axis=1), axis=1)
-            waves = [np.cos(angle)[:, None], np.sin(angle)[:, None], powers.real]
-        return np.column_stack(
-            [self.plain[0], angle, *self.plain[2:], *waves, *self.motor_part]
-        )
+            phase = np.pi * (angle - angle.min()) / max(float(np.ptp(angle)), 1e-300)
+            orders = CURVE_ORDERS
+        base, power = np.exp(1j * phase), np.ones(angle.size, dtype=complex)
+        powers = []
+        for _ in range(orders):
+            power = power * base
+            powers.append(power)
+        waves = [power.real for power in powers]
+        if self.turns:
+            waves += [power.imag for power in powers]
+        else:
+            waves = [np.cos(angle), np.sin(angle), *waves]
+        return np.stack([self.plain[0], angle, *self.plain[2:], *waves, *self.motor_part], axis=1)
 
     def precision(self, noise: Noise) -> FloatArray:
         """Of the prior of β."""
@@ -286,6 +307,7 @@ class Model:
         self.paths, self.design, self.courses = paths, design, courses
         self.step_s = np.diff(design.time_s)
         self.counted = 1.0
+        self.floor_rad = max(0.2 * paths.load_step_rad, 1e-8)
         self.seen = design.motor_rad - design.load_rad
         self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
@@ -326,12 +348,12 @@ class Model:
         white = np.full(lag.size, noise.white_rad**2) + loose
         # About the stated ratio: what is left of the load beside x − s.
         left = design.load_rad + lag - design.motor_rad
-        both = np.column_stack([design.columns(lag), left])
+        both = np.concatenate([design.columns(lag), left[:, None]], axis=1)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
         columns, seen = both[:, :-1], both[:, -1]
         precision = design.precision(noise)
         inner = columns.T @ columns
-        inner[np.diag_indices_from(inner)] += precision
+        inner.flat[:: precision.size + 1] += precision
         factor = cho_factor(inner, lower=True)
         towards = columns.T @ seen
         beta = cho_solve(factor, towards)
@@ -372,16 +394,23 @@ class Model:
         common = max(between - within, 0.0) / often
         return 1.0 + common / max(common + within, 1e-300) * (often - 1.0)
 
-    def fitted(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
-        """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
-        floor = max(0.2 * self.paths.load_step_rad, 1e-8)
-        span = float(self.design.time_s[-1] - self.design.time_s[0])
-        low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
-        high = np.log([1.0, 1.0, span, 0.03])
+    def profiled(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
+        """The cell with noise of about the size of what it leaves."""
         left = self.residual(self.cell(course, half_rad, first))
         jumps = 1.05 * float(np.median(np.abs(np.diff(left))))
         spread = 1.5 * float(np.median(np.abs(left)))
-        guess = Noise(jumps + 1e-12, spread + 1e-12, first.drift_s, first.curve_rad)
+        noise = Noise(
+            max(jumps, self.floor_rad), max(spread, 1e-8), first.drift_s, first.curve_rad
+        )
+        return noise, self.cell(course, half_rad, noise)
+
+    def fitted(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
+        """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
+        floor = self.floor_rad
+        span = float(self.design.time_s[-1] - self.design.time_s[0])
+        low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
+        high = np.log([1.0, 1.0, span, 0.03])
+        guess, _there = self.profiled(course, half_rad, first)
         starts = [np.clip(each.logs, low, high) for each in (guess, first)]
 
         def at(point: FloatArray) -> Cell:
@@ -449,14 +478,9 @@ def fit_transmission(
     """Fit one recording; ``ratio`` is the stated one, motor over load."""
     slope, stated = start_slope(channels, ratio)
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
-    free = None
     for _ in range(8):
         model, friction, weight = _model(channels, slope, skew, stated)
-        noise, _none = model.fitted(0, 0.0, noise)
-        free = free or noise
-        for _again in range(2):
-            best = _likeliest(_grid(model, [free], freely=False))
-            free, best = model.fitted(best.course, best.half_rad, free)
+        free, best = model.fitted(*_searched(model, noise))
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
         moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
@@ -466,11 +490,11 @@ def fit_transmission(
             break
         skew += float(late) if moved else 0.0
         slope *= float(scale) if scaled else 1.0
+    noise, _none = model.fitted(0, 0.0, noise)
     # A load that goes its own way is tried last: it would follow any other skew and ratio too.
     model.see(best)
     for _ in range(2):
-        own = _likeliest([c for c in _grid(model, [free]) if model.courses[c.course].free])
-        fitted, own = model.fitted(own.course, own.half_rad, free)
+        fitted, own = model.fitted(*_searched(model, free, freely=True))
         if own.log_evidence > best.log_evidence:
             free, best = fitted, own
             model.see(best)
@@ -499,19 +523,44 @@ def _model(
     return Model(paths, Design(paths, torque, stated=stated), courses), friction, weight
 
 
-def _likeliest(cells: Sequence[Cell]) -> Cell:
-    return max(cells, key=lambda c: c.log_evidence)
-
-
-def _grid(model: Model, noises: Sequence[Noise], *, freely: bool = True) -> list[Cell]:
-    """Cells over courses and h, the free course last and only if asked for."""
+def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
     most = max(0.6 * float(np.ptp(model.paths.motor_rad)), 1e-4)
-    halves = np.geomspace(1e-6, most, int(PER_DECADE * np.log10(most / 1e-6)) + 1)
+    return np.geomspace(least, most, int(per_decade * np.log10(most / least)) + 2)
+
+
+def _searched(model: Model, noise: Noise, *, freely: bool = False) -> tuple[int, float, Noise]:
+    """Course, h and noise to begin with: over a grid, then between its points.
+
+    A peak of h is as narrow as the noise is small, so the noise is sized anew for every h.
+    """
+    courses = [i for i, how in enumerate(model.courses) if how.free == freely]
+    found: list[tuple[float, int, float]] = []
+    for course in courses:
+        halves = _halves(model, 3e-5, 8 if len(courses) == 1 or not course else 4)
+        logs = [model.profiled(course, float(h), noise)[1].log_evidence for h in halves]
+        at = int(np.argmax(logs))
+        found.append((logs[at], course, float(halves[at])))
+    found.sort(reverse=True)
+    refined = []
+    for _, course, half in found[:2]:
+        step = np.log(10.0) / (8 if not course else 4)
+        result = minimize_scalar(
+            lambda log, c=course: -model.profiled(c, float(np.exp(log)), noise)[1].log_evidence,
+            bounds=(np.log(half) - step, np.log(half) + step),
+            method="bounded",
+            options={"maxiter": 16, "xatol": 1e-4},
+        )
+        refined.append((-float(result.fun), course, float(np.exp(result.x))))
+    _, course, half = max(refined)
+    return course, half, model.profiled(course, half, noise)[0]
+
+
+def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
+    """Cells over courses and h."""
     return [
         _best(model, course, float(half), noises)
-        for course, how in enumerate(model.courses)
-        for half in halves
-        if freely or not how.free
+        for course in range(len(model.courses))
+        for half in _halves(model, 1e-6, PER_DECADE)
     ]
 
 
@@ -616,6 +665,9 @@ def _drawn(
         normal = wider * generator.standard_normal((len(names), mine.size))
         moved = solve_triangular(cells[cell].root, normal, lower=True, trans=1)
         beta[mine] = (cells[cell].beta[:, None] + moved).T
+    # s is scaled as the motor is, and no model of a gap is better than this.
+    scale = beta[:, names.index("ratio")] * np.exp(MODEL * generator.standard_normal(count))
+    lost, delta = lost * scale, delta * scale
     paths, design = model.paths, model.design
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     mode = cells[int(np.argmax(np.bincount(nearest)))]
