@@ -36,6 +36,8 @@ POSTERIOR = Group(
             lost_motion_rad (chain, draw) | rad
                 | between the middles of the loop of the largest ramps at the stated torques
             compliance_rad_per_nm (chain, draw) | rad/(N m) | of the loaded joint at the output
+            stiffness_nm_per_rad (chain, draw) | N m/rad
+                | position over torque by least squares along the largest ramps, both sides
             friction_torque_nm (chain, draw) | N m | at the output, over the range of the ramps
             held_windup_rad (chain, draw) | rad
                 | of the gap: compliance that friction holds at zero torque, if flanks do not harden

@@ -23,7 +23,7 @@ from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
-from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, observations, of_cycles
+from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, observations, of_cycles, stiffness
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
 from bayesbl.ramps.torque_cycles import Ramps, find_ramps
@@ -280,6 +280,7 @@ def of_every_cycle(
     compliance = flank / beyond if largest is not level and beyond > 0.0 else 0.0
     return {
         "lost_motion_rad": lost_motion(files, largest, stated_nm),
+        "stiffness_nm_per_rad": stiffness(files, largest),
         "compliance_rad_per_nm": of_cycles(
             largest, lambda c: max(c.range_rad - width, 0.0) / (2.0 * c.amplitude_nm)
         ),

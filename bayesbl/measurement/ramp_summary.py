@@ -10,6 +10,7 @@ from bayesbl.measurement.summary_types import SnapshotSummary
 QUANTITIES = (
     "lost_motion_rad",
     "compliance_rad_per_nm",
+    "stiffness_nm_per_rad",
     "friction_torque_nm",
     "held_windup_rad",
 )
@@ -34,6 +35,7 @@ def summarise_ramps(stored: StoredSnapshot) -> SnapshotSummary:
         "lost_motion_rad": found["lost_motion_rad"],
         "lost_motion_torque_nm": float(cycles["lost_motion_torque_nm"]),
         "compliance_rad_per_nm": found["compliance_rad_per_nm"],
+        "stiffness_nm_per_rad": found["stiffness_nm_per_rad"],
         "friction_torque_nm": found["friction_torque_nm"],
         "held_windup_rad": found["held_windup_rad"],
         "preload_torque_nm": found.get(PRELOAD),

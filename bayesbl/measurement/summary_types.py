@@ -146,11 +146,13 @@ class _FromRamps(TypedDict, total=False):
     seen, and ``preload_torque_nm`` is the torque at which one of both flanks lifts; 0 with play,
     ``None`` where that is not seen.
     ``held_windup_rad``: what of δ is compliance that friction holds at zero torque.
+    ``stiffness_nm_per_rad``: of a line through the largest ramps, as test reports state it.
     """
 
     lost_motion_rad: Interval
     lost_motion_torque_nm: float
     compliance_rad_per_nm: Interval
+    stiffness_nm_per_rad: Interval
     friction_torque_nm: Interval
     held_windup_rad: Interval
     preload_torque_nm: Interval | None
