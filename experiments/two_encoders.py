@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import binom
 
+from bayesbl.measurement.two_encoder_route import upper_bound_rad
 from bayesbl.two_encoders.paths import Channels
 from bayesbl.two_encoders.transmission import fit_transmission
 
@@ -98,7 +99,18 @@ def dragged(path: Array, half: float) -> Array:
 
 @njit(cache=True)
 def integrated(  # type: ignore[no-untyped-def]
-    path, dt, inner, inertia, load_inertia, stiffness, damping, half, friction, load_friction, mgl, pulled
+    path,
+    dt,
+    inner,
+    inertia,
+    load_inertia,
+    stiffness,
+    damping,
+    half,
+    friction,
+    load_friction,
+    mgl,
+    pulled,
 ):
     """Motor and load, both at the load: angles and the torque of the motor, shapes (n,)."""
     n = path.size
@@ -257,7 +269,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
         "lost_rad": joint.lost_rad,
         "probability": found.probability_of_play,
         "play_covered": float(low <= joint.play_rad <= high) if told else math.nan,
-        "bound_holds": float(joint.play_rad <= np.quantile(play, 0.95)),
+        "bound_holds": float(
+            joint.play_rad <= 2.0 * upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        ),
         "lost_covered": covered("lost_motion_rad", joint.lost_rad),
         "stiffness_covered": covered(compliance, 1.0 / joint.stiffness)
         if compliance in found.draws
@@ -287,5 +301,7 @@ def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
         "band_high": float(band[1]),
         "error_median": float(np.nanmedian(size)) if np.isfinite(size).any() else math.nan,
         "error_worst": float(np.nanmax(size)) if np.isfinite(size).any() else math.nan,
-        "width": float(np.nanmedian(cases["width"].values)) if told.any() and row.play else math.nan,
+        "width": float(np.nanmedian(cases["width"].values))
+        if told.any() and row.play
+        else math.nan,
     }

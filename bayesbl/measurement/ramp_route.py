@@ -23,7 +23,14 @@ from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.verdict import Verdict
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
-from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, observations, of_cycles, stiffness
+from bayesbl.ramps.flanks import (
+    Flanks,
+    find_flanks,
+    lost_motion,
+    observations,
+    of_cycles,
+    stiffness,
+)
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
 from bayesbl.ramps.torque_cycles import Ramps, find_ramps

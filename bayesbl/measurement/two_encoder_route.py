@@ -291,26 +291,27 @@ class TwoEncoderMeasurer(Measurer):
         return Snapshot(
             recording.name,
             found.draws["delta_rad"],
-            Verdict(
-                outcome, (*sentences.values(), *recording.notes), " ".join(against) or None
-            ),
+            Verdict(outcome, (*sentences.values(), *recording.notes), " ".join(against) or None),
             groups_of(found, recording),
         )
 
     def _findings(self, found: Transmission) -> Iterator[tuple[str, dict[str, float]]]:
         """Codes with their numbers: all that limits the answer."""
-        upper = float(np.quantile(found.draws["delta_rad"], UPPER))
+        upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
         visible = found.followed > FOLLOWS
         if found.probability_of_play < TOLD:
             lost = float(np.median(found.draws["lost_motion_rad"]))
             if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
                 yield "nothing_told", {"upper_mrad": 1e3 * upper}
             else:
-                yield "play_not_told", {
-                    "probability": found.probability_of_play,
-                    "upper_mrad": 1e3 * upper,
-                    "lost_mrad": 1e3 * lost,
-                }
+                yield (
+                    "play_not_told",
+                    {
+                        "probability": found.probability_of_play,
+                        "upper_mrad": 1e3 * upper,
+                        "lost_mrad": 1e3 * lost,
+                    },
+                )
         if found.gravity_holds > HELD_BY_WEIGHT and not visible:
             yield "held_by_weight", {"share": found.gravity_holds}
         if found.reversals < FEW_REVERSALS:
@@ -334,6 +335,11 @@ class TwoEncoderMeasurer(Measurer):
             yield "load_coasts", {"share": found.coasts}
         if found.counted > 2.0:
             yield "misfit_repeats", {"times": found.counted}
+
+
+def upper_bound_rad(delta_rad: FloatArray, drift_rad: float) -> float:
+    """Of δ, with 95 %: a misfit that lasts for a stroke can hide a play of its size."""
+    return max(float(np.quantile(delta_rad, UPPER)), drift_rad)
 
 
 def channels_of(recording: Recording) -> Channels:
@@ -399,7 +405,8 @@ def summarise(stored: StoredSnapshot) -> SnapshotSummary:
     found = {name: stored.interval("posterior", name) for name in given}
     scalars = {name: stored.number("transmission", name) for name in SCALARS}
     told = scalars["probability_of_play"] >= TOLD
-    upper = float(np.quantile(posterior["delta_rad"].values, UPPER))
+    drift = stored.number("transmission", "drift_sd_rad")
+    upper = upper_bound_rad(posterior["delta_rad"].values, drift)
     return {
         "route": NAME,
         "routes": {NAME: {"delta_rad": stored.delta_rad, "reason": stored.reason}},

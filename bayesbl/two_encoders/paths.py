@@ -112,9 +112,7 @@ class Channels:
     ) -> Channels:
         """With jumps of whole turns taken out where both encoders then agree better."""
         choices = [
-            (motor, load)
-            for motor in _with_turns(motor_rad)
-            for load in _with_turns(load_rad)
+            (motor, load) for motor in _with_turns(motor_rad) for load in _with_turns(load_rad)
         ]
         scores = [_disagreement(*choice) for choice in choices]
         best = min(range(len(choices)), key=lambda i: (round(scores[i], 6), i))
@@ -173,8 +171,8 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
     time = stamps - skew_s
     inside = (time >= stamps[0]) & (time <= stamps[-1])
     time, load = time[inside], load[inside]
-    x, speed = path(time), _smooth(path(time, 1), stamps, SMOOTH_S)
-    acceleration = np.gradient(_smooth(speed, stamps, 2.0 * SMOOTH_S), time)
+    x, speed = path(time), moving_mean(path(time, 1), stamps, SMOOTH_S)
+    acceleration = np.gradient(moving_mean(speed, stamps, 2.0 * SMOOTH_S), time)
     if torque is not None:
         torque = np.interp(time, stamps, torque) / slope
         turning = np.tanh(speed / (0.1 * float(np.sqrt(np.mean(speed**2))) + 1e-300))
@@ -208,7 +206,7 @@ def _thinned(channels: Channels) -> tuple[FloatArray, FloatArray, FloatArray, Fl
     return mean(channels.time_s), mean(channels.motor_rad), mean(channels.load_rad), torque
 
 
-def _smooth(values: FloatArray, stamps: FloatArray, over_s: float) -> FloatArray:
+def moving_mean(values: FloatArray, stamps: FloatArray, over_s: float) -> FloatArray:
     """A moving mean over about this time, three samples at least."""
     half = max(1, int(0.5 * over_s / float(np.median(np.diff(stamps)))))
     window = np.ones(2 * half + 1) / (2 * half + 1)

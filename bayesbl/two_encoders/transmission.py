@@ -35,8 +35,16 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp
 
 from bayesbl.compiled import compiled
+from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.two_encoders.paths import LONGEST_SKEW_S, Channels, Paths, scaled_paths, load_lag
+from bayesbl.two_encoders.paths import (
+    LONGEST_SKEW_S,
+    Channels,
+    Paths,
+    load_lag,
+    moving_mean,
+    scaled_paths,
+)
 
 PLAY_RAD = (1e-5, 0.5)
 """Range of δ; its logarithm is uniform there."""
@@ -74,10 +82,14 @@ Over a part of a turn it looks like another gear ratio.
 ALIKE_RAD = 1e-3
 """Lag up to which the transmission error is the same at the motor's and the load's angle."""
 
+TURNING, SMOOTHED = (1e-4, 1e-3, 1e-2, 5e-2, 2e-1), 0.1
+"""Lags over the travel that friction may turn behind, and part of a stroke that what is left of the
+torque is averaged over: noise in it would pass for less compliance."""
+
 PLACES = 24
 """Along the travel, at which misfits of one pass and the next are compared."""
 
-MODEL = 5e-3
+MODEL = 1e-2
 """Relative standard deviation of h for all that the model leaves out: flanks that are not straight,
 impacts, motion between two samples."""
 
@@ -231,6 +243,7 @@ class Design:
         self.plain, self.names, self.sd = plain, tuple(names), np.array(sd)
         self.curve = slice(first, len(names))
         self.alike: FloatArray | None = None
+        self.stiff = False
         self.centre = np.zeros(len(names))
         self.centre[1] = 1.0
 
@@ -267,6 +280,8 @@ class Design:
         """Of the prior of β."""
         sd = self.sd.copy()
         sd[self.curve] *= noise.curve_rad
+        if self.stiff and "torque" in self.names:
+            sd[self.names.index("torque")] *= 1e-4
         return sd**-2.0
 
 
@@ -301,9 +316,7 @@ def _whiten(
 class Model:
     """The model of one recording at one scaling of the paths."""
 
-    def __init__(
-        self, paths: Paths, design: Design, courses: Sequence[Course]
-    ) -> None:
+    def __init__(self, paths: Paths, design: Design, courses: Sequence[Course]) -> None:
         self.paths, self.design, self.courses = paths, design, courses
         self.step_s = np.diff(design.time_s)
         self.counted = 1.0
@@ -399,9 +412,7 @@ class Model:
         left = self.residual(self.cell(course, half_rad, first))
         jumps = 1.05 * float(np.median(np.abs(np.diff(left))))
         spread = 1.5 * float(np.median(np.abs(left)))
-        noise = Noise(
-            max(jumps, self.floor_rad), max(spread, 1e-8), first.drift_s, first.curve_rad
-        )
+        noise = Noise(max(jumps, self.floor_rad), max(spread, 1e-8), first.drift_s, first.curve_rad)
         return noise, self.cell(course, half_rad, noise)
 
     def fitted(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
@@ -456,17 +467,25 @@ def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
 def of_friction(paths: Paths) -> tuple[float, FloatArray, FloatArray]:
     """Friction that turns with the direction, N m; the torque of the load's weight; the rest.
 
-    The rest is the torque less that friction: what winds the joint up beside it.
+    Friction of the load turns when it is taken along again, behind a play that is not known yet: so
+    lags of several sizes are taken off. The rest, smoothed, is what winds the joint up beside it.
     """
     assert paths.torque_nm is not None
-    turning = np.tanh(paths.speed / (0.1 * np.sqrt(np.mean(paths.speed**2))))
+    travel = float(np.ptp(paths.motor_rad))
+    turning = [
+        load_lag(paths.motor_rad, paths.speed, paths.time_s, half, np.inf, 0.0) / half
+        for half in travel * np.array(TURNING)
+    ]
     load = paths.load_rad
     weight = np.stack([np.ones_like(load), np.cos(load), np.sin(load)], axis=1)
-    columns = np.column_stack([turning, paths.speed, paths.acceleration, weight])
+    columns = np.column_stack([*turning, paths.speed, paths.acceleration, weight])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     beta = np.linalg.lstsq(columns / scale, paths.torque_nm, rcond=1e-6)[0] / scale
-    friction = max(float(beta[0]), 0.0)
-    return friction, weight @ beta[3:], paths.torque_nm - friction * turning
+    friction = float(beta[: len(TURNING)].sum())
+    rest = paths.torque_nm - np.stack(turning, axis=1) @ beta[: len(TURNING)]
+    stroke = float(np.ptp(paths.time_s)) / (paths.reversals + 1)
+    smooth = moving_mean(rest, paths.time_s, SMOOTHED * stroke)
+    return max(friction, 0.0), weight @ beta[len(TURNING) + 2 :], smooth
 
 
 def fit_transmission(
@@ -476,10 +495,14 @@ def fit_transmission(
     progress: Progress | None = None,
 ) -> Transmission:
     """Fit one recording; ``ratio`` is the stated one, motor over load."""
+    told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
-    for _ in range(8):
+    for made in range(8):
+        told(made, 10)
         model, friction, weight = _model(channels, slope, skew, stated)
+        # A torque turns with the direction as a lag does, and would take its place in the search.
+        model.design.stiff = True
         free, best = model.fitted(*_searched(model, noise))
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
@@ -490,7 +513,6 @@ def fit_transmission(
             break
         skew += float(late) if moved else 0.0
         slope *= float(scale) if scaled else 1.0
-    noise, _none = model.fitted(0, 0.0, noise)
     # A load that goes its own way is tried last: it would follow any other skew and ratio too.
     model.see(best)
     for _ in range(2):
@@ -498,6 +520,10 @@ def fit_transmission(
         if own.log_evidence > best.log_evidence:
             free, best = fitted, own
             model.see(best)
+    told(9, 10)
+    model.design.stiff = False
+    free, best = model.fitted(best.course, best.half_rad, free)
+    noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
     cells = _refined(model, [*_grid(model, [noise, free]), best], [noise, free])
     return _drawn(model, cells, free, friction, weight, np.random.default_rng(seed))
@@ -598,7 +624,9 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     same = np.diff([c.course for c in cells]) == 0
     with np.errstate(divide="ignore"):
         return np.where(
-            same, np.logaddexp(log[1:], log[:-1]) + np.log(np.where(same, 0.5 * width, 1.0)), -np.inf
+            same,
+            np.logaddexp(log[1:], log[:-1]) + np.log(np.where(same, 0.5 * width, 1.0)),
+            -np.inf,
         )
 
 
@@ -665,9 +693,17 @@ def _drawn(
         normal = wider * generator.standard_normal((len(names), mine.size))
         moved = solve_triangular(cells[cell].root, normal, lower=True, trans=1)
         beta[mine] = (cells[cell].beta[:, None] + moved).T
-    # s is scaled as the motor is, and no model of a gap is better than this.
+    # s is scaled as the motor is, and no model of a gap is better than MODEL. A misfit that lasts
+    # for a stroke moves the flank by as much: it is known as often as the motor turns back, or as
+    # it is another one.
+    often = max(model.paths.reversals / model.counted, 1.0)
     scale = beta[:, names.index("ratio")] * np.exp(MODEL * generator.standard_normal(count))
-    lost, delta = lost * scale, delta * scale
+    moved = noise.drift_rad / np.sqrt(often) * generator.standard_normal(count)
+    lost, delta = (
+        np.abs(lost * scale + moved),
+        np.where(plays, np.abs(delta * scale + moved), 0.0),
+    )
+    delta = np.minimum(delta, lost)
     paths, design = model.paths, model.design
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     mode = cells[int(np.argmax(np.bincount(nearest)))]
@@ -684,7 +720,9 @@ def _drawn(
     }
     if friction is not None and compliance[0] > 3.0 * compliance[1]:
         draws["compliance_rad_per_nm"] = -beta[:, names.index("torque")]
-    pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith((" cos",)) and "," not in name]
+    pairs = [
+        name.rsplit(" ", 2)[:2] for name in names if name.endswith((" cos",)) and "," not in name
+    ]
     harmonics = {
         (side, int(order)): np.hypot(
             beta[:, names.index(f"{side} {order} cos")],
