@@ -32,7 +32,7 @@ from bayesbl.recording.types import (
 )
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
-from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
+from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
 
@@ -43,7 +43,10 @@ TOLD, UPPER = 0.95, 0.95
 
 FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
 
-FOLLOWS = 0.5
+LIKELY = 0.5
+"""Probability from which something is told as a note."""
+
+FOLLOWS = 0.1
 """Share of the load's variance that the motor's position explains, from which they are of one
 joint."""
 
@@ -287,7 +290,7 @@ class TwoEncoderMeasurer(Measurer):
         sentences = {code: SENTENCES[code](**values) for code, values in codes}
         against = [text for code, text in sentences.items() if code in WITHHOLDING]
         sure = found.probability_of_play >= TOLD
-        outcome = "withheld" if against else "converged" if sure else "usable"
+        outcome: Outcome = "withheld" if against else "converged" if sure else "usable"
         return Snapshot(
             recording.name,
             found.draws["delta_rad"],
@@ -298,7 +301,7 @@ class TwoEncoderMeasurer(Measurer):
     def _findings(self, found: Transmission) -> Iterator[tuple[str, dict[str, float]]]:
         """Codes with their numbers: all that limits the answer."""
         upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
-        visible = found.followed > FOLLOWS
+        visible = found.followed > LIKELY
         if found.probability_of_play < TOLD:
             lost = float(np.median(found.draws["lost_motion_rad"]))
             if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
@@ -331,7 +334,7 @@ class TwoEncoderMeasurer(Measurer):
         skew = 1e3 * float(np.median(found.draws["channel_skew_s"]))
         if abs(skew) > 1.0:
             yield "channels_skewed", {"skew_ms": skew}
-        if found.coasts > FOLLOWS and found.probability_of_play > FOLLOWS:
+        if found.coasts > LIKELY and found.probability_of_play > LIKELY:
             yield "load_coasts", {"share": found.coasts}
         if found.counted > 2.0:
             yield "misfit_repeats", {"times": found.counted}

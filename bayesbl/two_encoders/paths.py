@@ -31,6 +31,9 @@ LONGEST_SKEW_S = 0.25
 SMOOTH_S = 0.01
 """Over which the motor's speed is averaged."""
 
+ALIKE = 0.02
+"""Share of the load's variance that the motor's position leaves, up to which play is small."""
+
 STILL = 0.02
 """Of the motor's root mean square speed: below it stands still."""
 
@@ -119,8 +122,21 @@ class Channels:
         return cls(time_s, *choices[best], torque_nm)
 
     def slope(self) -> float:
-        """Least squares of the load over the motor, of their changes over a part of the travel."""
-        return _slope(self.motor_rad, self.load_rad)
+        """The load over the motor: least squares, or where a large play bends that, while both move.
+
+        The latter is the median of the changes over a hundredth of the recording.
+        """
+        if _disagreement(self.motor_rad, self.load_rad) < ALIKE:
+            return _slope(self.motor_rad, self.load_rad)
+        step = max(1, self.time_s.size // 100)
+        motor = self.motor_rad[step:] - self.motor_rad[:-step]
+        load = self.load_rad[step:] - self.load_rad[:-step]
+        fast = np.ones(motor.size, dtype=bool)
+        for change in (np.abs(motor), np.abs(load)):
+            fast &= change > 0.5 * np.quantile(change, 0.95)
+        if not fast.any():
+            return _slope(self.motor_rad, self.load_rad)
+        return float(np.median(load[fast] / motor[fast]))
 
 
 def _with_turns(angle: FloatArray) -> list[FloatArray]:

@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtri
 
 from bayesbl.compiled import compiled
 from bayesbl.progress import Progress
@@ -46,7 +46,7 @@ from bayesbl.two_encoders.paths import (
     scaled_paths,
 )
 
-PLAY_RAD = (1e-5, 0.5)
+PLAY_RAD = (1e-5, 1.0)
 """Range of δ; its logarithm is uniform there."""
 
 NO_PLAY = 0.5
@@ -55,8 +55,8 @@ NO_PLAY = 0.5
 HELD_RAD, HELD_SPREAD = 2.5e-5, 1.2
 """Half of what friction winds up, where no torque tells it: median, and standard deviation of ln.
 
-Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of the rated torque, about
-what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
+Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of the rated torque,
+about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 """
 
 COASTING = (np.inf, 3.0, 1.0, 0.3, 0.1, 0.0)
@@ -357,7 +357,8 @@ class Model:
             change = int(np.count_nonzero(np.diff(inside)))
         else:
             lag = self.paths.binned(self.lag(course, half_rad))
-            loose = (LOOSE * (half_rad - np.abs(lag))) ** 2 if half_rad > 0.0 else 0.0
+            # In the gap, and nowhere without one.
+            loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
         white = np.full(lag.size, noise.white_rad**2) + loose
         # About the stated ratio: what is left of the load beside x − s.
         left = design.load_rad + lag - design.motor_rad
@@ -430,7 +431,7 @@ class Model:
 
         def cost(point: FloatArray) -> float:
             beyond = float(np.sum((point[:4] - np.clip(point[:4], low, high)) ** 2))
-            return -at(point).log_evidence + 10.0 * (beyond + max(abs(point[4]) - 1.0, 0.0))
+            return -float(at(point).log_evidence) + 10.0 * (beyond + max(abs(point[4]) - 1.0, 0.0))
 
         points = [np.append(start, 0.0) for start in starts]
         start = min(points, key=cost)
@@ -457,7 +458,7 @@ def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
     """
     seen = channels.slope()
     stated = [] if ratio is None else [1.0 / ratio, 1.0]
-    near = [s for s in stated if 0.4 < abs(seen / s) < 1.6]
+    near = [s for s in stated if 0.1 < abs(seen / s) < 1.6]
     if not near:
         return seen, False
     best = min(near, key=lambda s: abs(np.log(abs(seen / s))))
@@ -600,8 +601,8 @@ def _refined(model: Model, cells: list[Cell], noises: Sequence[Noise]) -> list[C
     for _ in range(10):
         cells.sort(key=lambda c: (c.course, c.half_rad))
         logs = _log_masses(cells, np.zeros(len(cells)), model)
-        heavy = np.flatnonzero(logs - logsumexp(logs) > np.log(0.04))
-        heavy = [i for i in heavy if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5]
+        share = logs - logsumexp(logs)
+        heavy = [i for i in np.flatnonzero(share > np.log(0.04)) if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5]
         if not heavy:
             break
         cells += [
@@ -623,22 +624,17 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     width = np.diff(np.log([c.half_rad for c in cells]))
     same = np.diff([c.course for c in cells]) == 0
     with np.errstate(divide="ignore"):
-        return np.where(
-            same,
-            np.logaddexp(log[1:], log[:-1]) + np.log(np.where(same, 0.5 * width, 1.0)),
-            -np.inf,
-        )
+        between = np.logaddexp(log[1:], log[:-1]) + np.log(np.where(same, 0.5 * width, 1.0))
+    return np.asarray(np.where(same, between, -np.inf))
 
 
 def _held_quantiles(compliance: tuple[float, float], friction: float | None) -> FloatArray:
     """Equally probable values of w/2, rad, shape (q,)."""
-    from scipy.special import ndtri
-
     if friction is None or compliance[0] < 3.0 * compliance[1]:
-        return HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400))
+        return np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
     spread = np.maximum(compliance[0] + compliance[1] * ndtri((np.arange(20) + 0.5) / 20), 1e-12)
     share = (np.arange(40) + 0.5) / 40
-    return np.maximum((friction * spread[:, None] * share).ravel(), 1.1e-6)
+    return np.asarray(np.maximum((friction * spread[:, None] * share).ravel(), 1.1e-6))
 
 
 def _drawn(
@@ -721,7 +717,7 @@ def _drawn(
     if friction is not None and compliance[0] > 3.0 * compliance[1]:
         draws["compliance_rad_per_nm"] = -beta[:, names.index("torque")]
     pairs = [
-        name.rsplit(" ", 2)[:2] for name in names if name.endswith((" cos",)) and "," not in name
+        name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name
     ]
     harmonics = {
         (side, int(order)): np.hypot(
