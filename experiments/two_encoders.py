@@ -13,6 +13,8 @@ stamps; the ratio is stated exactly, a little wrong, or not at all.
 from __future__ import annotations
 
 import math
+import sys
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -305,3 +307,32 @@ def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
         if told.any() and row.play
         else math.nan,
     }
+
+
+def example(half: float, seed: int) -> Channels:
+    """A joint of ratio 100 with this δ, moved slowly and fast, in uneven samples of 500 Hz."""
+    generator = np.random.default_rng(seed)
+    dt = 5e-4
+    time = np.arange(0.0, 20.0, dt)
+    path = 0.8 * np.sin(np.pi * time) + 0.4 * np.sin(2.0 * np.pi * time / 3.3)
+    load = dragged(path, half)
+    stamps = np.arange(0.1, 19.9, 2e-3)
+    stamps += generator.uniform(-3e-4, 3e-4, stamps.size)
+    step = 2.0 * np.pi / 2**17
+    at = np.interp(stamps - 1e-3, time, load)
+    read = step * np.round((at + 1e-3 * np.sin(at + 0.4)) / step)
+    return Channels(stamps, 100.0 * np.interp(stamps, time, path), read)
+
+
+if __name__ == "__main__":
+    for number, (file, gap) in enumerate(zip(sys.argv[1:], (1.5e-3, 2.2e-3), strict=False)):
+        made = example(gap, number)
+        Path(file).parent.mkdir(parents=True, exist_ok=True)
+        np.savetxt(
+            file,
+            np.column_stack([made.time_s, made.motor_rad, made.load_rad]),
+            delimiter=",",
+            header="time_s,motor_position_rad,load_position_rad",
+            comments="",
+            fmt="%.9g",
+        )

@@ -52,6 +52,7 @@ MOST_LINES = 500
 
 LONGER = {
     "bench/kernel.py": "numba inlines and caches only what is in one file",
+    "two_encoders/transmission.py": "one model and its posterior",
     "ringing/sums_of_squares.py": "numba inlines and caches only what is in one file",
 }
 """Files that may be longer than ``MOST_LINES``, and why."""

@@ -602,7 +602,11 @@ def _refined(model: Model, cells: list[Cell], noises: Sequence[Noise]) -> list[C
         cells.sort(key=lambda c: (c.course, c.half_rad))
         logs = _log_masses(cells, np.zeros(len(cells)), model)
         share = logs - logsumexp(logs)
-        heavy = [i for i in np.flatnonzero(share > np.log(0.04)) if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5]
+        heavy = [
+            i
+            for i in np.flatnonzero(share > np.log(0.04))
+            if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5
+        ]
         if not heavy:
             break
         cells += [
@@ -716,9 +720,7 @@ def _drawn(
     }
     if friction is not None and compliance[0] > 3.0 * compliance[1]:
         draws["compliance_rad_per_nm"] = -beta[:, names.index("torque")]
-    pairs = [
-        name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name
-    ]
+    pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
     harmonics = {
         (side, int(order)): np.hypot(
             beta[:, names.index(f"{side} {order} cos")],
