@@ -122,7 +122,7 @@ class Channels:
         return cls(time_s, *choices[best], torque_nm)
 
     def slope(self) -> float:
-        """The load over the motor: least squares, or where a large play bends that, while both move.
+        """The load over the motor: least squares; where a large play bends that, while both move.
 
         The latter is the median of the changes over a hundredth of the recording.
         """

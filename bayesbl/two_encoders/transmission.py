@@ -431,7 +431,8 @@ class Model:
 
         def cost(point: FloatArray) -> float:
             beyond = float(np.sum((point[:4] - np.clip(point[:4], low, high)) ** 2))
-            return -float(at(point).log_evidence) + 10.0 * (beyond + max(abs(point[4]) - 1.0, 0.0))
+            outside = beyond + max(abs(float(point[4])) - 1.0, 0.0)
+            return 10.0 * outside - at(point).log_evidence
 
         points = [np.append(start, 0.0) for start in starts]
         start = min(points, key=cost)

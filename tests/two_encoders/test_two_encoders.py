@@ -1,4 +1,4 @@
-"""Laws of play from two encoders, on a load that is dragged through the play, and on real joints."""
+"""Laws of play from two encoders: a load that is dragged through the play, and real joints."""
 
 from __future__ import annotations
 
