@@ -93,8 +93,18 @@ MODEL = 1e-2
 """Relative standard deviation of h for all that the model leaves out: flanks that are not straight,
 impacts, motion between two samples."""
 
+MOST_CURVE_RAD = 8e-3
+"""Largest standard deviation of the first order of the transmission error: more is another motion.
+"""
+
+SLOWED = (0.5, 0.7, 0.85, 1.2, 1.45, 2.0)
+"""Times a deceleration that are tried in its place."""
+
 LOOSE = 0.3
 """Standard deviation in the gap, over h."""
+
+USUAL_SKEW_S = 5e-3
+"""Standard deviation of the skew of the channels."""
 
 RATIO_STATED = 0.01
 """Relative standard deviation of a gear ratio that is stated."""
@@ -216,7 +226,7 @@ class Design:
         plain = [np.ones_like(self.motor_rad), self.motor_rad]
         plain += [paths.binned(paths.speed), paths.binned(paths.acceleration)]
         names = ["offset", "ratio", "skew", "inertia"]
-        sd = [1e3, RATIO_STATED if stated else 0.3, LONGEST_SKEW_S]
+        sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S]
         sd += [INERTIA_S2 if torque is None else 0.1]
         if torque is not None:
             plain.append(paths.binned(torque))
@@ -245,7 +255,8 @@ class Design:
         self.alike: FloatArray | None = None
         self.stiff = False
         self.centre = np.zeros(len(names))
-        self.centre[1] = 1.0
+        # The stated ratio, and channels of one clock.
+        self.centre[1], self.centre[2] = 1.0, paths.skew_s
 
     def columns(self, lag: FloatArray) -> FloatArray:
         """H, shape (bins, k), where the load lags the motor by ``lag``."""
@@ -317,7 +328,7 @@ class Model:
     """The model of one recording at one scaling of the paths."""
 
     def __init__(self, paths: Paths, design: Design, courses: Sequence[Course]) -> None:
-        self.paths, self.design, self.courses = paths, design, courses
+        self.paths, self.design, self.courses = paths, design, list(courses)
         self.step_s = np.diff(design.time_s)
         self.counted = 1.0
         self.floor_rad = max(0.2 * paths.load_step_rad, 1e-8)
@@ -360,9 +371,9 @@ class Model:
             # In the gap, and nowhere without one.
             loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
         white = np.full(lag.size, noise.white_rad**2) + loose
-        # About the stated ratio: what is left of the load beside x − s.
-        left = design.load_rad + lag - design.motor_rad
-        both = np.concatenate([design.columns(lag), left[:, None]], axis=1)
+        columns = design.columns(lag)
+        left = design.load_rad - columns @ design.centre
+        both = np.concatenate([columns, left[:, None]], axis=1)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
         columns, seen = both[:, :-1], both[:, -1]
         precision = design.precision(noise)
@@ -421,7 +432,7 @@ class Model:
         floor = self.floor_rad
         span = float(self.design.time_s[-1] - self.design.time_s[0])
         low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
-        high = np.log([1.0, 1.0, span, 0.03])
+        high = np.log([1.0, 1.0, span, MOST_CURVE_RAD])
         guess, _there = self.profiled(course, half_rad, first)
         starts = [np.clip(each.logs, low, high) for each in (guess, first)]
 
@@ -506,6 +517,7 @@ def fit_transmission(
         # A torque turns with the direction as a lag does, and would take its place in the search.
         model.design.stiff = True
         free, best = model.fitted(*_searched(model, noise))
+        free, best = _slowed(model, free, best)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
         moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
@@ -581,6 +593,26 @@ def _searched(model: Model, noise: Noise, *, freely: bool = False) -> tuple[int,
         refined.append((-float(result.fun), course, float(np.exp(result.x))))
     _, course, half = max(refined)
     return course, half, model.profiled(course, half, noise)[0]
+
+
+def _slowed(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
+    """With the deceleration of the best course moved to where the evidence is largest."""
+    how = model.courses[best.course]
+    if how.free or not 0.0 < how.drag < np.inf:
+        return noise, best
+    for _ in range(2):
+        before, drag = best, model.courses[best.course].drag
+        kept = drag
+        for times in SLOWED:
+            model.courses[best.course] = replace(how, drag=times * drag)
+            cell = model.cell(best.course, best.half_rad, noise)
+            if cell.log_evidence > best.log_evidence:
+                best, kept = cell, times * drag
+        model.courses[best.course] = replace(how, drag=kept)
+        if best is before:
+            break
+        noise, best = model.fitted(best.course, best.half_rad, noise)
+    return noise, best
 
 
 def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
