@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from bayesbl.progress import StageProgress
     from bayesbl.runs.summary import Summary
 
-Route = Literal["auto", "direct", "amplitude", "torque_ramp"]
+Route = Literal["auto", "direct", "amplitude", "torque_ramp", "two_encoders"]
 C = TypeVar("C", bound=RunConfig)
 
 

@@ -6,6 +6,7 @@ reads a sentence back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -187,6 +188,89 @@ def torque_offset(low_nm: float, high_nm: float) -> str:
     )
 
 
+def play_not_told(probability: float, upper_mrad: float, lost_mrad: float) -> str:
+    """The lag, or what there is of one, may be wind-up."""
+    return (
+        f"Play is not told from none (probability {100.0 * probability:.0f} %): both directions "
+        f"are {lost_mrad:.2g} mrad apart, which skew, wind-up or noise can make. δ is below "
+        f"{upper_mrad:.2g} mrad with 95 % probability."
+    )
+
+
+def held_by_weight(share: float) -> str:
+    """Gravity sets the flank."""
+    return (
+        f"The load's weight is above its friction {100.0 * share:.0f} % of the time, so it rests "
+        "on one flank in both directions and hides the play. Record with the load balanced or "
+        "the axis upright, or take it through the top and back."
+    )
+
+
+def nothing_told(upper_mrad: float) -> str:
+    """The bound is no answer."""
+    return (
+        f"These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "
+        "more reversals, slow and fast ones, with friction or a brake at the output."
+    )
+
+
+def few_reversals(count: int) -> str:
+    """The play is shown at reversals alone."""
+    return (
+        f"The motor turns back {count} time{'' if count == 1 else 's'} only: play shows at "
+        "reversals. Ten or more, slow and fast, tell it from a skew of the channels."
+    )
+
+
+def no_torque() -> str:
+    """What is taken for granted without one."""
+    return (
+        "No torque tells what the joint winds up or what the load weighs: what makers' sheets let "
+        "expect is taken off as wind-up (0.05 mrad), and the load is taken to be dragged by "
+        "friction. A load that its weight holds on one flank hides its play."
+    )
+
+
+def torque_unused() -> str:
+    """The compliance is aliased."""
+    return (
+        "The torque does not tell the compliance: it changes with the motion and the angle alone. "
+        "What makers' sheets let expect is taken off as wind-up (0.05 mrad)."
+    )
+
+
+def ratio_differs(stated: float, seen: float) -> str:
+    """The stated ratio is outside the interval."""
+    return f"The gear ratio looks like {seen:.6g}, not {stated:g} as stated."
+
+
+def motor_at_output() -> str:
+    """The motor's position was divided already."""
+    return "The motor's position is at the output already: the gear ratio was not applied again."
+
+
+def channels_skewed(skew_ms: float) -> str:
+    """A skew worth mending."""
+    late = "late" if skew_ms > 0.0 else "early"
+    return f"The load's stamps are {abs(skew_ms):.2g} ms {late}; this was taken out."
+
+
+def load_coasts(share: float) -> str:
+    """A free load."""
+    return (
+        f"The load goes through the play by itself (probability {100.0 * share:.0f} %), as a free "
+        "one does; wind-up by impacts may be in the play."
+    )
+
+
+def misfit_repeats(times: float) -> str:
+    """Model error."""
+    return (
+        "What the model leaves repeats with every cycle, so it is no noise: the intervals are "
+        f"{math.sqrt(times):.2g} times as wide as noise would make them."
+    )
+
+
 SENTENCES: Mapping[str, Callable[..., str]] = {
     # Which route answers.
     "only_route": lambda: "It is the only route that was asked for.",
@@ -300,5 +384,17 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "One cycle alone: how much repeated ramps scatter is not known, and the interval allows "
         "for up to 70 % of the gap."
     ),
+    # Of two encoders.
+    "play_not_told": play_not_told,
+    "held_by_weight": held_by_weight,
+    "nothing_told": nothing_told,
+    "few_reversals": few_reversals,
+    "no_torque": no_torque,
+    "torque_unused": torque_unused,
+    "ratio_differs": ratio_differs,
+    "motor_at_output": motor_at_output,
+    "channels_skewed": channels_skewed,
+    "load_coasts": load_coasts,
+    "misfit_repeats": misfit_repeats,
 }
 """Code to what makes its sentence of its values."""

@@ -35,6 +35,7 @@ GROUPS = {
     "By the amplitude of the ringing": "bayesbl.measurement.amplitude_route",
     "By simulation of the bench": "bayesbl.measurement.direct_route",
     "By ramps of torque": "bayesbl.measurement.ramp_route",
+    "By two encoders": "bayesbl.measurement.two_encoder_route",
     "Of wear": "bayesbl.measurement.dated_wear",
     "Of an identification": "bayesbl.results.identified",
     "Of a diagnosis": "bayesbl.diagnosis.groups",

@@ -30,6 +30,7 @@ ROOMS = (
     "bench",
     "sampling",
     "ramps",
+    "two_encoders",
     "ringing",
     "matching",
     "model_search",

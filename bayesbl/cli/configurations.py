@@ -124,7 +124,13 @@ def init_command(
     path, guess = start_config(recordings, out, joint=joint, force=force)
     plan = check(path)
     print_blocks(guessed(guess), make_console())
-    say(what_next(path, sound=not plan.problems, torque_ramps=guess.torque_ramps))
+    told = what_next(
+        path,
+        sound=not plan.problems,
+        torque_ramps=guess.torque_ramps,
+        two_encoders=guess.two_encoders,
+    )
+    say(told)
     _print_findings(plan)
 
 

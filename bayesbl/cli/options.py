@@ -94,9 +94,10 @@ Route = Annotated[
     str | None,
     _option(
         "--route",
-        "auto|amplitude|direct|torque_ramp",
-        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; or "
-        "by ramps of torque with the output held. [default: auto with a bench]",
+        "auto|amplitude|direct|torque_ramp|two_encoders",
+        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; "
+        "by ramps of torque with the output held; or by encoders of motor and load. [default: auto "
+        "with a bench]",
     ),
 ]
 StartFrom = Annotated[

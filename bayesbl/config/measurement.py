@@ -189,16 +189,21 @@ class Noise(Section):
         return self
 
 
+WITHOUT_BENCH = {"torque_ramp": "Ramps of torque", "two_encoders": "Two encoders"}
+"""Routes that read nothing but recordings, and what they read."""
+
+
 class Estimator(Section):
     """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
 
     Where a bench is given the route is ``auto``: the direct one answers where its checks pass, and
     the amplitude's answer, by curves swept from the bench, stands beside it. ``gap_rad`` is the
     range of the direct route's log-uniform prior. ``torque_ramp`` reads ramps of the motor's torque
-    with the output held, and needs neither bench nor curve.
+    with the output held, ``two_encoders`` the positions of motor and load over any motion with
+    reversals; both need neither bench nor curve.
     """
 
-    route: Literal["auto", "amplitude", "direct", "torque_ramp"] = "amplitude"
+    route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"
     bench: BenchSource | None = None
     gap_rad: GapBounds = (1e-4, 1e-2)
     model: Model = Field(default_factory=Model)
@@ -214,11 +219,11 @@ class Estimator(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.route == "torque_ramp":
+        if self.route in WITHOUT_BENCH:
             if self.bench is not None:
                 refuse(
-                    "Ramps of torque are read without a bench.",
-                    found='a bench with route = "torque_ramp"',
+                    f"{WITHOUT_BENCH[self.route]} are read without a bench.",
+                    found=f'a bench with route = "{self.route}"',
                     expected="no bench",
                     at=("bench",),
                 )
@@ -321,13 +326,14 @@ class SnapshotConfig(RecordedConfig):
         return posterior
 
     @model_validator(mode="after")
-    def _ramps_alone(self) -> Self:
-        """What only ramps of torque have, and what they have no use for."""
-        ramps = self.estimator.route == "torque_ramp"
-        if ramps and self.curve.source is not None:
+    def _without_bench_alone(self) -> Self:
+        """What only routes without a bench have, and what they have no use for."""
+        route = self.estimator.route
+        ramps, what = route == "torque_ramp", WITHOUT_BENCH.get(route)
+        if what is not None and self.curve.source is not None:
             refuse(
-                "Ramps of torque are read without a gap curve.",
-                found='a curve with route = "torque_ramp"',
+                f"{what} are read without a gap curve.",
+                found=f'a curve with route = "{route}"',
                 expected="no curve",
                 at=("curve", "source"),
             )
@@ -339,9 +345,9 @@ class SnapshotConfig(RecordedConfig):
                     expected='route = "torque_ramp" in [estimator], or one file',
                     at=("recordings", number, "files"),
                 )
-            if ramps and recording.reference_speed_rpm is not None:
+            if what is not None and recording.reference_speed_rpm is not None:
                 refuse(
-                    "Ramps of torque have no reference speed: the output is held.",
+                    f"{what} have no reference speed.",
                     found=f"reference_speed_rpm of {recording.name}",
                     expected="no reference speed",
                     at=("recordings", number, "reference_speed_rpm"),

@@ -33,7 +33,14 @@ from bayesbl.measurement.measurement import (
 from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.measurement.wear import since_repair
 from bayesbl.progress import of_stage
-from bayesbl.ramps.flanks import Flanks, find_flanks, lost_motion, observations, of_cycles
+from bayesbl.ramps.flanks import (
+    Flanks,
+    find_flanks,
+    lost_motion,
+    observations,
+    of_cycles,
+    stiffness,
+)
 from bayesbl.ramps.loop import LoopModel
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
@@ -62,6 +69,7 @@ UNSURE = 0.05
 QUANTITIES = (
     "lost_motion_rad",
     "compliance_rad_per_nm",
+    "stiffness_nm_per_rad",
     "friction_torque_nm",
     "held_windup_rad",
 )
@@ -438,6 +446,7 @@ def of_every_cycle(
     compliance = flank / beyond if largest is not level and beyond > 0.0 else 0.0
     return {
         "lost_motion_rad": lost_motion(files, largest, stated_nm),
+        "stiffness_nm_per_rad": stiffness(files, largest),
         "compliance_rad_per_nm": of_cycles(
             largest, lambda c: max(c.range_rad - width, 0.0) / (2.0 * c.amplitude_nm)
         ),
@@ -530,6 +539,8 @@ POSTERIOR = Group(
             lost_motion_rad (chain, draw) | rad
                 | between the middles of the loop of the largest ramps at the stated torques
             compliance_rad_per_nm (chain, draw) | rad/(N m) | of the loaded joint at the output
+            stiffness_nm_per_rad (chain, draw) | N m/rad
+                | position over torque by least squares along the largest ramps, both sides
             friction_torque_nm (chain, draw) | N m | at the output, over the range of the ramps
             held_windup_rad (chain, draw) | rad
                 | of the gap: compliance that friction holds at zero torque, if flanks do not harden

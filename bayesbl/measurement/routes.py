@@ -31,6 +31,7 @@ ROUTES = {
     "direct": "bayesbl.measurement.direct_route",
     "auto": "bayesbl.measurement.auto_route",
     "torque_ramp": "bayesbl.measurement.ramp_route",
+    "two_encoders": "bayesbl.measurement.two_encoder_route",
 }
 """Name to the module, which is imported only where it is used."""
 

@@ -159,11 +159,13 @@ class _FromRamps(TypedDict, total=False):
     seen, and ``preload_torque_nm`` is the torque at which one of both flanks lifts; 0 with play,
     ``None`` where that is not seen.
     ``held_windup_rad``: what of δ is compliance that friction holds at zero torque.
+    ``stiffness_nm_per_rad``: of a line through the largest ramps, as test reports state it.
     """
 
     lost_motion_rad: Interval
     lost_motion_torque_nm: float
     compliance_rad_per_nm: Interval
+    stiffness_nm_per_rad: Interval
     friction_torque_nm: Interval
     held_windup_rad: Interval
     preload_torque_nm: Interval | None
@@ -171,6 +173,40 @@ class _FromRamps(TypedDict, total=False):
     probability_of_play: float
     relative_compliance: float
     ramps: RampsSummary
+
+
+class HarmonicSummary(TypedDict):
+    """Amplitude of an order of the transmission error, per turn of the load or the motor."""
+
+    of: str
+    order: int
+    amplitude_rad: Interval
+
+
+class TransmissionErrorSummary(TypedDict):
+    """Of the load behind the motor, over the angle, the same in both directions.
+
+    ``harmonics`` are of angles that make a turn or more.
+    """
+
+    peak_to_peak_rad: Interval
+    harmonics: list[HarmonicSummary]
+
+
+class _FromTwoEncoders(TypedDict, total=False):
+    """Of the encoders of motor and load.
+
+    ``play_rad`` is 2δ. ``lost_motion_rad`` is between both directions: the play, and what the
+    load's friction winds up. ``windup_rad_per_nm`` is the compliance at the output, where a torque
+    tells it. ``channel_skew_s`` is how late the load's stamps are.
+    """
+
+    play_rad: Interval | None
+    windup_rad_per_nm: Interval | None
+    gear_ratio: Interval
+    channel_skew_s: Interval
+    transmission_error: TransmissionErrorSummary
+    reversals: int
 
 
 class StatedLimit(TypedDict):
@@ -181,7 +217,7 @@ class StatedLimit(TypedDict):
     measured: Interval | None
 
 
-class RouteSummary(_FromRinging, _FromSimulation, _FromRamps):
+class RouteSummary(_FromRinging, _FromSimulation, _FromRamps, _FromTwoEncoders):
     """What one route says of one recording; every route gives the keys here, and some of its own.
 
     A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone.

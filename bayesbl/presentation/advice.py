@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import answer, diagnosis, joint_check, torque_ramps, wear
+from bayesbl.presentation import answer, diagnosis, joint_check, torque_ramps, two_encoders, wear
 from bayesbl.presentation.words import SURE
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words
@@ -86,6 +86,8 @@ def of_snapshots(summary: MeasuredSummary) -> Advice:
             again = "the motion two times or more in a row"
         if torque_ramps.is_by_ramps(summary):
             again = "with the ramps that are asked for"
+        elif two_encoders.is_by_two_encoders(summary):
+            again = "with more reversals, slow and fast"
         return Advice(
             "withheld",
             "Do not decide from these recordings.",

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import joint_check, torque_ramps, wear, words
+from bayesbl.presentation import joint_check, torque_ramps, two_encoders, wear, words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
 from bayesbl.presentation.words import route_in_words
 from bayesbl.units import number
@@ -143,8 +143,8 @@ def headline(summary: MeasuredSummary) -> str:
             told = words.change_of("The gap", change, "mrad", 1e3)
             return f"{by}{told}; {grew(growth)}{joint_check.unless(summary)}."
     elif summary["delta_rad"] is not None:
-        if (preloaded := torque_ramps.no_play(summary)) is not None:
-            return preloaded
+        if (none := torque_ramps.no_play(summary) or two_encoders.no_play(summary)) is not None:
+            return none
         return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     elif summary["delta_upper_bound_rad"] is not None:
         bound = words.significant(1e3 * summary["delta_upper_bound_rad"])
@@ -271,6 +271,8 @@ def explained(summary: MeasuredSummary) -> str:
     """What δ and the range beneath it are, and what they rest on."""
     if torque_ramps.is_by_ramps(summary):
         condition = "the ramps reach both flanks"
+    elif two_encoders.is_by_two_encoders(summary):
+        condition = two_encoders.CONDITION
     elif is_simulated(summary):
         condition = "the bench is as its file says"
     else:
@@ -370,6 +372,8 @@ def _gap_table(summary: MeasuredSummary) -> Table:
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
     if torque_ramps.is_by_ramps(summary):
         return torque_ramps.snapshot_table(parts, places)
+    if two_encoders.is_by_two_encoders(summary):
+        return two_encoders.snapshot_table(parts, places)
     if is_ringing_alone(summary):
         return _ringing_alone_table(parts)
     routes = [name for name, found in parts[0][1]["routes"].items() if "diagnostics" in found]

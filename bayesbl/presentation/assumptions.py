@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, torque_ramps
+from bayesbl.presentation import answer, torque_ramps, two_encoders
 from bayesbl.presentation.words import interval_kind
 
 if TYPE_CHECKING:
@@ -46,6 +46,10 @@ def of_snapshots(summary: MeasuredSummary) -> Iterator[str]:
     last = answer.snapshots(summary)[-1][1]
     if torque_ramps.is_by_ramps(summary):
         yield from _of_ramps(summary)
+        yield from _of_interval(last)
+        return
+    if two_encoders.is_by_two_encoders(summary):
+        yield from two_encoders.assumptions(summary)
         yield from _of_interval(last)
         return
     if "motion" in last:

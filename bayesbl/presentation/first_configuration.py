@@ -49,7 +49,9 @@ def chosen(guess: Iterable[Choice]) -> Iterator[Block]:
         yield Sentence(choice.told)
 
 
-def what_next(path: Path, *, sound: bool, torque_ramps: bool = False) -> str:
+def what_next(
+    path: Path, *, sound: bool, torque_ramps: bool = False, two_encoders: bool = False
+) -> str:
     """Where the configuration is, and what to do with it."""
     if not sound:
         return f"Written to {path}. It cannot run yet:"
@@ -57,6 +59,11 @@ def what_next(path: Path, *, sound: bool, torque_ramps: bool = False) -> str:
         return (
             f"Written to {path}, for ramps of torque with the output held. Correct units and "
             f"gear_ratio there, then: bayesbl run {shlex.quote(str(path))}"
+        )
+    if two_encoders:
+        return (
+            f"Written to {path}, for encoders of motor and load. Correct units there, fill in "
+            f"gear_ratio if it is known, then: bayesbl run {shlex.quote(str(path))}"
         )
     return (
         f"Written to {path}. Correct it there, fill in gear_ratio, limit_rad (the gap at which "

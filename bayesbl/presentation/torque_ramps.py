@@ -100,6 +100,7 @@ def blocks(part: RouteSummary) -> Iterator[Block]:
         "scatter_rad": ("its scatter", 1e3, "mrad"),
         "lost_motion_rad": ("lost motion", 1e3, "mrad"),
         "compliance_rad_per_nm": ("compliance", 1e3, "mrad/N m"),
+        "stiffness_nm_per_rad": ("stiffness of a line through the ramps", 1.0, "N m/rad"),
         "friction_torque_nm": ("friction", 1.0, "N m"),
         "held_windup_rad": ("held windup in δ", 1e3, "mrad"),
         "preload_torque_nm": ("torque at which a flank lifts", 1.0, "N m"),

@@ -31,6 +31,7 @@ _SOURCES = {
     "laws_and_drift": "laws that the bench may lack, and drift between snapshots",
     "bench": "tolerances of the bench",
     "repeated_ramps": "scatter of repeated ramps",
+    "held_windup": "wind-up that friction holds",
     "positions_round_the_turn": "positions round the turn",
 }
 

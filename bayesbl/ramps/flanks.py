@@ -273,6 +273,27 @@ def _lost(ramps: Ramps, cycle: Cycle, torque_nm: float) -> float:
     return middles[1] - middles[-1]
 
 
+def stiffness(files: Sequence[Ramps], level: Level) -> list[FloatArray]:
+    """Torque over position as test reports state it, by file and cycle, N m/rad.
+
+    The mean over both sides of 1/slope, the slope that of the position over the torque by least
+    squares along a whole ramp there and back: softer than a flank, by what lies between the flanks.
+    """
+    return [
+        np.array([_stiffness(ramps, cycle) for cycle in cycles])
+        for ramps, cycles in zip(files, level.files, strict=True)
+        if cycles
+    ]
+
+
+def _stiffness(ramps: Ramps, cycle: Cycle) -> float:
+    slopes = []
+    for excursion in (cycle.first, cycle.last):
+        part = slice(excursion.begin, excursion.back + 1)
+        slopes.append(float(np.polyfit(ramps.torque_nm[part], ramps.position_rad[part], 1)[0]))
+    return float(np.mean([1.0 / slope if slope > 0.0 else np.inf for slope in slopes]))
+
+
 def of_cycles(level: Level, value: Callable[[Cycle], float]) -> list[FloatArray]:
     """A quantity of every cycle, by file with cycles."""
     return [np.array([value(c) for c in file]) for file in level.files if file]

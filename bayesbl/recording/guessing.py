@@ -69,6 +69,9 @@ _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SIDES_ALIKE = 2.5
 """Ratio of the largest torques each way, up to which they may be ramps to and fro."""
 
+_TURNS_BACK = 1.5
+"""Way over distance of a motor that goes to and fro."""
+
 _AGREEMENT = 0.02
 """Relative; speed and position, or speed and reference, that differ by less belong together."""
 
@@ -93,12 +96,14 @@ class Guess:
     """All columns that were recognised, time first, and the names of the others.
 
     ``torque_ramps``: there is no speed, but a position and a torque that goes both ways, as where
-    the output is held.
+    the output is held. ``two_encoders``: there are the positions of motor and load, and the motor
+    turns back.
     """
 
     columns: tuple[GuessedColumn, ...]
     unused: tuple[str, ...]
     torque_ramps: bool = False
+    two_encoders: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +150,10 @@ def guess_columns(
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
-    ramps = MOTOR_SPEED not in chosen and _is_of_ramps(table, chosen)
+    both = _is_of_two_encoders(table, chosen)
+    ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(table, chosen)
     moved = position_will_do and MOTOR_POSITION in chosen
-    if MOTOR_SPEED not in chosen and not ramps and not moved:
+    if MOTOR_SPEED not in chosen and not ramps and not both and not moved:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
         channel: _series(path, table, column)
@@ -158,7 +164,7 @@ def guess_columns(
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     units = _units(table, chosen, held)
     guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
-    if ramps:
+    if ramps or both:
         guesses = [_unknown(column) for column in guesses]
     columns = tuple(_doubted(column, held[column.channel]) for column in guesses)
     taken = {column.name for column in columns}
@@ -167,6 +173,7 @@ def guess_columns(
         tuple(sorted(columns, key=lambda c: order.index(c.channel))),
         tuple(name for name in table.columns if name and name not in taken),
         ramps,
+        both,
     )
 
 
@@ -222,6 +229,20 @@ def _is_of_ramps(table: Table, chosen: Mapping[str, _Named]) -> bool:
     return 0.0 < max(low, high) <= _SIDES_ALIKE * min(low, high)
 
 
+def _is_of_two_encoders(table: Table, chosen: Mapping[str, _Named]) -> bool:
+    """Whether there are both positions, and the motor goes to and fro."""
+    if not {MOTOR_POSITION, LOAD_POSITION} <= chosen.keys():
+        return False
+    motor, load = (_numbers(table, chosen[c]) for c in (MOTOR_POSITION, LOAD_POSITION))
+    if motor.size != load.size:
+        return False
+    good = np.isfinite(motor) & np.isfinite(load)
+    motor, load = np.unwrap(motor[good]), load[good]
+    if motor.size < 2 or float(np.ptp(load)) == 0.0:
+        return False
+    return float(np.abs(np.diff(motor)).sum()) > _TURNS_BACK * abs(float(motor[-1] - motor[0]))
+
+
 def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> GuessedColumn:
     """With the unit that the numbers suggest, where the file states none."""
     if stated.sure or stated.channel not in units:
@@ -232,7 +253,7 @@ def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> G
 
 def _unknown(column: GuessedColumn) -> GuessedColumn:
     """A position whose unit nothing tells: in ramps it alone sets the size of the gap."""
-    if column.channel != MOTOR_POSITION or column.reason != NO_UNIT:
+    if column.channel not in (MOTOR_POSITION, LOAD_POSITION) or column.reason != NO_UNIT:
         return column
     units = ", ".join(accepted_units(column.channel))
     return replace(column, unit=UNKNOWN, reason=f"enter its unit: {units}")

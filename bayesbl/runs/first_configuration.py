@@ -105,7 +105,7 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     )
     entries = "\n".join(
         f"[[recordings]]\nname = {quoted(name)}\nfile = {quoted(relative(file, path))}\n"
-        + (_MORE_FILES if ramps else _ASKED_SPEED)
+        + (_MORE_FILES if ramps else "" if guess.two_encoders else _ASKED_SPEED)
         + (dated if kind == "compare" else "")
         for name, file in zip(names, recordings, strict=True)
     )
@@ -131,7 +131,7 @@ output = {quoted(f"results/{name_of(path.stem)}")}
 [interval]
 level = 0.9             # of the credible intervals
 
-{_RAMPS_ESTIMATOR if ramps else _ESTIMATOR}"""
+{_RAMPS_ESTIMATOR if ramps else _ENCODERS_ESTIMATOR if guess.two_encoders else _ESTIMATOR}"""
 
 
 _JOINT = "# gear_ratio = 120.0    # motor turns per turn of the load\n"
@@ -158,6 +158,13 @@ _RAMPS_ESTIMATOR = """\
 # Without a speed, these look like ramps of torque to and fro with the output held.
 [estimator]
 route = "torque_ramp"
+"""
+
+
+_ENCODERS_ESTIMATOR = """\
+# Motor and load have an encoder each, and the motor goes to and fro: the play shows in them.
+[estimator]
+route = "two_encoders"
 """
 
 

@@ -1,0 +1,382 @@
+"""From the encoders of motor and load, over any motion with reversals, to the gap.
+
+See :mod:`bayesbl.two_encoders.transmission` and ``docs/design.md``, "Two encoders".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import Interval as IntervalConfig
+from bayesbl.config.sections import SnapshotRecording
+from bayesbl.errors import RecordingError
+from bayesbl.measurement import shared_groups as shared
+from bayesbl.measurement.measurement import (
+    UPPER_BOUND_LEVEL,
+    Answer,
+    Measurement,
+    Measurer,
+    Reason,
+    Route,
+    Verdict,
+    upper_bound,
+)
+from bayesbl.measurement.task import Task
+from bayesbl.progress import of_stage
+from bayesbl.recording.checks import require_alive, require_channels
+from bayesbl.recording.readers import read_recording
+from bayesbl.recording.types import (
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_TORQUE,
+    FloatArray,
+    Recording,
+)
+from bayesbl.results.intervals import interval
+from bayesbl.results.variables import Group, dataset, table
+from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
+from bayesbl.two_encoders.paths import Channels, scaled_paths
+from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
+
+NAME = "two_encoders"
+
+FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
+
+LIKELY = 0.5
+"""Probability from which something is told as a note."""
+
+FOLLOWS = 0.1
+"""Share of the load's variance that the motor's position explains, from which they are of one
+joint."""
+
+HELD_BY_WEIGHT = 0.2
+"""Share of the moving time with the load's weight above its friction, from which the flanks do not
+turn with the direction."""
+
+TOO_WIDE = 0.05
+"""Upper bound of δ over the travel: above it nothing was told of the play."""
+
+POSTERIOR = Group(
+    "posterior",
+    (
+        shared.DELTA,
+        *table("""
+            play_rad (chain, draw) | rad | whole play, 2δ
+            lost_motion_rad (chain, draw) | rad
+                | between both directions: play, and what the load's friction winds up
+            held_windup_rad (chain, draw) | rad | what of the lost motion is no play
+            windup_rad_per_nm (chain, draw) | rad/(N m)
+                | compliance at the output; NaN where no torque tells it
+            gear_ratio (chain, draw) | 1 | motor over load, with its sign
+            channel_skew_s (chain, draw) | s | by which the load's stamps are late
+            transmission_error_rad (chain, draw) | rad | peak to peak, over the travel
+            harmonic_rad (harmonic, chain, draw) | rad | amplitude of a transmission error's order
+        """),
+    ),
+    (shared.CHAIN, shared.DRAW),
+)
+
+TRANSMISSION = Group(
+    "transmission",
+    table("""
+        position_rad (point) | rad | the load's position
+        forward (point) | 1 | whether the motor turns forwards (1)
+        lag_rad (point) | rad | motor less load, without all but the play
+        model_rad (point) | rad | the same by the model
+        curve_rad (point) | rad | transmission error
+        harmonic_order (harmonic) | 1 | order of a transmission error
+        harmonic_of_load (harmonic) | 1 | whether it is per turn of the load (1) or the motor (0)
+        probability_of_play | 1 | that δ is not zero
+        log_odds | 1 | log evidence of a lag over none
+        coasts | 1 | probability that the load goes through the gap by itself
+        counted | 1 | times that a misfit which repeats every cycle is counted
+        reversals | 1 | of the motor
+        noise_sd_rad | rad | white noise
+        drift_sd_rad | rad | of the process with a correlation time
+        drift_s | s | that correlation time
+    """),
+)
+
+DIAGNOSTICS = Group("diagnostics", (*shared.SAMPLING,), (shared.SAMPLED_SYMBOLS,))
+
+GROUPS = (
+    POSTERIOR,
+    shared.OBSERVED,
+    shared.CONSTANT,
+    TRANSMISSION,
+    DIAGNOSTICS,
+    shared.BUDGET,
+)
+
+SCALARS = ("probability_of_play", "log_odds", "coasts", "counted", "reversals")
+
+QUANTITIES = (
+    "play_rad",
+    "lost_motion_rad",
+    "held_windup_rad",
+    "windup_rad_per_nm",
+    "gear_ratio",
+    "channel_skew_s",
+    "transmission_error_rad",
+)
+
+OF_PLAY = ("play_rad", "held_windup_rad")
+"""Of these, what tells δ."""
+
+
+class TwoEncoderMeasurer(Measurer):
+    """The route of two encoders."""
+
+    def __init__(self, config: SnapshotConfig) -> None:
+        self.config = config
+
+    @property
+    def gap_range_rad(self) -> tuple[float, float]:
+        """Of the prior."""
+        return PLAY_RAD
+
+    def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
+        """The ratio, where it is stated."""
+        ratio = self.config.joint.gear_ratio
+        yield "gear ratio", lambda: "from the recording" if ratio is None else f"{ratio:g}"
+
+    def read(self, entry: SnapshotRecording) -> Recording:
+        """Samples as they are: they need not be even in time."""
+        recording = read_recording(
+            entry.file, name=entry.name, columns=self.config.column_specs, even=False
+        )
+        require_channels(recording, [MOTOR_POSITION, LOAD_POSITION])
+        require_alive(recording, [MOTOR_POSITION, LOAD_POSITION])
+        return recording
+
+    def require_usable(self, recording: Recording) -> None:
+        """The load follows the motor, which turns back at least once."""
+        channels = channels_of(recording)
+        if recording.samples < FEWEST_SAMPLES:
+            raise RecordingError(
+                "The recording is too short.",
+                file=recording.place,
+                found=f"{recording.samples} samples",
+                expected=f"{FEWEST_SAMPLES} or more",
+            )
+        follows = float(np.corrcoef(channels.motor_rad, channels.load_rad)[0, 1]) ** 2
+        if not follows >= FOLLOWS:
+            raise RecordingError(
+                "The load does not follow the motor.",
+                file=recording.place,
+                where=f"{MOTOR_POSITION}, {LOAD_POSITION}",
+                found=f"{100.0 * follows:.0f} % of the load's motion",
+                expected="both encoders of one joint, and a motion larger than the play",
+            )
+        reversals = scaled_paths(channels, channels.slope()).reversals
+        if reversals < FEWEST_REVERSALS:
+            raise RecordingError(
+                "The motor does not turn back.",
+                file=recording.place,
+                where=MOTOR_POSITION,
+                found="a motion in one direction",
+                expected="reversals: play shows where the motor turns back",
+            )
+
+    def measure(self, task: Task) -> Measurement:
+        """One recording after the other."""
+        answers = []
+        for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
+            report = of_stage(task.progress, f"Fitting {recording.name}")
+            found = fit_transmission(
+                channels_of(recording), seed, self.config.joint.gear_ratio, report
+            )
+            answers.append(self._answer(recording, found))
+        return Measurement(NAME, answers)
+
+    def _answer(self, recording: Recording, found: Transmission) -> Answer:
+        # The gravest first.
+        reasons = sorted(self._findings(found), key=lambda reason: not reason.withholds)
+        withheld = any(reason.withholds for reason in reasons)
+        sure = found.probability_of_play >= UPPER_BOUND_LEVEL
+        outcome: Outcome = "withheld" if withheld else "converged" if sure else "usable"
+        reasons += [Reason.told("recording", text) for text in recording.notes]
+        groups = groups_of(found, recording)
+        upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        return Answer(
+            recording.name,
+            found.draws["delta_rad"],
+            Verdict(outcome, tuple(reasons)),
+            groups,
+            _numbers(found, groups, recording, self.config.interval, is_withheld=withheld),
+            upper_bound_rad=None if sure or withheld else upper,
+        )
+
+    def _findings(self, found: Transmission) -> Iterator[Reason]:
+        """All that limits the answer."""
+        upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        visible = found.followed > LIKELY
+        if found.probability_of_play < UPPER_BOUND_LEVEL:
+            lost = float(np.median(found.draws["lost_motion_rad"]))
+            if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
+                yield Reason("nothing_told", {"upper_mrad": 1e3 * upper}, withholds=True)
+            else:
+                yield Reason(
+                    "play_not_told",
+                    {
+                        "probability": found.probability_of_play,
+                        "upper_mrad": 1e3 * upper,
+                        "lost_mrad": 1e3 * lost,
+                    },
+                )
+        if found.gravity_holds > HELD_BY_WEIGHT and not visible:
+            yield Reason("held_by_weight", {"share": found.gravity_holds}, withholds=True)
+        if found.reversals < FEW_REVERSALS:
+            yield Reason("few_reversals", {"count": found.reversals})
+        if found.friction_nm is None:
+            yield Reason("no_torque")
+        elif "compliance_rad_per_nm" not in found.draws:
+            yield Reason("torque_unused")
+        stated = self.config.joint.gear_ratio
+        if stated is not None:
+            seen = np.abs(found.draws["gear_ratio"])
+            middle = float(np.median(seen))
+            if abs(np.log(middle)) < 0.1 < abs(np.log(stated)):
+                yield Reason("motor_at_output")
+            elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):
+                yield Reason("ratio_differs", {"stated": stated, "seen": middle})
+        skew = 1e3 * float(np.median(found.draws["channel_skew_s"]))
+        if abs(skew) > 1.0:
+            yield Reason("channels_skewed", {"skew_ms": skew})
+        if found.coasts > LIKELY and found.probability_of_play > LIKELY:
+            yield Reason("load_coasts", {"share": found.coasts})
+        if found.counted > 2.0:
+            yield Reason("misfit_repeats", {"times": found.counted})
+
+
+def upper_bound_rad(delta_rad: FloatArray, drift_rad: float) -> float:
+    """Of δ, with 95 %: a misfit that lasts for a stroke can hide a play of its size."""
+    return max(upper_bound(delta_rad), drift_rad)
+
+
+def channels_of(recording: Recording) -> Channels:
+    """What the route takes of a recording: the torque, or the current in its place."""
+    torque = recording.channels.get(MOTOR_TORQUE)
+    if torque is None:
+        torque = recording.channels.get(MOTOR_CURRENT)
+    if torque is not None and float(np.ptp(torque)) == 0.0:
+        torque = None
+    return Channels.unwrapped(
+        recording.time_s,
+        recording.channels[MOTOR_POSITION],
+        recording.channels[LOAD_POSITION],
+        torque,
+    )
+
+
+def groups_of(found: Transmission, recording: Recording) -> dict[str, xr.Dataset]:
+    """All groups of one snapshot, without a ``snapshot`` dimension."""
+    draws = dict(found.draws)
+    shape = draws["delta_rad"].shape
+    # What one ampere makes is not known, so a current's compliance is no compliance.
+    of_torque = MOTOR_TORQUE in recording.channels
+    compliance = draws.pop("compliance_rad_per_nm", np.full(shape, np.nan))
+    draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
+    amplitudes = list(found.harmonics.values())
+    draws["harmonic_rad"] = np.stack(amplitudes) if amplitudes else np.empty((0, *shape))
+    sampled = _sampled(found)
+    noise = found.noise
+    observed = {name: recording.channels[name] for name in (MOTOR_POSITION, LOAD_POSITION)}
+    return {
+        "posterior": dataset(POSTERIOR, draws, shared.numbered(shape)),
+        **shared.recorded(recording, observed),
+        "transmission": dataset(
+            TRANSMISSION,
+            {
+                "position_rad": found.position_rad,
+                "forward": (found.paths.binned(found.paths.speed) > 0.0).astype(float),
+                "lag_rad": found.lag_rad,
+                "model_rad": found.modelled_rad,
+                "curve_rad": found.curve_rad,
+                "harmonic_order": np.array([float(n) for _, n in found.harmonics]),
+                "harmonic_of_load": np.array([float(s == "load") for s, _ in found.harmonics]),
+                **{name: float(getattr(found, name)) for name in SCALARS},
+                "noise_sd_rad": noise.white_rad,
+                "drift_sd_rad": noise.drift_rad,
+                "drift_s": noise.drift_s,
+            },
+        ),
+        "diagnostics": dataset(
+            DIAGNOSTICS, shared.sampling_values(sampled, 0.0), {"symbol": list(sampled.r_hat)}
+        ),
+        "budget": shared.budget_group(_budget(found)),
+    }
+
+
+def _sampled(found: Transmission) -> Diagnostics:
+    """Of draws that are independent of one another."""
+    chains, draws = found.draws["lost_motion_rad"].shape
+    r_hat, ess = rank_r_hat_and_ess({"lost_motion_rad": found.draws["lost_motion_rad"]})
+    return Diagnostics(r_hat, ess, 1.0, draws, np.ones(chains), "converged", ())
+
+
+def _budget(found: Transmission) -> dict[str, float]:
+    """Share of each source in the variance of δ."""
+    held = 0.25 * float(np.var(found.draws["held_windup_rad"]))
+    share = min(held / max(float(np.var(found.draws["delta_rad"])), held, 1e-300), 1.0)
+    return {"noise": 1.0 - share, "held_windup": share}
+
+
+def _numbers(
+    found: Transmission,
+    groups: dict[str, xr.Dataset],
+    recording: Recording,
+    of: IntervalConfig,
+    *,
+    is_withheld: bool,
+) -> dict[str, Any]:
+    """The contract's keys, and beside them all that both encoders tell."""
+    posterior = groups["posterior"]
+    names = [name for name in QUANTITIES if np.isfinite(posterior[name].values).all()]
+    if is_withheld:
+        names = [name for name in names if name not in OF_PLAY]
+    parameters = shared.intervals(posterior, names, of)
+    return {
+        "amplitude_rpm": None,
+        "play_rad": parameters.get("play_rad"),
+        "lost_motion_rad": parameters["lost_motion_rad"],
+        "windup_rad_per_nm": parameters.get("windup_rad_per_nm"),
+        "gear_ratio": parameters["gear_ratio"],
+        "channel_skew_s": parameters["channel_skew_s"],
+        "transmission_error": {
+            "peak_to_peak_rad": parameters["transmission_error_rad"],
+            "harmonics": [
+                {"of": side, "order": order, "amplitude_rad": interval(each, of.level, of.kind)}
+                for (side, order), each in found.harmonics.items()
+            ],
+        },
+        "probability_of_play": found.probability_of_play,
+        "reversals": found.reversals,
+        "parameters": parameters,
+        "optimum": {},
+        "noise": {
+            "kind": "drift",
+            "order": 0,
+            "sd_rpm": 0.0,
+            "coefficients": [],
+            "degrees_of_freedom": None,
+        },
+        "rotations": 0.0,
+        "excluded_samples": shared.excluded_samples(recording),
+        "budget": _budget(found),
+        "diagnostics": shared.sampling_summary(_sampled(found)),
+    }
+
+
+def prepare(config: SnapshotConfig) -> TwoEncoderMeasurer:
+    """With nothing but the configuration."""
+    return TwoEncoderMeasurer(config)
+
+
+ROUTE = Route(NAME, GROUPS)

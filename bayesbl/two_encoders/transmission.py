@@ -1,0 +1,783 @@
+"""Posterior of play, wind-up, ratio, skew and transmission error from both encoders at once.
+
+With x the motor's position at the load and θ_l the load's,
+
+    θ_l = x − s(x; h) + H β + e,        s within ±h
+
+where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, what the
+ratio is off by (x), the skew of the channels (ẋ), inertia that winds the joint up (ẍ), torque, and
+the transmission error: harmonics of motor and load angle (one curve of the angle, the same both
+ways, where the load makes less than a turn). β is normal and integrated out. The noise e is white
+beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
+drift from stroke to stroke so counts once a stroke, not once a sample. In the gap the load is
+where it likes, so the noise is as wide as the gap there.
+
+Every course of the flanks (a load that stays, or coasts on by some deceleration) is tried over a
+grid of h, and their probabilities are added. h, half of what lies between both directions, is δ
+and half of what friction of the load winds up:
+
+    h = δ + w/2
+
+w is c T u with a torque that tells the compliance c and the friction T, of which an unknown share u
+is the load's; else what makers' sheets let expect. δ has a mass at zero. Skew, eccentricity and a
+wrong ratio make no lag that keeps its size from slow to fast and turns with the direction: they are
+told from play by their evidence, here and not before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize, minimize_scalar
+from scipy.special import logsumexp, ndtri
+
+from bayesbl.compiled import compiled
+from bayesbl.progress import Progress
+from bayesbl.recording.types import FloatArray
+from bayesbl.two_encoders.paths import (
+    LONGEST_SKEW_S,
+    Channels,
+    Paths,
+    load_lag,
+    moving_mean,
+    scaled_paths,
+)
+
+PLAY_RAD = (1e-5, 1.0)
+"""Range of δ; its logarithm is uniform there."""
+
+NO_PLAY = 0.5
+"""Probability of none, beforehand."""
+
+HELD_RAD, HELD_SPREAD = 2.5e-5, 1.2
+"""Half of what friction winds up, where no torque tells it: median, and standard deviation of ln.
+
+Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of the rated torque,
+about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
+"""
+
+COASTING = (np.inf, 3.0, 1.0, 0.3, 0.1, 0.0)
+"""Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
+
+STAYS = 0.5
+"""Probability of the first, beforehand."""
+
+CURVE_ORDERS, MOTOR_ORDERS, LOAD_ORDERS = 16, 4, 8
+"""Of the transmission error: of the travel, and of each angle where it makes a turn."""
+
+ANYWHERE, VISIBLE, CHANGE = 0.8, 8.0, np.log(3.0)
+"""Of a load whose way through the gap is not known: its standard deviation there over h (that of a
+normal density as high as the uniform one), the least h over the noise, and the cost of a change
+between flank and gap."""
+
+ECCENTRIC_RAD = 0.015
+"""Standard deviation of what an encoder's ring or magnet that is not centred makes once a turn.
+
+Over a part of a turn it looks like another gear ratio.
+"""
+
+ALIKE_RAD = 1e-3
+"""Lag up to which the transmission error is the same at the motor's and the load's angle."""
+
+TURNING, SMOOTHED = (1e-4, 1e-3, 1e-2, 5e-2, 2e-1), 0.1
+"""Lags over the travel that friction may turn behind, and part of a stroke that what is left of the
+torque is averaged over: noise in it would pass for less compliance."""
+
+PLACES = 24
+"""Along the travel, at which misfits of one pass and the next are compared."""
+
+MODEL = 1e-2
+"""Relative standard deviation of h for all that the model leaves out: flanks that are not straight,
+impacts, motion between two samples."""
+
+MOST_CURVE_RAD = 8e-3
+"""Largest standard deviation of the first order of the transmission error: more is another motion.
+"""
+
+SLOWED = (0.5, 0.7, 0.85, 1.2, 1.45, 2.0)
+"""Times a deceleration that are tried in its place."""
+
+LOOSE = 0.3
+"""Standard deviation in the gap, over h."""
+
+USUAL_SKEW_S = 5e-3
+"""Standard deviation of the skew of the channels."""
+
+RATIO_STATED = 0.01
+"""Relative standard deviation of a gear ratio that is stated."""
+
+INERTIA_S2 = 3e-4
+"""Standard deviation of (1/2πf)², by which inertia winds up a joint that rings at f = 9 Hz."""
+
+PER_DECADE = 4
+"""Of the first grid of h; what holds much of the probability is refined."""
+
+DRAWS = (4, 1000)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations and correlation time of e, and the size of the transmission error."""
+
+    white_rad: float
+    drift_rad: float
+    drift_s: float
+    curve_rad: float
+
+    @classmethod
+    def of(cls, logs: FloatArray) -> Noise:
+        """From logarithms."""
+        return cls(*(float(v) for v in np.exp(logs)))
+
+    @property
+    def logs(self) -> FloatArray:
+        """Logarithms, in the order of the attributes."""
+        return np.log([self.white_rad, self.drift_rad, self.drift_s, self.curve_rad])
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How the load gets from flank to flank.
+
+    By its free deceleration, rad/s²; or in no way that is known (``free``): the
+    lag is then what was measured, wherever that is well within the gap.
+    """
+
+    drag: float
+    prior: float
+    free: bool = False
+
+
+@dataclass(slots=True)
+class Cell:
+    """The model at one course and h: log evidence, mean of β and root of its precision."""
+
+    course: int
+    half_rad: float
+    log_evidence: float
+    beta: FloatArray
+    root: FloatArray
+    lag: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Transmission:
+    """Draws of shape (chain, draw), independent of one another, and what they were drawn from.
+
+    Attributes
+    ----------
+    draws
+        ``delta_rad``, ``play_rad``, ``lost_motion_rad``, ``held_windup_rad``, ``gear_ratio``,
+        ``channel_skew_s``, ``transmission_error_rad`` (peak to peak); with a torque that tells it
+        ``compliance_rad_per_nm``.
+    harmonics
+        Draws of amplitudes of the transmission error, rad, by (encoder, order), where that angle
+        makes a turn or more.
+    probability_of_play
+        That δ is not zero.
+    log_odds
+        Log evidence of the best lag over none, without the priors.
+    position_rad, lag_rad, modelled_rad, curve_rad
+        At the bins: the load's angle, motor less load without all but the lag, the lag as
+        modelled, and the transmission error.
+    coasts, followed
+        Probability that the load coasts through the gap by itself, and, of these, in no way that
+        a friction alone would slow it.
+    reversals
+        Of the motor.
+    friction_nm, gravity_holds
+        Friction at the output by the torque, and how often the load's weight is above it.
+    """
+
+    paths: Paths
+    draws: dict[str, FloatArray]
+    harmonics: dict[tuple[str, int], FloatArray]
+    probability_of_play: float
+    log_odds: float
+    counted: float
+    noise: Noise
+    position_rad: FloatArray
+    lag_rad: FloatArray
+    modelled_rad: FloatArray
+    curve_rad: FloatArray
+    coasts: float
+    followed: float
+    reversals: int
+    friction_nm: float | None
+    gravity_holds: float
+
+
+class Design:
+    """H at the bins with the prior standard deviations of β.
+
+    ``curve`` are the columns of the transmission error, whose size is a parameter of the noise.
+    The load's angle in them is as modelled, x − s.
+    """
+
+    def __init__(self, paths: Paths, torque: FloatArray | None, *, stated: bool) -> None:
+        self.motor_rad = paths.binned(paths.motor_rad)
+        self.load_rad = paths.binned(paths.load_rad)
+        self.time_s = paths.binned(paths.time_s)
+        self.travel_rad = float(np.ptp(self.motor_rad))
+        motor_turn = 2.0 * np.pi * abs(paths.slope)
+        plain = [np.ones_like(self.motor_rad), self.motor_rad]
+        plain += [paths.binned(paths.speed), paths.binned(paths.acceleration)]
+        names = ["offset", "ratio", "skew", "inertia"]
+        sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S]
+        sd += [INERTIA_S2 if torque is None else 0.1]
+        if torque is not None:
+            plain.append(paths.binned(torque))
+            names.append("torque")
+            sd.append(1.0 / max(float(np.std(torque)), 1e-12))
+        self.turns = self.travel_rad > 2.0 * np.pi
+        first = len(names) + (0 if self.turns else 2)
+        orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
+        if self.turns:
+            names += [f"load {n} {part}" for part in ("cos", "sin") for n in orders[0]]
+        else:
+            orders = [np.arange(1, CURVE_ORDERS + 1)]
+            names += ["eccentric, cos", "eccentric, sin", *(f"curve {n}" for n in orders[0])]
+            sd += [ECCENTRIC_RAD, ECCENTRIC_RAD]
+        sd += [1.0 / n for group in orders for n in group]
+        if self.travel_rad > motor_turn:
+            phase = 2.0 * np.pi / motor_turn * self.motor_rad
+            counted = range(1, MOTOR_ORDERS + 1)
+            self.motor_part = [wave(n * phase) for wave in (np.cos, np.sin) for n in counted]
+            names += [f"motor {n} {part}" for part in ("cos", "sin") for n in counted]
+            sd += [1.0 / n for _ in range(2) for n in counted]
+        else:
+            self.motor_part = []
+        self.plain, self.names, self.sd = plain, tuple(names), np.array(sd)
+        self.curve = slice(first, len(names))
+        self.alike: FloatArray | None = None
+        self.stiff = False
+        self.centre = np.zeros(len(names))
+        # The stated ratio, and channels of one clock.
+        self.centre[1], self.centre[2] = 1.0, paths.skew_s
+
+    def columns(self, lag: FloatArray) -> FloatArray:
+        """H, shape (bins, k), where the load lags the motor by ``lag``."""
+        angle = self.motor_rad - lag
+        if float(np.abs(lag).max()) < ALIKE_RAD:
+            if self.alike is None:
+                self.alike = self._whole(self.motor_rad)
+            columns = self.alike.copy()
+            columns[:, 1] = angle
+            return columns
+        return self._whole(angle)
+
+    def _whole(self, angle: FloatArray) -> FloatArray:
+        if self.turns:
+            phase, orders = angle, LOAD_ORDERS
+        else:
+            phase = np.pi * (angle - angle.min()) / max(float(np.ptp(angle)), 1e-300)
+            orders = CURVE_ORDERS
+        base, power = np.exp(1j * phase), np.ones(angle.size, dtype=complex)
+        powers = []
+        for _ in range(orders):
+            power = power * base
+            powers.append(power)
+        waves = [power.real for power in powers]
+        if self.turns:
+            waves += [power.imag for power in powers]
+        else:
+            waves = [np.cos(angle), np.sin(angle), *waves]
+        return np.stack([self.plain[0], angle, *self.plain[2:], *waves, *self.motor_part], axis=1)
+
+    def precision(self, noise: Noise) -> FloatArray:
+        """Of the prior of β."""
+        sd = self.sd.copy()
+        sd[self.curve] *= noise.curve_rad
+        if self.stiff and "torque" in self.names:
+            sd[self.names.index("torque")] *= 1e-4
+        return sd**-2.0
+
+
+@compiled()
+def _whiten(
+    values: FloatArray, step_s: FloatArray, white: FloatArray, drift: float, drift_s: float
+) -> float:  # pragma: no cover (compiled)
+    """Turn columns (bins, k) into innovations of unit variance, in place; −½ ln of their variance.
+
+    Kalman's filter of a process of Ornstein and Uhlenbeck seen through white noise.
+    """
+    bins, k = values.shape
+    mean = np.zeros(k)
+    variance, log = drift * drift, 0.0
+    for i in range(bins):
+        if i:
+            keep = np.exp(-step_s[i - 1] / drift_s)
+            variance = keep * keep * variance + (1.0 - keep * keep) * drift * drift
+            for j in range(k):
+                mean[j] *= keep
+        total = variance + white[i]
+        gain, scale = variance / total, 1.0 / np.sqrt(total)
+        log -= 0.5 * np.log(total)
+        for j in range(k):
+            innovation = values[i, j] - mean[j]
+            mean[j] += gain * innovation
+            values[i, j] = innovation * scale
+        variance *= 1.0 - gain
+    return log
+
+
+class Model:
+    """The model of one recording at one scaling of the paths."""
+
+    def __init__(self, paths: Paths, design: Design, courses: Sequence[Course]) -> None:
+        self.paths, self.design, self.courses = paths, design, list(courses)
+        self.step_s = np.diff(design.time_s)
+        self.counted = 1.0
+        self.floor_rad = max(0.2 * paths.load_step_rad, 1e-8)
+        self.seen = design.motor_rad - design.load_rad
+        self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
+        self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
+
+    def see(self, cell: Cell) -> None:
+        """Take the lag from the measurement, with all else as in a cell."""
+        rest = cell.beta.copy()
+        rest[1] = 0.0
+        other = self.design.columns(cell.lag) @ rest
+        self.seen = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
+        self.reference = cell
+
+    def lag(self, course: int, half_rad: float) -> FloatArray:
+        """s at every sample."""
+        if half_rad <= 0.0:
+            return np.zeros(self.paths.motor_rad.size)
+        path, how = self.paths, self.courses[course]
+        start = float(np.clip(self.lead, -half_rad, half_rad))
+        return np.asarray(
+            load_lag(path.motor_rad, path.speed, path.time_s, half_rad, how.drag, start)
+        )
+
+    def cell(self, course: int, half_rad: float, noise: Noise) -> Cell:
+        """The evidence there, and β."""
+        design, change = self.design, 0
+        if self.courses[course].free:
+            spread = float(np.hypot(noise.white_rad, noise.drift_rad))
+            if half_rad < VISIBLE * spread:
+                return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
+            margin = min(3.0 * spread, 0.2 * half_rad)
+            inside = np.abs(self.seen) < half_rad - margin
+            lag = np.where(inside, self.seen, half_rad * np.sign(self.seen))
+            loose = np.where(inside, (ANYWHERE * half_rad) ** 2, 0.0)
+            change = int(np.count_nonzero(np.diff(inside)))
+        else:
+            lag = self.paths.binned(self.lag(course, half_rad))
+            # In the gap, and nowhere without one.
+            loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
+        white = np.full(lag.size, noise.white_rad**2) + loose
+        columns = design.columns(lag)
+        left = design.load_rad - columns @ design.centre
+        both = np.concatenate([columns, left[:, None]], axis=1)
+        log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
+        columns, seen = both[:, :-1], both[:, -1]
+        precision = design.precision(noise)
+        inner = columns.T @ columns
+        inner.flat[:: precision.size + 1] += precision
+        factor = cho_factor(inner, lower=True)
+        towards = columns.T @ seen
+        beta = cho_solve(factor, towards)
+        square = float(seen @ seen) - float(towards @ beta)
+        diagonal = np.diag(factor[0])
+        beta = beta + design.centre
+        log += -0.5 * square - float(np.log(diagonal).sum()) + 0.5 * float(np.log(precision).sum())
+        return Cell(course, half_rad, log, beta, np.asarray(factor[0]), lag)
+
+    def residual(self, cell: Cell) -> FloatArray:
+        """e at the bins, rad."""
+        columns = self.design.columns(cell.lag)
+        return np.asarray(self.design.load_rad - columns @ cell.beta)
+
+    def repeats(self, cell: Cell) -> float:
+        """Times that the same misfit is counted: one, and the share that repeats for each more.
+
+        What repeats whenever the motor passes the same place in the same direction is no noise,
+        and does not average out over cycles (one-way analysis of variance).
+        """
+        left, x = self.residual(cell), self.design.motor_rad
+        place = np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int)
+        forward = self.paths.binned(self.paths.speed) > 0.0
+        group = 2 * place + forward
+        stroke = np.cumsum(np.append(False, np.diff(forward.astype(int)) != 0))
+        # A mean for each pass, so that the many samples of one are not taken for many passes.
+        passes, inverse = np.unique(group * (stroke.max() + 1) + stroke, return_inverse=True)
+        mean = np.bincount(inverse, left) / np.bincount(inverse)
+        where = np.unique(passes // (stroke.max() + 1), return_inverse=True)[1]
+        number = np.bincount(where)
+        centre = np.bincount(where, mean) / number
+        freedom = mean.size - number.size
+        often = mean.size / number.size
+        if freedom < 4 or number.size < 2:
+            return 1.0
+        within = float(np.sum((mean - centre[where]) ** 2)) / freedom
+        between = float(np.sum(number * (centre - mean.mean()) ** 2)) / (number.size - 1)
+        common = max(between - within, 0.0) / often
+        return 1.0 + common / max(common + within, 1e-300) * (often - 1.0)
+
+    def profiled(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
+        """The cell with noise of about the size of what it leaves."""
+        left = self.residual(self.cell(course, half_rad, first))
+        jumps = 1.05 * float(np.median(np.abs(np.diff(left))))
+        spread = 1.5 * float(np.median(np.abs(left)))
+        noise = Noise(max(jumps, self.floor_rad), max(spread, 1e-8), first.drift_s, first.curve_rad)
+        return noise, self.cell(course, half_rad, noise)
+
+    def fitted(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
+        """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
+        floor = self.floor_rad
+        span = float(self.design.time_s[-1] - self.design.time_s[0])
+        low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
+        high = np.log([1.0, 1.0, span, MOST_CURVE_RAD])
+        guess, _there = self.profiled(course, half_rad, first)
+        starts = [np.clip(each.logs, low, high) for each in (guess, first)]
+
+        def at(point: FloatArray) -> Cell:
+            half = half_rad * float(np.exp(np.clip(point[4], -1.0, 1.0))) if half_rad else 0.0
+            return self.cell(course, half, Noise.of(np.clip(point[:4], low, high)))
+
+        def cost(point: FloatArray) -> float:
+            beyond = float(np.sum((point[:4] - np.clip(point[:4], low, high)) ** 2))
+            outside = beyond + max(abs(float(point[4])) - 1.0, 0.0)
+            return 10.0 * outside - at(point).log_evidence
+
+        points = [np.append(start, 0.0) for start in starts]
+        start = min(points, key=cost)
+        steps = np.diag([*np.where(start[:4] < high - 1.0, 0.7, -0.7), 0.2])
+        simplex = np.vstack([start, start + steps])[: 6 if half_rad else 5]
+        if half_rad:
+            found = _lowest(cost, simplex, 240)
+        else:
+            found = np.append(_lowest(lambda p: cost(np.append(p, 0.0)), simplex[:, :4], 160), 0.0)
+        return Noise.of(np.clip(found[:4], low, high)), at(found)
+
+
+def _lowest(
+    cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int
+) -> FloatArray:
+    options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 3e-3, "fatol": 0.05}
+    return np.asarray(minimize(cost, simplex[0], method="Nelder-Mead", options=options).x)
+
+
+def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
+    """θ_l over θ_m to begin with, and whether it is the stated ratio's.
+
+    The motor's position may be divided by the ratio already, and either sign may be turned.
+    """
+    seen = channels.slope()
+    stated = [] if ratio is None else [1.0 / ratio, 1.0]
+    near = [s for s in stated if 0.1 < abs(seen / s) < 1.6]
+    if not near:
+        return seen, False
+    best = min(near, key=lambda s: abs(np.log(abs(seen / s))))
+    return float(np.copysign(best, seen)), True
+
+
+def of_friction(paths: Paths) -> tuple[float, FloatArray, FloatArray]:
+    """Friction that turns with the direction, N m; the torque of the load's weight; the rest.
+
+    Friction of the load turns when it is taken along again, behind a play that is not known yet: so
+    lags of several sizes are taken off. The rest, smoothed, is what winds the joint up beside it.
+    """
+    assert paths.torque_nm is not None
+    travel = float(np.ptp(paths.motor_rad))
+    turning = [
+        load_lag(paths.motor_rad, paths.speed, paths.time_s, half, np.inf, 0.0) / half
+        for half in travel * np.array(TURNING)
+    ]
+    load = paths.load_rad
+    weight = np.stack([np.ones_like(load), np.cos(load), np.sin(load)], axis=1)
+    columns = np.column_stack([*turning, paths.speed, paths.acceleration, weight])
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    beta = np.linalg.lstsq(columns / scale, paths.torque_nm, rcond=1e-6)[0] / scale
+    friction = float(beta[: len(TURNING)].sum())
+    rest = paths.torque_nm - np.stack(turning, axis=1) @ beta[: len(TURNING)]
+    stroke = float(np.ptp(paths.time_s)) / (paths.reversals + 1)
+    smooth = moving_mean(rest, paths.time_s, SMOOTHED * stroke)
+    return max(friction, 0.0), weight @ beta[len(TURNING) + 2 :], smooth
+
+
+def fit_transmission(
+    channels: Channels,
+    seed: np.random.SeedSequence,
+    ratio: float | None = None,
+    progress: Progress | None = None,
+) -> Transmission:
+    """Fit one recording; ``ratio`` is the stated one, motor over load."""
+    told = progress or (lambda made, allowed: None)
+    slope, stated = start_slope(channels, ratio)
+    skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
+    for made in range(8):
+        told(made, 10)
+        model, friction, weight = _model(channels, slope, skew, stated)
+        # A torque turns with the direction as a lag does, and would take its place in the search.
+        model.design.stiff = True
+        free, best = model.fitted(*_searched(model, noise))
+        free, best = _slowed(model, free, best)
+        names = model.design.names
+        scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
+        moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
+        moved &= abs(skew + late) < LONGEST_SKEW_S
+        scaled = not stated and abs(scale - 1.0) > 5e-3
+        if not moved and not scaled:
+            break
+        skew += float(late) if moved else 0.0
+        slope *= float(scale) if scaled else 1.0
+    # A load that goes its own way is tried last: it would follow any other skew and ratio too.
+    model.see(best)
+    for _ in range(2):
+        fitted, own = model.fitted(*_searched(model, free, freely=True))
+        if own.log_evidence > best.log_evidence:
+            free, best = fitted, own
+            model.see(best)
+    told(9, 10)
+    model.design.stiff = False
+    free, best = model.fitted(best.course, best.half_rad, free)
+    noise, _none = model.fitted(0, 0.0, noise)
+    model.counted = model.repeats(best)
+    cells = _refined(model, [*_grid(model, [noise, free]), best], [noise, free])
+    return _drawn(model, cells, free, friction, weight, np.random.default_rng(seed))
+
+
+def _model(
+    channels: Channels, slope: float, skew: float, stated: bool
+) -> tuple[Model, float | None, float]:
+    """The model, the friction that a torque shows, and how often the load's weight is above it."""
+    paths = scaled_paths(channels, slope, skew)
+    usual = paths.typical_acceleration
+    rest = 1.0 - STAYS
+    courses = [Course(np.inf, STAYS)]
+    coasting = COASTING[1:]
+    torque, friction, weight = None, None, 0.0
+    if paths.torque_nm is not None:
+        friction, held, torque = of_friction(paths)
+        level = np.abs(held)
+        moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
+        weight = float(np.mean(level[moving] > friction))
+    courses += [Course(c * usual, 0.8 * rest / len(coasting)) for c in coasting]
+    courses.append(Course(0.0, 0.2 * rest, free=True))
+    return Model(paths, Design(paths, torque, stated=stated), courses), friction, weight
+
+
+def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
+    most = max(0.6 * float(np.ptp(model.paths.motor_rad)), 1e-4)
+    return np.geomspace(least, most, int(per_decade * np.log10(most / least)) + 2)
+
+
+def _searched(model: Model, noise: Noise, *, freely: bool = False) -> tuple[int, float, Noise]:
+    """Course, h and noise to begin with: over a grid, then between its points.
+
+    A peak of h is as narrow as the noise is small, so the noise is sized anew for every h.
+    """
+    courses = [i for i, how in enumerate(model.courses) if how.free == freely]
+    found: list[tuple[float, int, float]] = []
+    for course in courses:
+        halves = _halves(model, 3e-5, 8 if len(courses) == 1 or not course else 4)
+        logs = [model.profiled(course, float(h), noise)[1].log_evidence for h in halves]
+        at = int(np.argmax(logs))
+        found.append((logs[at], course, float(halves[at])))
+    found.sort(reverse=True)
+    refined = []
+    for _, course, half in found[:2]:
+        step = np.log(10.0) / (8 if not course else 4)
+        result = minimize_scalar(
+            lambda log, c=course: -model.profiled(c, float(np.exp(log)), noise)[1].log_evidence,
+            bounds=(np.log(half) - step, np.log(half) + step),
+            method="bounded",
+            options={"maxiter": 16, "xatol": 1e-4},
+        )
+        refined.append((-float(result.fun), course, float(np.exp(result.x))))
+    _, course, half = max(refined)
+    return course, half, model.profiled(course, half, noise)[0]
+
+
+def _slowed(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
+    """With the deceleration of the best course moved to where the evidence is largest."""
+    how = model.courses[best.course]
+    if how.free or not 0.0 < how.drag < np.inf:
+        return noise, best
+    for _ in range(2):
+        before, drag = best, model.courses[best.course].drag
+        kept = drag
+        for times in SLOWED:
+            model.courses[best.course] = replace(how, drag=times * drag)
+            cell = model.cell(best.course, best.half_rad, noise)
+            if cell.log_evidence > best.log_evidence:
+                best, kept = cell, times * drag
+        model.courses[best.course] = replace(how, drag=kept)
+        if best is before:
+            break
+        noise, best = model.fitted(best.course, best.half_rad, noise)
+    return noise, best
+
+
+def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
+    """Cells over courses and h."""
+    return [
+        _best(model, course, float(half), noises)
+        for course in range(len(model.courses))
+        for half in _halves(model, 1e-6, PER_DECADE)
+    ]
+
+
+def _best(model: Model, course: int, half_rad: float, noises: Sequence[Noise]) -> Cell:
+    cells = [model.cell(course, half_rad, noise) for noise in noises]
+    return max(cells, key=lambda c: c.log_evidence)
+
+
+def _refined(model: Model, cells: list[Cell], noises: Sequence[Noise]) -> list[Cell]:
+    """With cells between neighbours that hold much of the probability."""
+    for _ in range(10):
+        cells.sort(key=lambda c: (c.course, c.half_rad))
+        logs = _log_masses(cells, np.zeros(len(cells)), model)
+        share = logs - logsumexp(logs)
+        heavy = [
+            i
+            for i in np.flatnonzero(share > np.log(0.04))
+            if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5
+        ]
+        if not heavy:
+            break
+        cells += [
+            _best(model, cells[i].course, float(half), noises)
+            for i in heavy
+            for half in np.geomspace(cells[i].half_rad, cells[i + 1].half_rad, 5)[1:-1]
+        ]
+    cells.sort(key=lambda c: (c.course, c.half_rad))
+    return cells
+
+
+def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> FloatArray:
+    """Log probability between each cell and the next, shape (cells − 1,).
+
+    ``prior``: log density over ln h at each cell.
+    """
+    weights = np.log([model.courses[c.course].prior for c in cells])
+    log = np.array([c.log_evidence for c in cells]) / model.counted + prior + weights
+    width = np.diff(np.log([c.half_rad for c in cells]))
+    same = np.diff([c.course for c in cells]) == 0
+    with np.errstate(divide="ignore"):
+        between = np.logaddexp(log[1:], log[:-1]) + np.log(np.where(same, 0.5 * width, 1.0))
+    return np.asarray(np.where(same, between, -np.inf))
+
+
+def _held_quantiles(compliance: tuple[float, float], friction: float | None) -> FloatArray:
+    """Equally probable values of w/2, rad, shape (q,)."""
+    if friction is None or compliance[0] < 3.0 * compliance[1]:
+        return np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
+    spread = np.maximum(compliance[0] + compliance[1] * ndtri((np.arange(20) + 0.5) / 20), 1e-12)
+    share = (np.arange(40) + 0.5) / 40
+    return np.asarray(np.maximum((friction * spread[:, None] * share).ravel(), 1.1e-6))
+
+
+def _drawn(
+    model: Model,
+    cells: Sequence[Cell],
+    noise: Noise,
+    friction: float | None,
+    weight: float,
+    generator: np.random.Generator,
+) -> Transmission:
+    best = max(cells, key=lambda c: c.log_evidence)
+    names = model.design.names
+    compliance = (0.0, np.inf)
+    if friction is not None:
+        at = names.index("torque")
+        covariance = cho_solve((best.root, True), np.eye(len(names))[:, at])
+        compliance = (-float(best.beta[at]), float(np.sqrt(model.counted * covariance[at])))
+    held = _held_quantiles(compliance, friction)
+    half = np.array([c.half_rad for c in cells])
+    low, high = PLAY_RAD
+    # Densities over ln h without play, and with it, by a smooth histogram of ln w/2.
+    logs = np.log(held)
+    breadth = 0.1 + 0.2 * float(np.std(logs))
+    bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
+    bare /= breadth * np.sqrt(2.0 * np.pi)
+    gap = half[:, None] - held
+    inside = (gap > low) & (gap < high)
+    of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
+    with_play = of_gap.mean(axis=1) / np.log(high / low)
+    density = NO_PLAY * bare + (1.0 - NO_PLAY) * with_play
+    with np.errstate(divide="ignore"):
+        prior = np.log(density)
+    masses = _log_masses(cells, prior, model)
+    probability = np.exp(masses - logsumexp(masses))
+    count = int(np.prod(DRAWS))
+    interval = generator.choice(probability.size, size=count, p=probability)
+    share = generator.uniform(size=count)
+    lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
+    nearest = interval + (share > 0.5)
+    plays = generator.uniform(size=count) < (
+        (1.0 - NO_PLAY) * with_play[nearest] / np.maximum(density[nearest], 1e-300)
+    )
+    delta = np.zeros(count)
+    for cell in np.unique(nearest[plays]):
+        mine = plays & (nearest == cell)
+        each = of_gap[cell] / of_gap[cell].sum()
+        chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each)]
+        delta[mine] = np.clip(lost[mine] - chosen, low, high)
+    beta, wider = np.empty((count, len(names))), np.sqrt(model.counted)
+    for cell in np.unique(nearest):
+        mine = np.flatnonzero(nearest == cell)
+        normal = wider * generator.standard_normal((len(names), mine.size))
+        moved = solve_triangular(cells[cell].root, normal, lower=True, trans=1)
+        beta[mine] = (cells[cell].beta[:, None] + moved).T
+    # s is scaled as the motor is, and no model of a gap is better than MODEL. A misfit that lasts
+    # for a stroke moves the flank by as much: it is known as often as the motor turns back, or as
+    # it is another one.
+    often = max(model.paths.reversals / model.counted, 1.0)
+    scale = beta[:, names.index("ratio")] * np.exp(MODEL * generator.standard_normal(count))
+    moved = noise.drift_rad / np.sqrt(often) * generator.standard_normal(count)
+    lost, delta = (
+        np.abs(lost * scale + moved),
+        np.where(plays, np.abs(delta * scale + moved), 0.0),
+    )
+    delta = np.minimum(delta, lost)
+    paths, design = model.paths, model.design
+    thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
+    mode = cells[int(np.argmax(np.bincount(nearest)))]
+    columns = design.columns(mode.lag)
+    curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
+    draws = {
+        "delta_rad": delta,
+        "play_rad": 2.0 * delta,
+        "lost_motion_rad": 2.0 * lost,
+        "held_windup_rad": 2.0 * (lost - delta),
+        "gear_ratio": 1.0 / (paths.slope * beta[:, names.index("ratio")]),
+        "channel_skew_s": paths.skew_s - beta[:, names.index("skew")],
+        "transmission_error_rad": np.ptp(curves, axis=1),
+    }
+    if friction is not None and compliance[0] > 3.0 * compliance[1]:
+        draws["compliance_rad_per_nm"] = -beta[:, names.index("torque")]
+    pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
+    harmonics = {
+        (side, int(order)): np.hypot(
+            beta[:, names.index(f"{side} {order} cos")],
+            beta[:, names.index(f"{side} {order} sin")],
+        ).reshape(DRAWS)
+        for side, order in pairs
+    }
+    curve = columns[:, design.curve] @ mode.beta[design.curve]
+    none = max(model.cell(0, 0.0, n).log_evidence for n in (noise,))
+    return Transmission(
+        paths,
+        {name: values.reshape(DRAWS) for name, values in draws.items()},
+        harmonics,
+        float(np.mean(plays)),
+        (best.log_evidence - none) / model.counted,
+        model.counted,
+        noise,
+        design.load_rad,
+        mode.lag + columns @ mode.beta - design.load_rad,
+        mode.lag,
+        curve,
+        float(np.mean([cells[c].course > 0 for c in nearest])),
+        float(np.mean([model.courses[cells[c].course].free for c in nearest])),
+        paths.reversals,
+        friction,
+        weight,
+    )

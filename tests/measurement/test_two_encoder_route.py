@@ -1,0 +1,78 @@
+"""Two encoders from files to the answer: what is refused, guessed, and given."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from quick import without_figures
+from recording_files import write_csv
+
+from bayesbl.cli import status
+from bayesbl.recording.guessing import guess_columns
+from bayesbl.recording.readers import read_table
+
+pytestmark = pytest.mark.long
+
+RATIO = 20.0
+
+
+def write(path: Path, play=8e-3, cycles=5, **others) -> Path:
+    generator = np.random.default_rng(int(1e6 * play))
+    time = np.arange(0.0, 2.0 * cycles, 8e-3) + 1e-3 * generator.uniform(size=250 * cycles)
+    motor = np.sin(np.pi * time) if cycles > 1 else 0.5 * time
+    load, at = [], motor[0]
+    for x in motor:
+        at = min(max(at, x - 0.5 * play), x + 0.5 * play)
+        load.append(at)
+    noise = 1e-4 * generator.standard_normal(time.size)
+    columns = {
+        "time_s": time,
+        "motor_position_rad": RATIO * motor,
+        "load_position_rad": np.array(load) + noise,
+        **{name: values(time) for name, values in others.items()},
+    }
+    return write_csv(path, columns)
+
+
+def run(*arguments) -> int:
+    with without_figures():
+        return status([*map(str, arguments), "--route", "two_encoders", "--gear-ratio", str(RATIO)])
+
+
+def test_a_comparison_gives_both_plays_and_their_change(tmp_path):
+    files = write(tmp_path / "new.csv"), write(tmp_path / "worn.csv", play=16e-3)
+    assert run("compare", *files, "--out", tmp_path / "out") == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    for part, play in zip(summary["snapshots"], (8e-3, 16e-3), strict=True):
+        assert part["route"] == "two_encoders"
+        assert part["delta_upper_bound_rad"] is None
+        assert part["play_rad"]["median"] == pytest.approx(play, rel=0.1)
+        assert part["delta_rad"]["median"] == pytest.approx(0.5 * play, rel=0.1)
+        assert part["gear_ratio"]["median"] == pytest.approx(RATIO, rel=0.01)
+        assert abs(part["channel_skew_s"]["median"]) < 1e-3
+        assert part["windup_rad_per_nm"] is None
+        assert part["transmission_error"]["peak_to_peak_rad"]["median"] < 2e-3
+    assert summary["change_rad"]["low"] < 4e-3 < summary["change_rad"]["high"]
+    assert summary["probability_increase"] > 0.99
+
+
+def test_a_motor_that_does_not_turn_back_is_refused(tmp_path, capsys):
+    file = write(tmp_path / "one_way.csv", cycles=1)
+    assert run("fit", file, "--out", tmp_path / "out") != 0
+    assert "does not turn back" in capsys.readouterr().err
+
+
+def test_a_load_of_another_joint_is_refused(tmp_path, capsys):
+    file = write(tmp_path / "other.csv", load_position_rad=lambda time: np.cos(2.7 * time) ** 2)
+    assert run("fit", file, "--out", tmp_path / "out") != 0
+    assert "does not follow the motor" in capsys.readouterr().err
+
+
+def test_init_knows_two_encoders(tmp_path):
+    file = write(tmp_path / "joint.csv")
+    guess = guess_columns(file, read_table(file))
+    assert guess.two_encoders
+    assert not guess.torque_ramps

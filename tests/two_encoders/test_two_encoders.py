@@ -1,0 +1,146 @@
+"""Laws of play from two encoders: a load that is dragged through the play, and real joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from places import ROOT
+
+from bayesbl.recording.types import MOTOR_TORQUE
+from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
+from bayesbl.two_encoders.transmission import fit_transmission
+
+DATA = ROOT.parent / "shared" / "data"
+PLAY, RATIO, SKEW_S = 6e-3, 50.0, 2e-3
+
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the measured recordings are not here")
+
+
+def dragged(path, half):
+    load, at = [], path[0]
+    for x in path:
+        at = min(max(at, x - half), x + half)
+        load.append(at)
+    return np.array(load)
+
+
+def recorded(play=PLAY, ratio=RATIO, skew_s=SKEW_S, eccentric=2e-3, seed=0, offset=0.0):
+    """Uneven stamps of a sine and its harmonic, the load's encoder of 2^16 counts."""
+    generator = np.random.default_rng(seed)
+    time = np.arange(0.0, 16.0, 5e-4)
+    path = 0.7 * np.sin(2.0 * np.pi * time / 2.0) + 0.3 * np.sin(2.0 * np.pi * time / 3.1)
+    load = dragged(path, 0.5 * play)
+    stamps = np.sort(generator.uniform(0.1, 15.9, 1600))
+    at = np.interp(stamps - skew_s, time, load)
+    step = 2.0 * np.pi / 2**16
+    read = step * np.round((at + eccentric * np.sin(at + 1.0)) / step)
+    motor = ratio * np.interp(stamps, time, path)
+    return Channels.unwrapped(stamps, motor + offset, read - offset)
+
+
+def fitted(channels, ratio=RATIO):
+    return fit_transmission(channels, np.random.SeedSequence(1), ratio)
+
+
+def bounds(values, level=0.95):
+    return np.quantile(values, (0.5 - 0.5 * level, 0.5 + 0.5 * level))
+
+
+@pytest.fixture(scope="module")
+def answer():
+    return fitted(recorded())
+
+
+def test_a_load_that_stays_lags_as_the_play_operator():
+    path = np.cumsum(np.random.default_rng(1).standard_normal(500)) * 1e-3
+    time = 1e-3 * np.arange(500)
+    found = load_lag(path, np.gradient(path, time), time, 4e-3, np.inf, 0.0)
+    np.testing.assert_allclose(found, path - dragged(path, 4e-3), atol=1e-15)
+
+
+def test_a_load_without_friction_keeps_its_speed_until_a_flank_takes_it():
+    time = 1e-3 * np.arange(1000)
+    path = np.where(time < 0.5, time, 0.5)
+    speed = np.where(time < 0.5, 1.0, 0.0)
+    found = load_lag(path, speed, time, 0.05, 0.0, 0.05)
+    assert found[499] == pytest.approx(0.05)
+    assert found[-1] == pytest.approx(-0.05)
+    # 0.1 rad of play at 1 rad/s takes 0.1 s.
+    assert found[550] == pytest.approx(0.0, abs=2e-3)
+
+
+def test_play_skew_and_ratio_are_what_the_joint_has(answer):
+    for name, truth in (
+        ("play_rad", PLAY),
+        ("lost_motion_rad", PLAY),
+        ("gear_ratio", RATIO),
+        ("channel_skew_s", SKEW_S),
+    ):
+        low, high = bounds(answer.draws[name], 0.99)
+        assert low <= truth <= high, name
+    assert answer.probability_of_play > 0.95
+    assert np.ptp(bounds(answer.draws["play_rad"])) < 0.2 * PLAY
+
+
+def test_sign_offset_and_an_unknown_ratio_change_nothing(answer):
+    other = fitted(recorded(ratio=-RATIO, offset=11.0), None)
+    for name in ("play_rad", "lost_motion_rad"):
+        low, high = bounds(answer.draws[name], 0.99)
+        assert low <= np.median(other.draws[name]) <= high
+    assert np.median(other.draws["gear_ratio"]) == pytest.approx(-RATIO, rel=0.02)
+
+
+def test_eccentric_and_skewed_encoders_are_no_play():
+    found = fitted(recorded(play=0.0, skew_s=-5e-3, eccentric=8e-3), 1.004 * RATIO)
+    assert found.probability_of_play < 0.95
+    assert np.quantile(found.draws["delta_rad"], 0.95) < 2e-4
+    low, high = bounds(found.draws["channel_skew_s"], 0.99)
+    assert low <= -5e-3 <= high
+
+
+def test_the_published_backlash_of_two_actuators_is_not_confirmed():
+    table = DATA / "planetary_compact"
+    if not table.is_dir():
+        pytest.skip("the measured recordings are not here")
+    for name, ratio, published in (("sspg", 7.2, 0.59), ("cpg", 14.0, 2.6)):
+        (file,) = table.glob(f"{name}_backlash*.csv.gz")
+        columns = np.genfromtxt(file, delimiter=",", names=True)
+        _, once = np.unique(columns["time_s"], return_index=True)
+        time, motor, load = (
+            columns[c][once] for c in ("time_s", "odrive_pos_rad", "output_pos_rad")
+        )
+        found = fitted(Channels.unwrapped(time, motor, load), ratio)
+        # The branches are 0.06 and 0.08 degrees apart: play is at most that.
+        assert np.quantile(found.draws["play_rad"], 0.95) < np.deg2rad(0.08)
+        assert np.quantile(found.draws["lost_motion_rad"], 0.95) < 0.2 * np.deg2rad(published)
+
+
+@needs_data
+def test_a_skew_of_3_ms_of_a_large_robot_is_no_play():
+    columns = np.genfromtxt(DATA / "kuka_kr300_axis1_B.csv", delimiter=",", names=True)
+    channels = Channels.unwrapped(
+        columns["time_s"],
+        columns["motor_position_rad"],
+        columns["load_position_rad"],
+        columns[MOTOR_TORQUE],
+    )
+    found = fitted(channels, 256.857)
+    assert np.median(found.draws["channel_skew_s"]) == pytest.approx(3.0e-3, abs=0.2e-3)
+    assert np.quantile(found.draws["delta_rad"], 0.95) < 5e-5
+
+
+@pytest.mark.parametrize("period", [2.0 * np.pi])
+def test_positions_that_wrap_are_unwrapped(period):
+    plain = recorded()
+    wrapped = Channels.unwrapped(
+        plain.time_s, plain.motor_rad, np.mod(plain.load_rad + 3.0, period)
+    )
+    np.testing.assert_allclose(np.diff(wrapped.load_rad), np.diff(plain.load_rad), atol=1e-9)
+
+
+def test_a_standstill_is_seen_once_however_long_it_lasts():
+    time = 1e-2 * np.arange(2000)
+    motor = np.interp(time, [0.0, 2.0, 12.0, 14.0, 20.0], [0.0, 1.0, 1.0, 0.0, 1.0])
+    paths = scaled_paths(Channels(time, motor, motor), 1.0)
+    inside = (time[paths.bins[:-1]] > 2.5) & (time[paths.bins[:-1]] < 11.5)
+    assert inside.sum() == 0
