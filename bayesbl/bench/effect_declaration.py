@@ -109,6 +109,11 @@ class Shape(EffectParameter):
     bounded: bool = False
     starts: tuple[float, ...] = ()
 
+    def scaled(self, factor: float) -> Self:
+        """See :meth:`EffectParameter.scaled`."""
+        scaled = EffectParameter.scaled(self, factor)
+        return replace(scaled, starts=tuple(factor * start for start in self.starts))
+
 
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0
 

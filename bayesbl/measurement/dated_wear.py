@@ -156,7 +156,11 @@ def used_dates(group: xr.Dataset) -> list[Date]:
 
 
 def summarise_wear(
-    group: xr.Dataset, names: Sequence[str], of: IntervalConfig, limit_rad: float | None
+    group: xr.Dataset,
+    names: Sequence[str],
+    of: IntervalConfig,
+    limit_rad: float | None,
+    stated_limit: str | None = None,
 ) -> dict[str, Any]:
     """``wear`` of the summary of a comparison (see the module), but for its ``reason``."""
     level, kind = of.level, of.kind
@@ -176,6 +180,7 @@ def summarise_wear(
         "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
         "drift_widens": group.attrs.get("drift_widens"),
         "limit_rad": limit_rad,
+        "limit": stated_limit,
         "years_to_limit": None,
         "date_of_limit": None,
         "not_before": None,

@@ -86,9 +86,11 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         summary |= _compared(measured, config)
         summary["wear"] = None
         if wear is not None:
-            dated = summarise_wear(wear, task.names, config.interval, limit_rad)
+            dated = summarise_wear(
+                wear, task.names, config.interval, limit_rad, tree.attrs.get("limit")
+            )
             reason = None if wear_reason is None else as_stored(wear_reason)
-            summary["wear"] = {**dated, "limit": tree.attrs.get("limit"), "reason": reason}
+            summary["wear"] = {**dated, "reason": reason}
     else:
         summary |= _answered(measured, 0, config)
         summary["reason"] = summary["reason"] or _reason_of_all(measured)

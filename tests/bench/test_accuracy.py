@@ -15,7 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchParameter
-from bayesbl.bench.kernel import RPM, SLOTS, STATES, Slot
+from bayesbl.bench.kernel import HELD_TORQUE, RPM, SLOTS, STATES, Slot
 from bayesbl.bench.motion import Motion, cycle, recorded_motion, sine, strokes, torque_ramps
 from bayesbl.bench.simulation import (
     simulate_channels,
@@ -343,7 +343,7 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
     n, constant = p[S.gear_ratio], p[S.torque_constant_nm_per_a]
     free = p.copy()
     free[[S.speed_gain_nm_s_per_rad, S.integral_gain_nm_per_rad]] = 0.0
-    y, (held, coming, angle, speed, *older) = state[:8].copy(), state[8:]
+    y, (held, coming, angle, speed, *older) = state[:8].copy(), state[HELD_TORQUE:]
     on_the_way = [coming, *older]  # the newest first
     late = delay - len(older)
     y[2], y[3] = state[0] / n - state[2], state[1] / n - state[3]

@@ -105,6 +105,7 @@ def test_a_comparison_leaves_result_summary_config_and_figures(compared):
         "result.nc",
         "summary.json",
         "config.toml",
+        "manifest.json",
         "figures",
     }
     drawn = list((compared / "figures").iterdir())

@@ -259,7 +259,7 @@ WRONG = {
     "unknown channel": ('[columns]\nmotor_sped_rpm = "a"\n', '"motor_speed_rpm"', "[columns]"),
     "unknown unit": (
         '[columns]\nmotor_speed_rpm = {name = "a", unit = "mph"}\n',
-        '"rpm" or "rad/s"',
+        "rpm or rad/s",
         "[columns]",
     ),
     "one column twice": (
@@ -415,7 +415,8 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "gap_rad": 1e-3,
     }
     of_an_identification = {"effects": "catalogue"}
-    of_others = of_a_study | of_a_plan | of_an_identification
+    of_a_stated_limit = {"limit": "3 arcmin play"}
+    of_others = of_a_study | of_a_plan | of_an_identification | of_a_stated_limit
     assert set(values | of_others) == set(OPTIONS)
     files, dates = [folder / "before.csv", folder / "after.csv"], [date(2026, 3, 1)] * 2
     config = config_from_options("compare", files, None, dates, **values)
@@ -428,8 +429,12 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "identify", files, None, (), bench=bench, **of_an_identification
     )
     assert identification.bench == bench
+    limited = config_from_options("compare", files, None, dates, **of_a_stated_limit)
+    assert str(limited.joint.limit.stated()) == of_a_stated_limit["limit"]
     for option, location in OPTIONS.items():
         field = attrgetter(".".join(map(str, location)))
+        if option in of_a_stated_limit:
+            continue
         if option in of_a_plan:
             assert field(plan) == of_a_plan[option]
         elif option in of_a_study:

@@ -24,9 +24,8 @@ def posterior(parameter: FloatArray, slope: float, rng: np.random.Generator) -> 
     values = np.log(1e-3) + slope * (parameter - 1.0) + rng.normal(0.0, 0.01, SHAPE)
     draws = np.stack([values, parameter], axis=-1)
     nothing: Any = None
-    return DirectPosterior(
-        fit, draws, np.zeros(SHAPE), np.nan, 0, 0, nothing, np.ones(draws.shape[-1])
-    )
+    as_it_is = np.ones(draws.shape[-1])
+    return DirectPosterior(fit, draws, np.zeros(SHAPE), np.nan, 0, 0, nothing, as_it_is, as_it_is)
 
 
 @pytest.mark.parametrize(
