@@ -255,11 +255,13 @@ def channels_skewed(skew_ms: float) -> str:
     return f"The load's stamps are {abs(skew_ms):.2g} ms {late}; this was taken out."
 
 
-def load_coasts(share: float) -> str:
-    """A free load."""
+def load_coasts(misfit_mrad: float, lost_mrad: float) -> str:
+    """The load leaves the flanks."""
     return (
-        f"The load goes through the play by itself (probability {100.0 * share:.0f} %), as a free "
-        "one does; wind-up by impacts may be in the play."
+        "The load does not rest on a flank from one reversal to the next: it coasts, bounces or "
+        f"winds up by {misfit_mrad:.2g} mrad beside the {lost_mrad:.2g} mrad between both "
+        "directions, and the interval of δ is wide for it. Move more slowly, or with friction or "
+        "a brake at the load."
     )
 
 

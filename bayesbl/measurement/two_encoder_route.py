@@ -51,6 +51,12 @@ FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
 LIKELY = 0.5
 """Probability from which something is told as a note."""
 
+LASTING = 0.1
+"""Misfit that lasts for a stroke over half the lost motion, from which it is told."""
+
+HIDDEN = 3.0
+"""Largest δ that a misfit hides, over its standard deviation."""
+
 FOLLOWS = 0.1
 """Share of the load's variance that the motor's position explains, from which they are of one
 joint."""
@@ -200,7 +206,8 @@ class TwoEncoderMeasurer(Measurer):
         reasons = sorted(self._findings(found), key=lambda reason: not reason.withholds)
         withheld = any(reason.withholds for reason in reasons)
         sure = found.probability_of_play >= UPPER_BOUND_LEVEL
-        outcome: Outcome = "withheld" if withheld else "converged" if sure else "usable"
+        sound = sure and not _misfit_lasts(found)
+        outcome: Outcome = "withheld" if withheld else "converged" if sound else "usable"
         reasons += [Reason.told("recording", text) for text in recording.notes]
         groups = groups_of(found, recording)
         upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
@@ -216,9 +223,9 @@ class TwoEncoderMeasurer(Measurer):
     def _findings(self, found: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
         upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        lost = float(np.median(found.draws["lost_motion_rad"]))
         visible = found.followed > LIKELY
         if found.probability_of_play < UPPER_BOUND_LEVEL:
-            lost = float(np.median(found.draws["lost_motion_rad"]))
             if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper}, withholds=True)
             else:
@@ -249,15 +256,25 @@ class TwoEncoderMeasurer(Measurer):
         skew = 1e3 * float(np.median(found.draws["channel_skew_s"]))
         if abs(skew) > 1.0:
             yield Reason("channels_skewed", {"skew_ms": skew})
-        if found.coasts > LIKELY and found.probability_of_play > LIKELY:
-            yield Reason("load_coasts", {"share": found.coasts})
+        if _misfit_lasts(found):
+            values = {"misfit_mrad": 1e3 * found.noise.drift_rad, "lost_mrad": 1e3 * lost}
+            yield Reason("load_coasts", values)
         if found.counted > 2.0:
             yield Reason("misfit_repeats", {"times": found.counted})
 
 
+def _misfit_lasts(found: Transmission) -> bool:
+    """Whether a load with play leaves the flanks in ways that the model does not have."""
+    half = 0.5 * float(np.median(found.draws["lost_motion_rad"]))
+    return found.probability_of_play > LIKELY and found.noise.drift_rad > LASTING * half
+
+
 def upper_bound_rad(delta_rad: FloatArray, drift_rad: float) -> float:
-    """Of δ, with 95 %: a misfit that lasts for a stroke can hide a play of its size."""
-    return max(upper_bound(delta_rad), drift_rad)
+    """Of δ, with 95 %: a misfit that lasts for a stroke can hide a play of a few times its size.
+
+    Skew, inertia and transmission error take up a part of a lag that the model does not have.
+    """
+    return max(upper_bound(delta_rad), HIDDEN * drift_rad)
 
 
 def channels_of(recording: Recording) -> Channels:

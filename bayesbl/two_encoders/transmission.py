@@ -287,6 +287,13 @@ class Design:
             waves = [np.cos(angle), np.sin(angle), *waves]
         return np.stack([self.plain[0], angle, *self.plain[2:], *waves, *self.motor_part], axis=1)
 
+    def slopes(self, columns: FloatArray) -> FloatArray:
+        """Slope over the angle of what each column of H is of the angle, shape (k,)."""
+        angle = columns[:, 1] - columns[:, 1].mean()
+        slopes = np.asarray(angle @ columns / (angle @ angle))
+        slopes[[0, *range(2, len(self.plain))]] = 0.0
+        return slopes
+
     def precision(self, noise: Noise) -> FloatArray:
         """Of the prior of β."""
         sd = self.sd.copy()
@@ -726,21 +733,20 @@ def _drawn(
         normal = wider * generator.standard_normal((len(names), mine.size))
         moved = solve_triangular(cells[cell].root, normal, lower=True, trans=1)
         beta[mine] = (cells[cell].beta[:, None] + moved).T
-    # s is scaled as the motor is, and no model of a gap is better than MODEL. A misfit that lasts
-    # for a stroke moves the flank by as much: it is known as often as the motor turns back, or as
-    # it is another one.
-    often = max(model.paths.reversals / model.counted, 1.0)
-    scale = beta[:, names.index("ratio")] * np.exp(MODEL * generator.standard_normal(count))
-    moved = noise.drift_rad / np.sqrt(often) * generator.standard_normal(count)
-    lost, delta = (
-        np.abs(lost * scale + moved),
-        np.where(plays, np.abs(delta * scale + moved), 0.0),
-    )
-    delta = np.minimum(delta, lost)
+    # s is scaled as the load follows the motor: a ratio and a transmission error can be exchanged
+    # over a part of a turn, not the slope that both make. No model of a gap is better than MODEL.
+    # A misfit that lasts for a stroke moves the flank by as much, and does so again at every
+    # reversal where the load coasts or bounces: it does not average out. Where it is as large as
+    # the lag, there may be no play.
     paths, design = model.paths, model.design
-    thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     mode = cells[int(np.argmax(np.bincount(nearest)))]
     columns = design.columns(mode.lag)
+    scale = beta @ design.slopes(columns) * np.exp(MODEL * generator.standard_normal(count))
+    moved = noise.drift_rad * generator.standard_normal(count)
+    lost = np.maximum(lost * scale + moved, 0.0)
+    delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
+    plays = delta > 0.0
+    thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
     draws = {
         "delta_rad": delta,

@@ -129,6 +129,27 @@ def test_a_skew_of_3_ms_of_a_large_robot_is_no_play():
     assert np.quantile(found.draws["delta_rad"], 0.95) < 5e-5
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
+def test_of_a_load_without_friction_that_bounces_the_play_is_not_told_wrong(restitution):
+    generator = np.random.default_rng(int(10.0 * restitution))
+    step, half = 5e-4, 0.5
+    time = np.arange(0.0, 16.0, step)
+    motor = 2.0 * np.sin(np.pi * time)
+    load, at, speed = [], motor[0] - half, 0.0
+    for x, taken in zip(motor, np.gradient(motor, step), strict=True):
+        at += speed * step
+        if abs(at - x) >= half:
+            side = np.sign(at - x)
+            at = x + side * half
+            if side * (speed - taken) > 0.0:
+                speed = taken - restitution * (speed - taken)
+        load.append(at)
+    read = np.array(load)[::8] + 1e-4 * generator.standard_normal(time[::8].size)
+    found = fitted(Channels.unwrapped(time[::8], RATIO * motor[::8], read))
+    low, high = bounds(found.draws["delta_rad"], 0.99)
+    assert low <= half <= high
+
+
 @pytest.mark.parametrize("period", [2.0 * np.pi])
 def test_positions_that_wrap_are_unwrapped(period):
     plain = recorded()
