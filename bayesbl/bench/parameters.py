@@ -240,7 +240,9 @@ def _check_effects(matrix: FloatArray) -> None:
         _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
     for slot, (low, high, amplitudes) in _RANGES.items():
         values = matrix[:, slot]
-        wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & ((values < low) | (values > high))
+        # A bench without the effect has zeros in its slots, whatever the range.
+        present = np.any(matrix[:, amplitudes] != 0.0, axis=1) | (values != 0.0)
+        wrong = present & ((values < low) | (values > high))
         _refuse_where(wrong, matrix, slot, f"a number from {low:g} to {high:g}")
     for scale, amplitudes in _SCALES:
         wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
