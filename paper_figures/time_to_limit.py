@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from typing import cast
 
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
 from bayesbl.measurement.stored import summary_of
+from bayesbl.measurement.summary_types import ComparisonSummary
 from bayesbl.presentation.figures.snapshots import GAP
 from bayesbl.presentation.figures.wear import wear
 from bayesbl.presentation.wear import sentences, with_rate
@@ -16,7 +18,7 @@ from bayesbl.presentation.wear import sentences, with_rate
 def data(stored: Stored) -> xr.DataTree:
     """Draws of δ by date, of the wear's path and of the time to the limit."""
     tree = stored.tree("wear_dates")
-    found = with_rate(summary_of(tree))
+    found = with_rate(cast(ComparisonSummary, summary_of(tree)))
     assert found is not None, "the snapshots are dated, and the gap grows"
     kept = picked(tree, posterior=(GAP,), wear=None, diagnostics=())
     kept.attrs["answer"] = " ".join(sentences(found))
