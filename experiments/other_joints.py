@@ -201,7 +201,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         begin = perf_counter()
         try:
             answers = {
-                level: bayesbl.compare(*pair, bench=bench, level=level, seed=1).summary
+                level: bayesbl.compare(*pair, bench=bench, level=level, seed=1, workers=1).summary
                 for level in (LEVEL, WIDE)
             }
         except UserError:
