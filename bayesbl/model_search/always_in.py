@@ -314,6 +314,23 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     return Beside(labels, posterior, drawn.sizes, np.concatenate(left))
 
 
+def always_terms(
+    fit: SimulatedFit, among: Sequence[Direction]
+) -> tuple[tuple[Label, ...], list[FloatArray]]:
+    """Laws and drift beside a fit with their columns, (N, k) each; without causes of a change."""
+    labels = tuple(label for label in _labels(fit.model, among) if not label.cause)
+    ends = np.cumsum([0, *(len(label.directions) for label in labels)])
+    parts = fit.model.by_recording(fit.residual)
+    rows = []
+    for place, part in enumerate(parts):
+        own, by = _columns(fit, place, labels)
+        row = np.zeros((part.size, int(ends[-1])))
+        row[:, own] = by
+        rows.append(row)
+    every = np.concatenate(rows)
+    return labels, [every[:, a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+
 def _labels(model: SimulatedSignals, among: Sequence[Direction]) -> tuple[Label, ...]:
     """Each direction for all snapshots together, and drift and causes for each but the first."""
     taken = {(u.name, u.recording) for u in model.unknowns}

@@ -38,3 +38,13 @@ MOST_WEIGHED = 1000
 
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
+
+FALSE_ALARM = 0.01
+"""Of the check whether anything repeats, over all that it tests."""
+
+UNEXPLAINED_SHARE = 0.05
+"""Of the disagreement: what no hypothesis holds, from which on nothing is named."""
+
+FORM_SHARE = 0.1
+"""Of a law's own signal: what it may be off by for its form. Of eleven joints whose shaft follows
+Bouc-Wen's law, Dahl's left up to the square of that in χ²."""
