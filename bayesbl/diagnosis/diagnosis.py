@@ -20,7 +20,7 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.naming.naming import RankedCandidate
+from bayesbl.model_search.closed_loop import RankedCandidate
 from bayesbl.recording.types import FloatArray
 
 GOLDEN_RATIO = 0.5 * (math.sqrt(5.0) - 1.0)

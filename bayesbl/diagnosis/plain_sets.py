@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from bayesbl.diagnosis.comparison import Comparison, EffectsFit, TestedEffect, residuals
 from bayesbl.diagnosis.residual_noise import ResidualNoise
-from bayesbl.naming.criteria import ALIKE
+from bayesbl.model_search.constants import ALIKE
 from bayesbl.recording.types import FloatArray
 
 

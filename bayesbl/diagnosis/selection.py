@@ -1,7 +1,7 @@
 """Effects named in sets, by evidence and by prediction of what they were not fitted on.
 
 For comparisons that are cheap least squares; the closed loop has a search of its own
-(:mod:`bayesbl.naming.search`).
+(:mod:`bayesbl.model_search.closed_loop`).
 
 Effects that are linear in one amplitude and have no shape to be found (Coulomb and viscous
 friction, an offset, an asymmetry, …) are much alike in most recordings: alone each would take what
@@ -58,7 +58,7 @@ from bayesbl.diagnosis.residual_noise import ResidualNoise, distance, sandwich
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.shared_scale import scaled_parameters, with_shared_scale
 from bayesbl.diagnosis.task import Task
-from bayesbl.naming.criteria import ALIKE
+from bayesbl.model_search.constants import ALIKE
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import FloatArray
 

@@ -71,7 +71,12 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.model_search.always_in import Beside, beside, directions, marginalised, settled
-from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, changed_beside, find_changes
+from bayesbl.model_search.joint_change import (
+    FALSE_ALARM,
+    JointFindings,
+    changed_beside,
+    find_changes,
+)
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive

@@ -17,6 +17,7 @@ is made one of its unknowns, fitted and sampled as any other; linear is the rest
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -328,7 +329,7 @@ def always_terms(
         row[:, own] = by
         rows.append(row)
     every = np.concatenate(rows)
-    return labels, [every[:, a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return labels, [every[:, a:b] for a, b in itertools.pairwise(ends)]
 
 
 def _labels(model: SimulatedSignals, among: Sequence[Direction]) -> tuple[Label, ...]:

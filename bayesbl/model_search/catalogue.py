@@ -309,9 +309,7 @@ def _periodic(
         usual = np.full(len(unknowns), math.nan)
         usual[0] = _usual(bench, effect, [amplitude.name])[0]
         found.append(
-            Candidate(
-                effect.name, "effect", tuple(unknowns), neutral, effect=at_peak, usual=usual
-            )
+            Candidate(effect.name, "effect", tuple(unknowns), neutral, effect=at_peak, usual=usual)
         )
     return found
 

@@ -7,13 +7,13 @@ is noise. Beside a law of the shaft a tenth of its own signal, free in every ban
 is always there: no real shaft follows the catalogue's laws to the last digit.
 
 A linearisation holds near its fit. So sets are fitted in full from what it promises, the best of
-them is linearised again, until nothing promises more; where a fit is far off, the whole range of the
-gap is scanned first. The posterior is that of all sets that were fitted, and of what the best one
-promises beside itself.
+them is linearised again, until nothing promises more; where a fit is far off, the whole range of
+the gap is scanned too. The posterior is that of all sets that were fitted.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.matching.least_squares import SimulatedFit, prior_pull
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
 from bayesbl.matching.predictive_check import BANDS, agrees, disagreements
-from bayesbl.matching.signals import GAP
+from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.model_search.always_in import Direction, always_terms
 from bayesbl.model_search.catalogue import (
     Candidate,
@@ -39,7 +39,10 @@ from bayesbl.model_search.catalogue import (
 from bayesbl.model_search.constants import (
     FALSE_ALARM,
     FORM_SHARE,
+    LEAVES_MOST,
+    MEAN_SHARE,
     NAMED_AT,
+    SLACK,
     UNEXPLAINED_SHARE,
 )
 from bayesbl.model_search.linear import (
@@ -55,6 +58,7 @@ from bayesbl.model_search.refit import (
     Explanation,
     columns_of,
     from_afar,
+    is_gross,
     nominal_explanation,
     polished,
     promised,
@@ -64,19 +68,11 @@ from bayesbl.model_search.refit import (
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
-GROSS = 1.05
-"""χ² per sample that counts as far off: the gap may be in another place of its range."""
-
 CONTENDERS = 4
 """Sets that are fitted from one linearisation, the most promising."""
 
-LEAVES_MOST, SLACK = 2.0, 100.0
-"""χ² beyond noise that what is fitted promises to leave, at most: a multiple of what the best
-leaves, and an amount more. Far from its optimum a promise is no better."""
-
 MOST_FITS = 16
 MOST_ROUNDS = 4
-DRAWN = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,13 +119,13 @@ class FittedSet:
 class NamedCandidate:
     """A name, with those that these recordings cannot tell from it.
 
-    ``gain``: fall of χ² by it; ``indistinguishable``: sets with another name in its place.
+    ``gain``: fall of χ² by it; ``indistinguishable``: others, each with the set that has it.
     """
 
     candidate: Candidate
     gain: float
     probability: float
-    indistinguishable: tuple[tuple[str, Explanation], ...] = ()
+    indistinguishable: tuple[tuple[Candidate, Explanation], ...] = ()
 
     @property
     def name(self) -> str:
@@ -139,7 +135,7 @@ class NamedCandidate:
     @property
     def members(self) -> tuple[str, ...]:
         """The set of names, the most probable first."""
-        return tuple(dict.fromkeys((self.name, *(name for name, _ in self.indistinguishable))))
+        return tuple(dict.fromkeys((self.name, *(c.name for c, _ in self.indistinguishable))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +157,6 @@ class Naming:
         Before and after adding what is named; the same where nothing is.
     sets
         All that were fitted, each with its probability.
-    beside
-        The most probable set's posterior of what may be beside it, without other sets of ``sets``.
     repeats
         Whether something repeats that nothing explains.
     nearest
@@ -177,8 +171,13 @@ class Naming:
     nearest: Explanation | None = None
 
     @property
+    def alone(self) -> list[FittedSet]:
+        """Each candidate that was fitted alone, most probable first."""
+        return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
+
+    @property
     def ranking(self) -> tuple[RankedCandidate, ...]:
-        """What each candidate that was fitted alone gains over the nominal bench."""
+        """What each of ``alone`` gains over the nominal bench."""
         nominal = next(own for own, _ in self.sets if not own.explanation.candidates)
         return tuple(
             RankedCandidate(
@@ -186,13 +185,8 @@ class Naming:
                 nominal.fit.chi_square - own.fit.chi_square,
                 own.log_evidence - nominal.log_evidence,
             )
-            for own, _ in sorted(self.sets, key=lambda item: -item[0].log_evidence)
-            if len(own.explanation.candidates) == 1
+            for own in self.alone
         )
-
-    def probability(self, label: str) -> float:
-        """Of a hypothesis."""
-        return sum(p for own, p in self.sets if label in own.explanation.names)
 
     def log_gap_draws(self, generator: np.random.Generator, n: int) -> FloatArray:
         """Draws of ln δ over all sets and what is always beside them, of a gap that all share."""
@@ -209,8 +203,7 @@ def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatA
     """Draws of ln δ beside one set, (n,)."""
     place = own.fit.model.index(GAP)
     spread = math.sqrt(float(own.alone.covariance()[place, place]))
-    shift = own.alone.draw(generator, n).shift[:, place]
-    return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n) + shift)
+    return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n))
 
 
 def name_missing(
@@ -308,25 +301,25 @@ class _Search:
             rest = self._without(best, place[0])
             gain = math.inf if rest is None else rest.fit.chi_square - best.fit.chi_square
             rivals = tuple(
-                (name, own.explanation)
+                (c, own.explanation)
                 for own, p in sets
                 for c in own.explanation.candidates
-                for name in (c.name,)
                 if c.label in group
                 and candidate.label not in own.explanation.names
                 and p > (1.0 - NAMED_AT) * 0.1
             )
-            effects.append(
-                NamedCandidate(candidate, gain, inclusion[candidate.label], rivals)
-            )
+            effects.append(NamedCandidate(candidate, gain, inclusion[candidate.label], rivals))
         final: Explanation | None = best.explanation
         if len(kept) < len(best.explanation.candidates):
             idle = set(range(len(best.explanation.candidates))) - set(kept)
             final = reduced(self.nominal.explanation, best.explanation, idle)
         final = final or self.nominal.explanation
         return Naming(
-            self.nominal.explanation, final, tuple(effects), sets, not effects and
-            not self.nominal.explains_all
+            self.nominal.explanation,
+            final,
+            tuple(effects),
+            sets,
+            not effects and not self.nominal.explains_all,
         )
 
     def _is_unexplained(self, own: FittedSet) -> bool:
@@ -336,7 +329,7 @@ class _Search:
 
     def _is_far(self, own: FittedSet) -> bool:
         moving = any(seen.motion is not None for seen in own.fit.model.recordings)
-        return own.fit.chi_square > GROSS * own.fit.residual.size and not moving
+        return is_gross(own.explanation) and not moving
 
     def _find_orders(self, own: FittedSet) -> None:
         """Orders that stood behind what is in the set."""
@@ -368,7 +361,7 @@ class _Search:
             return
         self._explored.add(keys)
         view, shapes = self._linearised(base.explanation, tuple(self._open(base.explanation)))
-        offset = self._offset(base.explanation)
+        offset = base.log_evidence - base.alone.log_evidence
         posterior = search(view, self._priors, min(2, room))
         gains = posterior.single_gains()
         left = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
@@ -402,7 +395,7 @@ class _Search:
         """What may stand beside a set."""
         holds = {(c.name, c.recording) for c in base.candidates}
         held = {held_by(c) for c in base.candidates}
-        own = {(u.name, u.recording) for u in base.fit.model.unknowns}
+        own = {(u.name, u.recording) for c in base.candidates for u in c.unknowns}
         for candidate in self._candidates.values():
             where = candidate.name, candidate.recording
             if candidate.label in base.names or where in held or held_by(candidate) in holds:
@@ -423,12 +416,6 @@ class _Search:
         labels = {c.label for c in self._candidates.values()}
         return next(iter(Priors().log_odds(labels).values()), 0.0)
 
-    def _offset(self, explanation: Explanation) -> float:
-        """ln of the prior of a set, beside Laplace's volume of its unknowns."""
-        k = sum(len(c.unknowns) for c in explanation.candidates)
-        odds = self._log_odds * len(explanation.candidates)
-        return odds + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
-
     def _add(self, explanation: Explanation) -> FittedSet:
         """A set with its evidence; the better one of two fits."""
         keys = explanation.keys
@@ -445,16 +432,9 @@ class _Search:
         return self._sets[keys]
 
     def _weighed(self, explanation: Explanation) -> FittedSet:
-        view, _ = self._linearised(explanation, ())
-        alone = search(view, None, 0)
-        scales = alone.models[0].scales
-        beyond = [
-            float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands
-        ]
-        excess = max(sum(beyond), 0.0)
-        misfit = sum(max(b, 0.0) for b, scale in zip(beyond, scales, strict=True) if scale > 0.0)
-        evidence = alone.log_evidence + self._offset(explanation)
-        return FittedSet(explanation, evidence, alone, excess, misfit)
+        own = weighed(explanation, self._among)
+        own.log_evidence += self._log_odds * len(explanation.candidates)
+        return own
 
     def _linearised(
         self, explanation: Explanation, candidates: Sequence[Candidate]
@@ -475,10 +455,7 @@ class _Search:
                     usual = np.resize(usual, len(own))
                     parts.append(np.stack(own, axis=1) * usual)
                     shapes.append(_Shape(candidate, start, usual))
-        labels, always = always_terms(fit, self._among) if self._among else ((), [])
-        parts += always
-        forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
-        view = _banded(fit, parts, forms)
+        view = linearised(explanation, parts, self._among)
         count: dict[str, int] = {}
         for shape in shapes:
             count[shape.candidate.label] = count.get(shape.candidate.label, 0) + 1
@@ -492,12 +469,7 @@ class _Search:
             )
             for term, shape in zip(view.terms, shapes, strict=False)
         ]
-        beside = view.terms[len(shapes) :]
-        terms += [
-            label.term(term.columns) for label, term in zip(labels, beside, strict=False)
-        ]
-        terms += [replace(term, always=True) for term in beside[len(labels) :]]
-        return replace(view, terms=terms), shapes
+        return replace(view, terms=[*terms, *view.terms[len(shapes) :]]), shapes
 
     def _columns(
         self,
@@ -546,29 +518,65 @@ class _Search:
         return frozenset(found - {candidate.label})
 
 
-def _promise(
-    posterior: ModelPosterior, terms: tuple[int, ...]
-) -> tuple[FloatArray, FloatArray]:
+def weighed(explanation: Explanation, among: Sequence[Direction] = ()) -> FittedSet:
+    """A set with its evidence, all sets taken to be as likely beforehand.
+
+    ``among``: what is always beside it.
+    """
+    view = linearised(explanation, (), among)
+    alone = search(view, None, 0)
+    beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
+    scales = alone.models[0].scales
+    misfit = sum(max(b, 0.0) for b, scale in zip(beyond, scales, strict=True) if scale > 0.0)
+    # Laplace's volume of what is added, beside that of everything in the posterior.
+    k = sum(len(c.unknowns) for c in explanation.candidates)
+    evidence = alone.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
+    return FittedSet(explanation, evidence, alone, max(sum(beyond), 0.0), misfit)
+
+
+def linearised(
+    explanation: Explanation, parts: Sequence[FloatArray], among: Sequence[Direction] = ()
+) -> Linearised:
+    """The view at a fit: a term for each of ``parts``, (N, k) each, then what is always there."""
+    fit = explanation.fit
+    labels, always = always_terms(fit, among) if among else ((), [])
+    forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
+    view = _banded(fit, [*parts, *always], forms)
+    own, beside = view.terms[: len(parts)], view.terms[len(parts) :]
+    terms = [
+        *own,
+        *(label.term(t.columns) for label, t in zip(labels, beside, strict=False)),
+        *(replace(t, always=True) for t in beside[len(labels) :]),
+    ]
+    return replace(view, terms=terms)
+
+
+def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
+    """What is added of torques over the twist, whose form a real joint has its own of."""
+    return [
+        c
+        for c in explanation.candidates
+        if c.kind == "effect"
+        and "twist" in effect_named(c.name).depends_on
+        and effect_named(c.name).replaces != GAP
+    ]
+
+
+def _promise(posterior: ModelPosterior, terms: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
     """Sizes and shift of a set, which the posterior may have dropped."""
-    if terms not in posterior.sets:
-        view = posterior.linearised
-        chosen = [view.terms[i] for i in terms] + [t for t in view.terms if t.always]
-        own = replace(view, terms=[*(replace(t, always=False) for t in chosen[: len(terms)])])
-        posterior = search(replace(own, terms=[*own.terms, *chosen[len(terms) :]]), None, len(terms))
-        terms = tuple(range(len(terms)))
-        if terms not in posterior.sets:
-            return np.zeros(sum(t.columns.shape[1] for t in chosen[: len(terms)])), np.zeros(
-                view.jacobian.shape[1]
-            )
-    return posterior.mean_of(terms)
+    if terms in posterior.sets:
+        return posterior.mean_of(terms)
+    view = posterior.linearised
+    chosen = [replace(view.terms[i], always=True, positive=False) for i in terms]
+    beside = [t for t in view.terms if t.always]
+    alone = search(replace(view, terms=[*chosen, *beside]), None, 0)
+    sizes, shift = alone.mean_of_all()
+    return sizes[: sum(t.columns.shape[1] for t in chosen)], shift
 
 
 def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[FloatArray]:
     """What a law of the shaft does to the whitened signals, (N,); nothing of anything else."""
-    if candidate.kind != "effect":
-        return
-    effect = effect_named(candidate.name)
-    if "twist" not in effect.depends_on or effect.replaces == GAP:
+    if candidate not in laws_of_shaft(explanation):
         return
     fit = explanation.fit
     point = fit.point.copy()
@@ -604,6 +612,7 @@ def _banded(
                 pieces[place].append(piece)
     first = d + sum(widths)
     several = sum(len(band) for band in pieces) if own else 0
+    usual = {BANDS[0]: MEAN_SHARE * _largest_line(model)}
     blocks, bands, begin, at = [], [], 0, 0
     for highest, band in zip(BANDS, pieces, strict=True):
         stacked = []
@@ -617,11 +626,11 @@ def _banded(
         rows = np.concatenate(stacked) if stacked else np.zeros((0, first + several * own + 1))
         freedom = len(rows)
         if freedom > rows.shape[1]:
-            rows = np.linalg.qr(rows, mode="r")
+            rows = np.asarray(np.linalg.qr(rows, mode="r"))
         if len(rows):
-            bands.append(
-                MisfitBand(f"load orders up to {highest}", slice(begin, begin + len(rows)), freedom)
-            )
+            own_rows = slice(begin, begin + len(rows))
+            kind, size_of = f"load orders up to {highest}", usual.get(highest, math.inf)
+            bands.append(MisfitBand(kind, own_rows, freedom, size_of))
             blocks.append(rows)
             begin += len(rows)
     kept = [*range(first), size - 1]
@@ -630,7 +639,7 @@ def _banded(
     rest = np.hstack([root[:, :-1], np.zeros((len(root), several * own)), root[:, -1:]])
     view = np.concatenate([*blocks, rest])
     ends = d + np.cumsum([0, *widths])
-    terms = [Term("", view[:, a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    terms = [Term("", view[:, a:b]) for a, b in itertools.pairwise(ends)]
     terms += [Term(f"form {k}", view[:, first + k : first + k + 1]) for k in range(several * own)]
     return Linearised(
         view[:, -1],
@@ -642,6 +651,16 @@ def _banded(
         (),
         bands,
     )
+
+
+def _largest_line(model: SimulatedSignals) -> float:
+    """Of the whitened channels beside their means, in the mean rotation's units: the median."""
+    largest = []
+    for seen, noise in zip(model.recordings, model.noise, strict=True):
+        for row in noise.whiten(seen.signals):
+            _, *bands = _by_band(row[begin_of(seen) :, None], seen)
+            largest.append(max((float(np.abs(b).max()) for b in bands if len(b)), default=0.0))
+    return max(float(np.median(largest)), 1.0)
 
 
 def _by_band(rows: FloatArray, seen: Observed) -> Iterator[FloatArray]:

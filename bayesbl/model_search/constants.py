@@ -48,3 +48,14 @@ UNEXPLAINED_SHARE = 0.05
 FORM_SHARE = 0.1
 """Of a law's own signal: what it may be off by for its form. Of eleven joints whose shaft follows
 Bouc-Wen's law, Dahl's left up to the square of that in χ²."""
+
+LEAVES_MOST, SLACK = 2.0, 100.0
+"""χ² beyond noise that what is fitted in full promises to leave, at most: a multiple of what the
+best leaves, and an amount more. Far from its optimum a promise is no better."""
+
+ALIKE = 5.0
+"""|z| between two best fits below which the recordings do not tell them apart."""
+
+MEAN_SHARE = 0.01
+"""Usual error of a channel's mean, over its largest line. Three means alone would not tell friction
+from offsets of any size."""

@@ -685,6 +685,13 @@ class ModelPosterior:
         centre = base.inverse @ (base.nuisance_pull - base.cross[:, columns] @ sizes)
         return sizes[: columns.size - grams.bound_columns.size], centre[: grams.d]
 
+    def mean_of_all(self) -> tuple[FloatArray, FloatArray]:
+        """Sizes of what is always there with either sign, (k,), and the shift of u, (d,), in the
+        most probable model."""
+        base = self._grams.base(self.models[0]._level)
+        centre = base.inverse @ base.nuisance_pull
+        return centre[self._grams.d :], centre[: self._grams.d]
+
     def single_gains(self) -> dict[int, float]:
         """ln of prior times evidence that each selected term adds alone, were there no misfit."""
         grams = self._grams
@@ -696,9 +703,9 @@ class ModelPosterior:
         total = np.zeros((self._grams.d, self._grams.d))
         for model in self.models:
             gram = self._grams.base(model._level).nuisance_gram
-            total += math.exp(model.log_posterior) * _factor(
-                gram[: self._grams.d, : self._grams.d]
-            )[0]
+            total += (
+                math.exp(model.log_posterior) * _factor(gram[: self._grams.d, : self._grams.d])[0]
+            )
         return total
 
     @cached_property

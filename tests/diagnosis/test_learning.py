@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayesbl.naming.explanation import Explanation, nominal_explanation
 from rigid_machine import bench, recording
 from test_rigid import inverse, named
 
@@ -28,7 +29,6 @@ from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.naming.explanation import Explanation, nominal_explanation
 from bayesbl.recording.types import MOTOR_TORQUE
 
 pytestmark = pytest.mark.long

@@ -14,6 +14,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from bayesbl.identification.beyond_data_sheet import chance_at_edges, far_beyond_data_sheet
 from scipy.stats import multivariate_normal
 
 from bayesbl.bench.bench import (
@@ -27,7 +28,6 @@ from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.identification.beyond_data_sheet import chance_at_edges, far_beyond_data_sheet
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import (
     Identification,

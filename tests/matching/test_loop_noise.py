@@ -7,11 +7,6 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from test_impacts import fitted, turning
-
-from bayesbl.config.bench import reference_bench
-from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.loop_noise import LoopNoise, factors_of_estimates
 from bayesbl.naming.candidates import candidates
 from bayesbl.naming.explanation import (
     Explanation,
@@ -21,6 +16,11 @@ from bayesbl.naming.explanation import (
     noise_between,
     nominal_explanation,
 )
+from test_impacts import fitted, turning
+
+from bayesbl.config.bench import reference_bench
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.loop_noise import LoopNoise, factors_of_estimates
 from bayesbl.probabilities import f_sf
 from bayesbl.recording.types import FloatArray
 

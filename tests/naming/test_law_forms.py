@@ -7,15 +7,15 @@ from functools import partial
 from types import ModuleType
 
 import numpy as np
+from bayesbl.naming.candidates import candidates
+from bayesbl.naming.law_forms import form_sd, is_within_form
+from bayesbl.naming.search import name_missing
 
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.naming.candidates import candidates
-from bayesbl.naming.law_forms import form_sd, is_within_form
-from bayesbl.naming.search import name_missing
 
 GAP_RAD = 3.4e-3
 SPEEDS_RPM = (2000.0, -2000.0, 1200.0)

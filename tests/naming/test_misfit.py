@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayesbl.naming.criteria import least_ratio, misfit_scale
 
 from bayesbl.bench.measured_channels import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import SimulatedSignals, gap_unknown, start_angle_unknown
-from bayesbl.naming.criteria import least_ratio, misfit_scale
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.noise.process import NoiseModel
 

@@ -6,14 +6,14 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from bayesbl.naming.candidates import candidates, held_by
+from bayesbl.naming.explanation import explain, nominal_explanation, polished, simplified
 
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
-from bayesbl.naming.candidates import candidates, held_by
-from bayesbl.naming.explanation import explain, nominal_explanation, polished, simplified
 
 HELD = ["friction_drift", "motor_coulomb_friction", "load_viscous_friction"]
 

@@ -44,7 +44,7 @@ from bayesbl.diagnosis.rigid.order_lines import OrderLine, Turning, find_orders,
 from bayesbl.diagnosis.rigid.speed_loop import LOOP_EFFECTS, torque_of_angle
 from bayesbl.diagnosis.selection import MOST_EFFECTS
 from bayesbl.diagnosis.task import Task
-from bayesbl.naming.criteria import ALIKE
+from bayesbl.model_search.constants import ALIKE
 from bayesbl.progress import StageProgress
 from bayesbl.recording.moving import VARIES
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray

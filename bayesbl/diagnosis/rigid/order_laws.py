@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayesbl.diagnosis.rigid.speed_loop import speed_of_torque, torque_of_angle
-from bayesbl.naming.criteria import ALIKE
+from bayesbl.model_search.constants import ALIKE
 from bayesbl.recording.types import FloatArray
 
 Law = Literal["torque", "angle", "both"]

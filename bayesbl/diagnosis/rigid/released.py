@@ -20,7 +20,7 @@ from bayesbl.diagnosis.rigid.learned_from_motion import (
     straight_line,
 )
 from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS
-from bayesbl.naming.criteria import ALIKE
+from bayesbl.model_search.constants import ALIKE
 
 MOST = 0.5
 """Share of the squares that a bench parameter must not leave, to be fitted unasked."""
