@@ -34,7 +34,6 @@ ROOMS = (
     "ringing",
     "matching",
     "model_search",
-    "naming",
     "curve",
     "config",
     "results",

@@ -23,6 +23,7 @@ import numpy as np
 
 from bayesbl.bench.effects import effect_named
 from bayesbl.matching.least_squares import SimulatedFit, prior_pull
+from bayesbl.matching.loop_noise import loop_noise
 from bayesbl.matching.observed import ROUNDING, Observed, begin_of
 from bayesbl.matching.predictive_check import BANDS, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals
@@ -70,6 +71,9 @@ from bayesbl.recording.types import FloatArray
 
 CONTENDERS = 4
 """Sets that are fitted from one linearisation, the most promising."""
+
+LOOP_COLUMNS = 10
+"""Of the noise in the loop of one recording, the strongest."""
 
 MOST_FITS = 16
 MOST_ROUNDS = 4
@@ -261,9 +265,8 @@ class _Search:
             best = self.best
             self._find_orders(best)
             self._explore(best)
-            if self.best is best and not best.explanation.candidates and self._is_far(best):
-                for found in from_afar(best.explanation, list(self._candidates.values())):
-                    self._add(found)
+            if not best.explanation.candidates and self._is_far(self.best):
+                self._scan()
             if self.best is not best:
                 continue
             # What was added first may only have stood in for what came after it.
@@ -271,6 +274,13 @@ class _Search:
                 self._explore(less)
             if self.best is best or len(self._sets) > MOST_FITS:
                 break
+
+    def _scan(self) -> None:
+        """Candidates that move the gap, from their whole range and the gap's."""
+        for found in from_afar(self.nominal.explanation, list(self._candidates.values())):
+            self._add(polished(found))
+            # Where another law is missing too, alone it is drawn away again.
+            self._explore(weighed(found, self._among))
 
     def answer(self) -> Naming:
         """Names by the one rule."""
@@ -329,7 +339,7 @@ class _Search:
 
     def _is_far(self, own: FittedSet) -> bool:
         moving = any(seen.motion is not None for seen in own.fit.model.recordings)
-        return is_gross(own.explanation) and not moving
+        return is_gross(own.explanation) and not moving and self._is_unexplained(own)
 
     def _find_orders(self, own: FittedSet) -> None:
         """Orders that stood behind what is in the set."""
@@ -357,9 +367,10 @@ class _Search:
         """Fit what a set promises beside itself."""
         keys = base.explanation.keys
         room = self._most - len(base.explanation.candidates)
-        if keys in self._explored or room == 0:
+        if room == 0 or ((own_fit := self._sets.get(keys)) is base and keys in self._explored):
             return
-        self._explored.add(keys)
+        if own_fit is base:
+            self._explored.add(keys)
         view, shapes = self._linearised(base.explanation, tuple(self._open(base.explanation)))
         offset = base.log_evidence - base.alone.log_evidence
         posterior = search(view, self._priors, min(2, room))
@@ -612,18 +623,21 @@ def _banded(
                 pieces[place].append(piece)
     first = d + sum(widths)
     several = sum(len(band) for band in pieces) if own else 0
+    noise = _loop_noise(fit)
+    count = noise[0][0].shape[1] if noise else 0
     usual = {BANDS[0]: MEAN_SHARE * _largest_line(model)}
     blocks, bands, begin, at = [], [], 0, 0
-    for highest, band in zip(BANDS, pieces, strict=True):
+    for place, (highest, band) in enumerate(zip(BANDS, pieces, strict=True)):
         stacked = []
-        for piece in band:
+        for piece, around in itertools.zip_longest(band, noise[place] if noise else ()):
             total -= piece.T @ piece
             form = np.zeros((len(piece), several * own))
             for k in range(own if several else 0):
                 form[:, at * own + k] = FORM_SHARE * piece[:, first + k]
             at += 1 if several else 0
-            stacked.append(np.hstack([piece[:, :first], form, piece[:, -1:]]))
-        rows = np.concatenate(stacked) if stacked else np.zeros((0, first + several * own + 1))
+            by_loop = np.zeros((len(piece), 0)) if around is None else around
+            stacked.append(np.hstack([piece[:, :first], form, by_loop, piece[:, -1:]]))
+        rows = np.concatenate(stacked)
         freedom = len(rows)
         if freedom > rows.shape[1]:
             rows = np.asarray(np.linalg.qr(rows, mode="r"))
@@ -636,11 +650,11 @@ def _banded(
     kept = [*range(first), size - 1]
     values, vectors = np.linalg.eigh(total[np.ix_(kept, kept)])
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    rest = np.hstack([root[:, :-1], np.zeros((len(root), several * own)), root[:, -1:]])
+    rest = np.hstack([root[:, :-1], np.zeros((len(root), several * own + count)), root[:, -1:]])
     view = np.concatenate([*blocks, rest])
     ends = d + np.cumsum([0, *widths])
     terms = [Term("", view[:, a:b]) for a, b in itertools.pairwise(ends)]
-    terms += [Term(f"form {k}", view[:, first + k : first + k + 1]) for k in range(several * own)]
+    terms += [Term("always", view[:, k : k + 1]) for k in range(first, view.shape[1] - 1)]
     return Linearised(
         view[:, -1],
         view[:, :d],
@@ -663,6 +677,47 @@ def _largest_line(model: SimulatedSignals) -> float:
     return max(float(np.median(largest)), 1.0)
 
 
+def _loop_noise(fit: SimulatedFit) -> list[list[FloatArray]]:
+    """Columns of noise that goes round the loop, where it has more variance than the linear loop
+    makes of it, by band, recording and channel; empty without such noise.
+
+    A column of standard normal size is a covariance of its outer product. In the mean rotation
+    noise has the covariance that it has in each.
+    """
+    model = fit.model
+    made: list[tuple[int, FloatArray]] = []
+    for place, seen in enumerate(model.recordings):
+        loop = loop_noise(fit, place)
+        if loop is not None:
+            rows = (loop.around - loop.linear).reshape(len(loop.around), len(seen.signals), -1)
+            scale = math.sqrt(float(loop.shares.mean()) / len(rows))
+            made.append((place, scale * rows))
+    if not made:
+        return []
+    found: list[list[FloatArray]] = [[] for _ in BANDS]
+    width = LOOP_COLUMNS * len(made)
+    by_place = dict(made)
+    for place, seen in enumerate(model.recordings):
+        around = by_place.get(place)
+        bands: list[FloatArray] = []
+        for channel in range(len(seen.signals)):
+            length = seen.lag if around is None else around.shape[2]
+            own = np.zeros((length, 1)) if around is None else around[:, channel].T
+            bands += list(_spectral_bands(own, seen))
+        stacked = np.concatenate(bands)
+        out = np.zeros((len(stacked), width))
+        if around is not None:
+            at = LOOP_COLUMNS * [p for p, _ in made].index(place)
+            left, sizes, _ = np.linalg.svd(stacked, full_matrices=False)
+            most = min(LOOP_COLUMNS, sizes.size)
+            out[:, at : at + most] = left[:, :most] * sizes[:most]
+        begin = 0
+        for k, band in enumerate(bands):
+            found[k % len(BANDS)].append(out[begin : begin + len(band)])
+            begin += len(band)
+    return found
+
+
 def _by_band(rows: FloatArray, seen: Observed) -> Iterator[FloatArray]:
     """Of whitened rows (n, p) the mean rotation by bands of load orders, noise alike in each.
 
@@ -673,8 +728,13 @@ def _by_band(rows: FloatArray, seen: Observed) -> Iterator[FloatArray]:
     turns = math.floor(len(rows) / lag + ROUNDING)
     padded = np.zeros((turns * lag, rows.shape[1]))
     padded[: min(len(rows), turns * lag)] = rows[: turns * lag]
-    mean = padded.reshape(turns, lag, -1).sum(axis=0) / math.sqrt(turns)
-    spectrum = np.fft.rfft(mean, axis=0) / math.sqrt(lag)
+    yield from _spectral_bands(padded.reshape(turns, lag, -1).sum(axis=0) / math.sqrt(turns), seen)
+
+
+def _spectral_bands(mean: FloatArray, seen: Observed) -> Iterator[FloatArray]:
+    """Of a rotation (lag, p) by bands of load orders, (k, p) each."""
+    repeats = seen.motion is None or seen.cycle is not None
+    spectrum = np.fft.rfft(mean, axis=0) / math.sqrt(len(mean))
     yield spectrum[:1].real
     below = 1
     for highest in BANDS[1:]:

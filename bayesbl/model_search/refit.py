@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
-from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.signals import GAP, OF_THE_TICKS, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import (
     Candidate,
@@ -25,6 +25,7 @@ from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
+MOST_FROM_AFAR = 3
 BEHIND = 2.0
 """What is far from its optimum and leaves this multiple of what the best leaves is not pursued."""
 
@@ -167,40 +168,34 @@ def reduced(
 
 
 def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Explanation]:
-    """Candidates that move the gap, each fitted from the best places in its whole range.
+    """Candidates that move the gap, each from the best places in its whole range, best first.
 
     They are sought with a constant torque free in every recording, so that friction of the motor
-    does not draw the gap away, and then fitted without it.
+    does not draw the gap away, and then stand without it, not fitted again.
     """
     model = nominal.fit.model
     steady = steady_torque(model.bench, model.recordings)
-    free = (
-        None
-        if steady is None
-        else refit(nominal, [(steady, steady.neutral)], np.zeros(nominal.fit.point.size))
-    )
+    unmoved = np.zeros(nominal.fit.point.size)
+    free = None if steady is None else refit(nominal, [(steady, steady.usual)], unmoved)
     free = free or nominal
-    found = []
-    for candidate in candidates:
-        if not candidate.scanned:
-            continue
+    best: dict[str, tuple[float, Explanation]] = {}
+    for candidate in (c for c in candidates if c.scanned):
         beside = extended(free.fit.model, candidate)
         starts = _scanned_starts(beside, free, candidate)
         left = [chi_square(beside, start) for start in starts]
-        fits = []
         for start, value in zip(starts, left, strict=True):
-            if value <= BEHIND * min(left):
-                with suppress(BenchError):
-                    fits.append(fit_simulated(beside, start, free.fit.steps, rough=True))
-        if fits:
-            best = min(fits, key=lambda fit: fit.chi_square)
-            d = nominal.fit.point.size
-            own = [*range(d), *range(best.point.size - len(candidate.unknowns), best.point.size)]
+            if value > BEHIND * min(left):
+                continue
             with suppress(BenchError):
-                alone = extended(model, candidate)
-                fit = fit_simulated(alone, best.point[own], best.steps[own], rough=True)
-                found.append(Explanation((candidate,), fit))
-    return found
+                fit = fit_simulated(beside, start, free.fit.steps, rough=True)
+                known = best.get(candidate.label)
+                if known is None or fit.chi_square < known[0]:
+                    own = np.r_[: nominal.fit.point.size, -len(candidate.unknowns) : 0]
+                    alone = replace(fit, point=fit.point[own], steps=fit.steps[own])
+                    found = with_model(alone, extended(model, candidate))
+                    best[candidate.label] = fit.chi_square, Explanation((candidate,), found)
+    ranked = sorted(best.values(), key=lambda item: item[0])
+    return [e for left, e in ranked if left <= BEHIND * ranked[0][0]][:MOST_FROM_AFAR]
 
 
 def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]]:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from bayesbl.naming.motor_orders import order_peaks
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.measured_channels import Measurement
@@ -34,6 +33,7 @@ from bayesbl.matching.signals import (
     gap_unknown,
     start_angle_unknown,
 )
+from bayesbl.model_search.catalogue import order_peaks
 from bayesbl.noise.process import NoiseModel
 from bayesbl.presentation.diagnosis import headline, residuals_in_words, wear
 from bayesbl.recording.readers import read_recording

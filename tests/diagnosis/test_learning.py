@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bayesbl.naming.explanation import Explanation, nominal_explanation
 from rigid_machine import bench, recording
 from test_rigid import inverse, named
 
@@ -29,6 +28,7 @@ from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
+from bayesbl.model_search.refit import Explanation, nominal_explanation
 from bayesbl.recording.types import MOTOR_TORQUE
 
 pytestmark = pytest.mark.long

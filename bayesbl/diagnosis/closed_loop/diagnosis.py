@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,6 +62,12 @@ def diagnosis_of(
     withheld = _why_no_gap(found, posterior, level)
     gap_is_given = not withheld and GAP in [u.name for u in final.fit.model.unknowns]
     doubts = _doubts_in_words(found) if gap_is_given else ()
+    after = None if withheld else _delta_after(found, sampled)
+    if sampled is not None and after is not None and after.draws is not None:
+        # What is stored is what is told.
+        draws = sampled.draws.copy()
+        draws[..., final.fit.model.index(GAP)] = np.log(after.draws)
+        posterior = replace(sampled, draws=draws)
     pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
@@ -95,7 +102,7 @@ def diagnosis_of(
         (*notes, *doubts),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=None if withheld else _delta_after(found, sampled),
+        delta_after=after,
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
