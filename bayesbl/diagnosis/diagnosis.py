@@ -11,9 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
-from scipy.stats import norm
-
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
@@ -46,12 +43,6 @@ class Estimate:
     sd: float
     draws: FloatArray | None = None
     logarithmic: bool = False
-
-    def normal_draws(self, count: int) -> FloatArray:
-        """Evenly spaced quantiles of the normal approximation, in the value's unit, (count,)."""
-        quantiles = norm.ppf((np.arange(count) + 0.5) / count)
-        coordinate = self.value + self.sd * quantiles
-        return np.asarray(np.exp(coordinate) if self.logarithmic else coordinate)
 
 
 @dataclass(frozen=True, slots=True)

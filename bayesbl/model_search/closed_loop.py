@@ -192,16 +192,6 @@ class Naming:
             for own in self.alone
         )
 
-    def log_gap_draws(self, generator: np.random.Generator, n: int) -> FloatArray:
-        """Draws of ln δ over all sets and what is always beside them, of a gap that all share."""
-        counts = generator.multinomial(n, [p for _, p in self.sets])
-        parts = [
-            log_gap_of(own, generator, count)
-            for (own, _), count in zip(self.sets, counts, strict=True)
-            if count
-        ]
-        return generator.permutation(np.concatenate(parts))
-
 
 def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatArray:
     """Draws of ln δ beside one set, (n,)."""
@@ -248,10 +238,12 @@ class _Search:
     ) -> None:
         self._catalogue, self._most, self._among = candidates, most, among
         self._progress = progress
-        self._peaks = order_peaks(nominal.fit)
-        self._candidates = {c.key: c for c in candidates(self._peaks)}
+        self._candidates = {c.key: c for c in candidates(order_peaks(nominal.fit))}
         self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
+        # As many hypotheses as there are at the start: those found later raise no odds.
+        labels = {c.label for c in self._candidates.values()}
+        self._log_odds = next(iter(Priors().log_odds(labels).values()), 0.0)
         self.nominal = self._add(nominal)
 
     @property
@@ -367,13 +359,16 @@ class _Search:
         """Fit what a set promises beside itself."""
         keys = base.explanation.keys
         room = self._most - len(base.explanation.candidates)
-        if room == 0 or ((own_fit := self._sets.get(keys)) is base and keys in self._explored):
+        is_known = self._sets.get(keys) is base
+        if room == 0 or (is_known and keys in self._explored):
             return
-        if own_fit is base:
+        if is_known:
             self._explored.add(keys)
         view, shapes = self._linearised(base.explanation, tuple(self._open(base.explanation)))
         offset = base.log_evidence - base.alone.log_evidence
-        posterior = search(view, self._priors, min(2, room))
+        odds = 1.0 / (1.0 + math.exp(-self._log_odds))
+        priors = Priors(probability={c.label: odds for c in self._candidates.values()})
+        posterior = search(view, priors, min(2, room))
         gains = posterior.single_gains()
         left = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
         least = max(min(left.values(), default=0.0), 0.0)
@@ -416,16 +411,6 @@ class _Search:
             if own & {(u.name, u.recording) for u in candidate.unknowns}:
                 continue
             yield candidate
-
-    @property
-    def _priors(self) -> Priors:
-        return Priors()
-
-    @cached_property
-    def _log_odds(self) -> float:
-        """Of each hypothesis; as many as there are at the start."""
-        labels = {c.label for c in self._candidates.values()}
-        return next(iter(Priors().log_odds(labels).values()), 0.0)
 
     def _add(self, explanation: Explanation) -> FittedSet:
         """A set with its evidence; the better one of two fits."""

@@ -47,7 +47,7 @@ SHARES_TRIED = (1.0, 0.3, 0.1, 0.03)
 class Explanation:
     """The recordings fitted with a set of hypotheses.
 
-    ``candidates``: in the order they were added; ``fit``: their unknowns come last, in that order.
+    ``candidates``: in the order they were added; ``fit``: with their unknowns behind its own.
     """
 
     candidates: tuple[Candidate, ...]
@@ -65,12 +65,9 @@ class Explanation:
 
     def places(self, candidate: Candidate) -> list[int]:
         """Of a candidate's unknowns in a point."""
-        begin = self.fit.point.size
-        for own in reversed(self.candidates):
-            begin -= len(own.unknowns)
-            if own is candidate:
-                return list(range(begin, begin + len(own.unknowns)))
-        raise KeyError(candidate.label)
+        keys = [(u.name, u.recording) for u in self.fit.model.unknowns]
+        last = {key: place for place, key in enumerate(keys)}
+        return [last[u.name, u.recording] for u in candidate.unknowns]
 
     @property
     def log_prior(self) -> float:

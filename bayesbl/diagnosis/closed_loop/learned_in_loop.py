@@ -22,13 +22,11 @@ from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, Wha
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
-from bayesbl.matching.loop_noise import factors_of_estimates
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.catalogue import Candidate, amplitude_places
+from bayesbl.model_search.catalogue import Candidate
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
 from bayesbl.model_search.refit import Explanation, with_own_noise
-from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -109,43 +107,15 @@ def learned_term(
     trials = alike(learn(found, fit.model.prior_precision(), false_alarm), false_alarm)
     for trial in trials:
         with suppress(BenchError):
-            fitted = _fitted(base, trial)
-            if fitted is None:
+            explanation = _fitted(base, trial)
+            if explanation is None:
                 continue
-            explanation = _without_idle(fitted, false_alarm)
             fit = explanation.fit
             others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
             term = _learned(fit, _kind_of(trial.hypothesis))
             reaches = _reaches(fit.model, term)
             return Learned(explanation, term, others, gap_share(fit, term), reaches)
     return None
-
-
-def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
-    """Leave out named candidates, the faintest first, that beside the torque no longer stand out.
-
-    They stood in for it.
-    """
-    fit = explanation.fit
-    faintest: tuple[float, Candidate] | None = None
-    for candidate in explanation.candidates:
-        at = explanation.places(candidate)
-        away = fit.point[at] - candidate.neutral
-        amplitudes = amplitude_places(candidate)
-        some = np.ix_([at[k] for k in amplitudes], [at[k] for k in amplitudes])
-        size = away[amplitudes]
-        weights = np.zeros(fit.point.size)
-        weights[some[0].ravel()] = np.linalg.solve(fit.covariance[some], size)
-        gain = float(weights[some[0].ravel()] @ size)
-        # Noise in the speed loop may have more variance along it than is counted.
-        gain /= float(np.mean(factors_of_estimates(fit, weights)))
-        trials = len(explanation.candidates)
-        enough = float(chi2_isf(false_alarm / trials, len(at)))
-        if gain < enough and (faintest is None or gain < faintest[0]):
-            faintest = gain, candidate
-    if faintest is None:
-        return explanation
-    return _without_idle(_without(explanation, faintest[1]), false_alarm)
 
 
 def _without(explanation: Explanation, idle: Candidate) -> Explanation:
