@@ -148,7 +148,8 @@ def search(
     # What was missing is not noise: intervals rest on the noise estimated without it.
     final = with_own_noise(naming.final) if naming.final.candidates else naming.final
     result = compared(final)
-    if naming.repeats:
+    # What does not repeat with the load, a line of the motor or in time, is in no band.
+    if naming.repeats or (result.remaining and not laws_of_shaft(naming.final)):
         beside = _with_learned(naming, final, compared, missing, settings)
         if beside is not None:
             naming, learned = beside
@@ -204,8 +205,9 @@ def _with_learned(
     learned = _learned(final, naming, compared, settings)
     if learned is None:
         return None
-    names = replace(naming, final=learned.explanation, effects=())
-    if not agrees(disagreements(learned.explanation.fit)):
+    kept = () if naming.repeats else naming.effects
+    names = replace(naming, final=learned.explanation, effects=kept)
+    if not kept and not agrees(disagreements(learned.explanation.fit)):
         # Behind what was learned a law of the catalogue may have been hidden.
         beside = missing(learned.explanation.fit)
         if beside.effects:
@@ -239,7 +241,7 @@ def _learned(
         share = share_closed(without.after, compared(learned.explanation).after)
         if share >= most:
             best, most = learned, share
-    if best is None:
+    if best is None or not naming.repeats:
         return best
     with suppress(BenchError):
         return best.alone()
