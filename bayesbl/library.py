@@ -360,7 +360,7 @@ def draw(
         from bayesbl.runs.study_file import load_study
 
         return draw_study(load_study(study), tree, folder, formats)
-    from bayesbl.presentation.figures.draw import draw_all
+    from bayesbl.presentation.figures.stored_figure import draw_all
 
     return draw_all(tree, folder, formats)
 
@@ -371,7 +371,7 @@ def draw_answer(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png"
 
     if not routes_of(tree):
         return draw(tree, folder, formats)
-    from bayesbl.presentation.figures.draw import draw_all
+    from bayesbl.presentation.figures.stored_figure import draw_all
 
     return draw_all(tree, folder, formats, for_specialists=False)
 

@@ -155,11 +155,11 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """What was chosen, and coverage and width by each kind, row by row of the table."""
-    from bayesbl.presentation.figures.layout import grid
     from bayesbl.presentation.figures.style import (
         BAND,
         DOUBLE_COLUMN_IN,
         NEUTRAL,
+        grid,
         head_panels,
         new_figure,
         publication_style,

@@ -200,9 +200,9 @@ def smallest_change(middle_rad: float, width_rad: float, power: float = POWER) -
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """Detection curves of each route: the share of pairs reported against the true change."""
-    from bayesbl.presentation.figures.layout import grid
     from bayesbl.presentation.figures.style import (
         DOUBLE_COLUMN_IN,
+        grid,
         head_panels,
         new_figure,
         publication_style,

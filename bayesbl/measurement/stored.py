@@ -269,7 +269,7 @@ def _interval(draws: FloatArray, config: SnapshotConfig) -> Interval:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredAnswer:
+class Snapshot:
     """What one route of a stored result says of one recording.
 
     Attributes
@@ -339,7 +339,7 @@ def summary_of(tree: xr.DataTree) -> dict[str, Any]:
     return found
 
 
-def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[StoredAnswer]:
+def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot]:
     """What a route says of every recording of a result, in order; that which answers by default."""
     summary = summary_of(tree)
     route = route or tree.attrs["route"]
@@ -360,4 +360,4 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[StoredAn
         (name,) = np.atleast_1d(tree.attrs["recordings"])
         parts = [(str(name), summary["routes"][route], whole)]
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
-    return [StoredAnswer(name, groups, part, level, kind) for name, part, groups in parts]
+    return [Snapshot(name, groups, part, level, kind) for name, part, groups in parts]

@@ -77,7 +77,7 @@ class Plots:
         return self._known()
 
     def _known(self) -> dict[str, StoredFigure]:
-        from bayesbl.presentation.figures.draw import figures_of
+        from bayesbl.presentation.figures.stored_figure import figures_of
 
         return {figure.name: figure for figure in figures_of(self._tree)}
 
@@ -120,7 +120,7 @@ class Result:
         ResultError
             If it cannot be written.
         """
-        from bayesbl.presentation.figures.draw import draw_all
+        from bayesbl.presentation.figures.stored_figure import draw_all
         from bayesbl.presentation.page.build import write_page_of
 
         return write_page_of(self._tree, Path(path), draw_all)

@@ -30,9 +30,9 @@ from bayesbl.measurement.wear import (
     wear,
 )
 from bayesbl.measurement.wear_laws import HAZARD, KINDS, NORMALS, Laws, by_law, shares
+from bayesbl.presentation.figures.gap import path_band, reached
+from bayesbl.presentation.figures.gap import wear as wear_figure
 from bayesbl.presentation.figures.style import save
-from bayesbl.presentation.figures.wear import path_band, reached
-from bayesbl.presentation.figures.wear import wear as wear_figure
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.wear import LAWS as LAWS_IN_WORDS
 from bayesbl.presentation.wear import blocks

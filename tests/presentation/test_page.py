@@ -27,7 +27,7 @@ from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation.advice import NOT_SHOWN
-from bayesbl.presentation.figures.draw import caption, figures_of, reading_order
+from bayesbl.presentation.figures.stored_figure import caption, figures_of, reading_order
 from bayesbl.presentation.page.build import page
 from bayesbl.presentation.page.templates import prose
 from bayesbl.presentation.result_object import result_of

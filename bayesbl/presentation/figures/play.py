@@ -1,4 +1,4 @@
-"""The loop of position over torque, with its model and the play between the flanks."""
+"""The play where it is measured directly: torque ramps, and encoders at motor and load."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures import layout, panels, style
-from bayesbl.presentation.figures.snapshots import (
-    GAP,
-    Snapshot,
+from bayesbl.measurement.stored import Snapshot
+from bayesbl.presentation.figures import style
+from bayesbl.presentation.figures.stored_figure import (
     credible_interval,
     gap_colour,
     gap_in_words,
+    holding,
     snapshots,
+    stored_figure,
 )
-from bayesbl.presentation.figures.stored_figure import holding, stored_figure
+from bayesbl.presentation.figures.style import GAP
 
 
 @stored_figure(
@@ -30,9 +31,9 @@ def ramp_loops(tree: xr.DataTree) -> Figure:
     """A panel per snapshot: its files from their middles; the band is the play, 2δ."""
     parts = snapshots(tree, "loop")
     lines = 2 if len(parts) == 1 else 1
-    figure, axes = layout.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * layout.LINE_IN)
+    figure, axes = style.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * style.LINE_IN)
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
-        _draw(panel, tree, snapshot, index)
+        _draw_ramp_loops(panel, tree, snapshot, index)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     most = max(axes, key=lambda panel: len(panel.lines))
     handles, labels = most.get_legend_handles_labels()
@@ -40,7 +41,7 @@ def ramp_loops(tree: xr.DataTree) -> Figure:
     return figure
 
 
-def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
+def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
     torque, position, model, file, last = (
         snapshot.values("loop", name)
         for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
@@ -55,7 +56,7 @@ def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> Non
         )  # fmt: skip
         for side in (-1.0, 1.0):
             panel.errorbar(
-                [0.0], [0.5 * side * play["median"]], yerr=panels.reach(play, 0.5), color=colour,
+                [0.0], [0.5 * side * play["median"]], yerr=style.reach(play, 0.5), color=colour,
                 capsize=2.5, zorder=4.0, linewidth=1.4,
             )  # fmt: skip
     for place, number in enumerate(np.unique(file)):
@@ -78,5 +79,49 @@ def _draw(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> Non
         )  # fmt: skip
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.5)
     panel.set_xlabel("Torque at the output (N m)")
-    if index % layout.MOST_COLUMNS == 0:  # the axes are shared
+    if index % style.MOST_COLUMNS == 0:  # the axes are shared
         panel.set_ylabel("Position at the output (mrad)")
+
+
+@stored_figure(
+    "Motor less load over the angle, skew, ratio and transmission error taken out: forwards and "
+    "backwards, the model's way through the gap, and the play.",
+    10,
+    holding("transmission"),
+    name="flanks",
+)
+def flank_paths(tree: xr.DataTree) -> Figure:
+    """A panel per snapshot; the band is the play, 2δ."""
+    parts = snapshots(tree, "transmission")
+    figure, axes = style.one_panel_each(len(parts), 2.6, above=1.2 * style.LINE_IN)
+    for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
+        _draw_flank_paths(panel, tree, snapshot, index)
+    style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    return figure
+
+
+def _draw_flank_paths(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
+    angle, forward, lag, model = (
+        snapshot.values("transmission", name)
+        for name in ("position_rad", "forward", "lag_rad", "model_rad")
+    )
+    for way, look, label in ((1.0, style.look(0), "forwards"), (0.0, style.look(1), "backwards")):
+        own = forward == way
+        panel.plot(
+            angle[own], 1e3 * lag[own], color=style.MEASURED, marker=look.marker, markersize=1.5,
+            linestyle="none", alpha=0.5, label=label,
+        )  # fmt: skip
+    panel.plot(angle, 1e3 * model, color=style.MODEL, linewidth=0.6, alpha=0.7, label="model")
+    if not snapshot.withheld:
+        play = credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
+        panel.axhspan(
+            -play["median"], play["median"], color=gap_colour(snapshot, index), alpha=0.18,
+            linewidth=0.0, label="play 2δ",
+        )  # fmt: skip
+    spread = 1e3 * float(np.quantile(np.abs(lag), 0.995))
+    panel.set_ylim(-1.3 * spread - 1e-9, 1.3 * spread + 1e-9)
+    panel.set_xlabel("Angle of the load (rad)")
+    if index % style.MOST_COLUMNS == 0:  # the axes are shared
+        panel.set_ylabel("Motor less load (mrad)")
