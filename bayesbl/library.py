@@ -458,8 +458,8 @@ def _shown(progress: bool) -> Iterator[StageProgress | None]:
     if not progress:
         yield None
         return
-    from bayesbl.presentation.shown_progress import progress as bars
     from bayesbl.presentation.terminal import make_console
+    from bayesbl.presentation.terminal import progress as bars
 
     with bars(make_console(stderr=True)) as tell:
         yield tell

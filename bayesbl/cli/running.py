@@ -54,8 +54,7 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
 def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
     from bayesbl.library import draw_answer
     from bayesbl.presentation.console import print_details, print_headline, print_result
-    from bayesbl.presentation.shown_progress import progress
-    from bayesbl.presentation.terminal import make_console, say
+    from bayesbl.presentation.terminal import make_console, progress, say
     from bayesbl.runs.declared_groups import read_result
     from bayesbl.runs.run import run
 
