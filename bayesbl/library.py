@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         SweepResult,
     )
     from bayesbl.progress import StageProgress
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
 
 Route = Literal["auto", "direct", "amplitude", "torque_ramp", "two_encoders"]
 C = TypeVar("C", bound=RunConfig)
@@ -238,7 +238,7 @@ def diagnose(
     from bayesbl.config.diagnose import DiagnoseConfig
     from bayesbl.config.loading import config_from_options
     from bayesbl.runs.diagnose import run_diagnose
-    from bayesbl.runs.diagnosis_file import diagnosis_of
+    from bayesbl.runs.first_diagnosis import diagnosis_of
 
     given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
     with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
@@ -283,7 +283,7 @@ def read_result(path: File) -> Result:
         If there is no readable, finished result.
     """
     from bayesbl.presentation.result_object import result_of
-    from bayesbl.runs.declared_groups import read_result as read
+    from bayesbl.runs.kinds import read_result as read
 
     return result_of(read(path))
 
@@ -307,8 +307,8 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
         If the configuration cannot be run, or the folder holds a finished result and ``force`` is
         not given.
     """
-    from bayesbl.runs.run import load_run
-    from bayesbl.runs.run import run as run_config
+    from bayesbl.runs.kinds import load_run
+    from bayesbl.runs.kinds import run as run_config
 
     file = None if isinstance(config, RunConfig) else Path(config)
     loaded = config if isinstance(config, RunConfig) else load_run(config)
@@ -356,8 +356,7 @@ def draw(
         return write_pages(folder)
     require_study_file(tree, study)
     if study is not None:
-        from bayesbl.runs.study import draw_study
-        from bayesbl.runs.study_file import load_study
+        from bayesbl.runs.study import draw_study, load_study
 
         return draw_study(load_study(study), tree, folder, formats)
     from bayesbl.presentation.figures.stored_figure import draw_all

@@ -25,7 +25,7 @@ SUMMARIES = {
     "compare": "bayesbl.measurement.summary_types:ComparisonSummary",
     "identify": "bayesbl.identification.summary:IdentificationSummary",
     "diagnose": "bayesbl.diagnosis.summary:DiagnosisSummary",
-    "sweep": "bayesbl.runs.sweep_summary:SweepSummary",
+    "sweep": "bayesbl.runs.sweep:SweepSummary",
     "plan": "bayesbl.runs.plan:PlanSummary",
 }
 
@@ -39,7 +39,7 @@ GROUPS = {
     "Of wear": "bayesbl.measurement.dated_wear",
     "Of an identification": "bayesbl.results.identified",
     "Of a diagnosis": "bayesbl.diagnosis.groups",
-    "Of a sweep": "bayesbl.runs.sweep_groups",
+    "Of a sweep": "bayesbl.runs.sweep",
     "Of a plan": "bayesbl.runs.plan",
 }
 

@@ -28,7 +28,7 @@ def run_command(
     json: Json = False,
 ) -> None:
     """Run a configuration, whatever its kind."""
-    from bayesbl.runs.run import kind_of
+    from bayesbl.runs.kinds import kind_of
 
     kind = kind_of(config)
     if scheduler is not None and kind not in ("study", "fleet", ""):
@@ -60,7 +60,7 @@ def fleet_command(
 def check_command(config: ConfigPath) -> None:
     """Check everything that can be checked without running."""
     from bayesbl.presentation.terminal import say
-    from bayesbl.runs.run import check
+    from bayesbl.runs.kinds import check
 
     plan = check(config)
     for label, text in plan.lines:
@@ -119,7 +119,7 @@ def init_command(
     from bayesbl.presentation.first_configuration import guessed, what_next
     from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_configuration import start_config
-    from bayesbl.runs.run import check
+    from bayesbl.runs.kinds import check
 
     path, guess = start_config(recordings, out, joint=joint, force=force)
     plan = check(path)
@@ -137,8 +137,8 @@ def init_command(
 def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, force: bool) -> None:
     from bayesbl.presentation.first_configuration import chosen, guessed
     from bayesbl.presentation.terminal import make_console, print_blocks, say
-    from bayesbl.runs.diagnosis_file import start_diagnosis
-    from bayesbl.runs.run import check
+    from bayesbl.runs.first_diagnosis import start_diagnosis
+    from bayesbl.runs.kinds import check
 
     if len(given) < 2:
         raise ConfigError(
@@ -159,7 +159,7 @@ def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, forc
 
 def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) -> None:
     from bayesbl.presentation.terminal import say
-    from bayesbl.runs.first_bench import write_first_bench
+    from bayesbl.runs.first_configuration import write_first_bench
 
     if recordings:
         raise ConfigError(

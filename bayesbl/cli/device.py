@@ -69,7 +69,7 @@ def watch_command(
         from bayesbl.config.fleet import FleetConfig
         from bayesbl.fleet.broker import read_address, read_credentials
         from bayesbl.fleet.plant_tables import RECORDINGS_FILE
-        from bayesbl.runs.run import load_run
+        from bayesbl.runs.kinds import load_run
         from bayesbl.runs.watch import Watched, watch
 
         address = None if publish is None else read_address(publish)

@@ -96,7 +96,7 @@ def diagnose_command(
         return
     if bench is None and config is None:
         raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
-    from bayesbl.runs.diagnosis_file import diagnosis_of
+    from bayesbl.runs.first_diagnosis import diagnosis_of
 
     files = given_files([*([bench] if bench else []), *inputs])
     with guessing_columns(f"init --diagnose {files}", config):

@@ -24,7 +24,7 @@ def run_file(
     config: Path, force: bool, json: bool, *, kind: str | None = None, **options: Any
 ) -> None:
     """Run a configuration file, of ``kind`` or of its own, with options over it."""
-    from bayesbl.runs.run import kind_of, load_run
+    from bayesbl.runs.kinds import kind_of, load_run
 
     if (kind or kind_of(config)) == "simulate":
         _simulate(config, force, json, options)
@@ -55,8 +55,7 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
     from bayesbl.library import draw_answer
     from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.terminal import make_console, progress, say
-    from bayesbl.runs.declared_groups import read_result
-    from bayesbl.runs.run import run
+    from bayesbl.runs.kinds import read_result, run
 
     console, volume = notes_console(), VOLUME.get()
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:

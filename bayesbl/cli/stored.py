@@ -26,7 +26,7 @@ def figures_command(
     from bayesbl.library import require_study_file
     from bayesbl.presentation.terminal import say
     from bayesbl.results.folder import FIGURES
-    from bayesbl.runs.declared_groups import read_result
+    from bayesbl.runs.kinds import read_result
 
     tree = read_result(result)
     require_study_file(tree, study, result)
@@ -56,8 +56,7 @@ def inspect_command(result: ResultPath, json: Json = False) -> None:
     from bayesbl.presentation.console import print_summary
     from bayesbl.presentation.terminal import make_console
     from bayesbl.results.store import json_text
-    from bayesbl.runs.declared_groups import read_result
-    from bayesbl.runs.summary import summarise
+    from bayesbl.runs.kinds import read_result, summarise
 
     tree = read_result(result)
     if json:

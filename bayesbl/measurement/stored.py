@@ -333,10 +333,9 @@ def routes_of(tree: xr.DataTree) -> list[str]:
     return [str(name) for name in np.atleast_1d(tree.attrs.get("routes", []))]
 
 
-def summary_of(tree: xr.DataTree) -> dict[str, Any]:
+def summary_of(tree: xr.DataTree) -> Any:
     """The summary as it is stored, without sentences."""
-    found: dict[str, Any] = json.loads(tree.attrs["summary"])
-    return found
+    return json.loads(tree.attrs["summary"])
 
 
 def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot]:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         WearSummary,
     )
     from bayesbl.results.intervals import Interval
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
 
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."

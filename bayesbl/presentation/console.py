@@ -11,13 +11,13 @@ from bayesbl.presentation import answer
 from bayesbl.presentation.blocks import Block, Heading, Sentence
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.presentation.terminal import print_blocks
-from bayesbl.runs.summary import summarise
+from bayesbl.runs.kinds import summarise
 
 if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
 
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:

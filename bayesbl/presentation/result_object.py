@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bayesbl.errors import ResultError
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.recording.channels import did_you_mean
-from bayesbl.runs.summary import summarise
+from bayesbl.runs.kinds import summarise
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayesbl.presentation.figures.stored_figure import StoredFigure
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
 
 Row = Mapping[str, Any]
 

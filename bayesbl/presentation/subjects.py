@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.measurement.summary_types import MeasuredSummary
+    from bayesbl.runs.kinds import Summary
     from bayesbl.runs.plan import PlannedEntry, PlanSummary
     from bayesbl.runs.study import StudySummary
-    from bayesbl.runs.summary import Summary
-    from bayesbl.runs.sweep_summary import SweepSummary
+    from bayesbl.runs.sweep import SweepSummary
 
 
 DEGREES_EXPLAINED = (

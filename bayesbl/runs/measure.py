@@ -10,16 +10,16 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.measurement.stored import as_stored
+from bayesbl.measurement.stored import as_stored, summary_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 from bayesbl.sentences import sentence
 
 if TYPE_CHECKING:
-    from bayesbl.runs.summary import Summary
+    from bayesbl.measurement.summary_types import MeasuredSummary
 
 
-def run(config: SnapshotConfig, options: Options) -> Summary:
+def run(config: SnapshotConfig, options: Options) -> MeasuredSummary:
     """Measure, and write the output folder."""
     swept = swept_benches(config)
     if config.estimator.bench is not None and swept.folder is None:
@@ -37,6 +37,7 @@ def run(config: SnapshotConfig, options: Options) -> Summary:
             swept,
             recordings=options.recordings,
         ),
+        summary_of,
     )
 
 

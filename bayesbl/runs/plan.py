@@ -19,7 +19,6 @@ from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 
 if TYPE_CHECKING:
     from bayesbl.bench.bench import Bench
-    from bayesbl.runs.summary import Summary
 
 MOTIONS = Group(
     "motions",
@@ -69,9 +68,9 @@ def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     return (MOTIONS,)
 
 
-def run(config: PlanConfig, options: Options) -> Summary:
+def run(config: PlanConfig, options: Options) -> PlanSummary:
     """Rank, and write the output folder."""
-    return run_into_folder(config, options, lambda _: planned_tree(config))
+    return run_into_folder(config, options, lambda _: planned_tree(config), summarise_plan)
 
 
 def describe(config: PlanConfig, plan: Plan) -> None:

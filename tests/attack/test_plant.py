@@ -32,7 +32,7 @@ from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
 from bayesbl.runs.collect import collect
 from bayesbl.runs.fleet import identity
-from bayesbl.runs.run import run
+from bayesbl.runs.kinds import run
 from bayesbl.runs.watch import Watched, watch
 
 pytest.importorskip("pyarrow")

@@ -35,8 +35,7 @@ from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum
 from bayesbl.ringing.refine import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
-from bayesbl.runs.declared_groups import declared_groups
-from bayesbl.runs.run import check
+from bayesbl.runs.kinds import check, declared_groups
 from bayesbl.runs.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)

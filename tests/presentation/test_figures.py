@@ -41,7 +41,7 @@ from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
-from bayesbl.runs.declared_groups import declared_groups
+from bayesbl.runs.kinds import declared_groups
 from bayesbl.runs.sweep import run_sweep
 
 FIXED = ("window_start_s", "window_end_s")

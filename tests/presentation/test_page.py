@@ -33,7 +33,7 @@ from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.runs.summary import summarise
+from bayesbl.runs.kinds import summarise
 
 HOSTILE = "<script>alert('δ')</script> & \"July\""
 CONFIG_OF_A_LOST_STUDY = 'schema = 1\nkind = "study"\nstudy = "/gone/study.py"\n'

@@ -532,7 +532,7 @@ def test_inspect_of_a_withheld_fit_gives_no_gap(stored):
 
 
 def _summary(tree):
-    from bayesbl.runs.summary import summarise
+    from bayesbl.runs.kinds import summarise
 
     return summarise(tree)
 

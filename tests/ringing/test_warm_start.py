@@ -37,7 +37,7 @@ from bayesbl.ringing.symbols import (
     DisturbanceModel,
 )
 from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
-from bayesbl.runs.run import check, run
+from bayesbl.runs.kinds import check, run
 
 NOISE = NoiseModel(1.5, (0.6,))
 OLD = EarlierOptimum("the old optimum", TRUTH, 1.5)

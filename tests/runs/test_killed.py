@@ -20,7 +20,7 @@ from bayesbl.errors import RecordingError, ResultError
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.posterior import SamplerSettings
-from bayesbl.runs.run import load_run, run
+from bayesbl.runs.kinds import load_run, run
 from bayesbl.runs.simulate import recording_csv
 
 pytestmark = pytest.mark.long

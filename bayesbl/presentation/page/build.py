@@ -25,8 +25,7 @@ from bayesbl.presentation.page.templates import prose, templates
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import texts, write_text
-from bayesbl.runs.declared_groups import read_result
-from bayesbl.runs.summary import summarise
+from bayesbl.runs.kinds import read_result, summarise
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import SnapshotSummary
