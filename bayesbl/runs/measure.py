@@ -16,6 +16,8 @@ from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 from bayesbl.sentences import sentence
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from bayesbl.measurement.summary_types import MeasuredSummary
 
 
@@ -26,19 +28,14 @@ def run(config: SnapshotConfig, options: Options) -> MeasuredSummary:
         options.say(
             f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
         )
-    return run_into_folder(
-        config,
-        options,
-        lambda work: measure(
-            config,
-            options.progress,
-            work,
-            options.say,
-            swept,
-            recordings=options.recordings,
-        ),
-        summary_of,
-    )
+
+    def make(work: WorkStore) -> xr.DataTree:
+        return measure(
+            config, options.progress, work, options.say, swept, recordings=options.recordings
+        )
+
+    summary: MeasuredSummary = run_into_folder(config, options, make, summary_of)
+    return summary
 
 
 def swept_benches(config: SnapshotConfig) -> WorkStore:
