@@ -262,8 +262,8 @@ def sweep(
     UserError
         If configuration or bench cannot be used, or the curve is not monotone.
     """
+    from bayesbl.config.kinds import SweepConfig
     from bayesbl.config.loading import config_from_options
-    from bayesbl.config.sweep import SweepConfig
     from bayesbl.runs.sweep import run_sweep
 
     given: dict[str, Any] = {"seed": seed, "workers": workers}

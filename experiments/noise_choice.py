@@ -26,7 +26,7 @@ sys.path.append(str(Path(__file__).parent))
 from calibration_statistics import coverage_band
 from made_recordings import draw_symbols, synthetic_recording
 
-from bayesbl.config.fields import as_tuple
+from bayesbl.config.sections import as_tuple
 from bayesbl.noise.process import NoiseModel
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator, PointEstimate

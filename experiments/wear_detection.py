@@ -39,14 +39,14 @@ from calibration_statistics import coverage_band
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.fields import as_tuple, refuse
+from bayesbl.config.sections import as_tuple, refuse
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
+from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
-from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator

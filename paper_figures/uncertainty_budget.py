@@ -10,7 +10,7 @@ from common import PaperFigure, Stored, arrays, main, numbers
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
+from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures.stored_figure import snapshots
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,

@@ -11,9 +11,9 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import ValidationError
 
-from bayesbl.config.fields import BASE_DIRECTORY, Section
 from bayesbl.config.kinds import FILES
 from bayesbl.config.problems import Problem, config_error, line_numbers, problems_of
+from bayesbl.config.sections import BASE_DIRECTORY, Section
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import formats

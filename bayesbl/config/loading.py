@@ -18,7 +18,6 @@ import tomli_w
 from pydantic import ValidationError
 
 from bayesbl.arguments import File, checked
-from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED, name_of, names_of
 from bayesbl.config.files import read_toml, require_kind
 from bayesbl.config.kinds import KINDS, RUNNABLE
 from bayesbl.config.measurement import SnapshotConfig
@@ -31,7 +30,7 @@ from bayesbl.config.problems import (
     location_of,
     problems_of,
 )
-from bayesbl.config.sections import RunConfig
+from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED, RunConfig, name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import stem_of

@@ -17,9 +17,9 @@ from glob import glob
 from pathlib import Path
 from typing import Any, NoReturn
 
-from bayesbl.config.fields import LONGEST_NAME, PUBLISHED, RESULT_FILE
 from bayesbl.config.fleet import FleetSection, is_address
 from bayesbl.config.measurement import LARGEST_LIMIT_RAD
+from bayesbl.config.sections import LONGEST_NAME, PUBLISHED, RESULT_FILE
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.object_store import copied, listed
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from bayesbl.config.fields import BASE_DIRECTORY
 from bayesbl.config.kinds import KINDS
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.problems import problems_of
+from bayesbl.config.sections import BASE_DIRECTORY
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.inventory import Found, Joint
-from bayesbl.measurement.task import Seeds
+from bayesbl.measurement.measurement import Seeds
 from bayesbl.recording.types import FloatArray
 
 REFUSED, FAILED = "refused", "failed"
@@ -80,7 +80,7 @@ class JointAnswer:
         Draws, shape (draw,), paired; empty where there are none.
     kind
         Of the law of each of these draws, its number in
-        :data:`bayesbl.measurement.wear_laws.KINDS`.
+        :data:`bayesbl.measurement.wear.KINDS`.
     jump_rad
         Mean jump of irregular wear of each of these draws.
     lasting

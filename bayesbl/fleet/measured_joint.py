@@ -18,8 +18,8 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.measurement import CompareConfig
+from bayesbl.config.sections import PUBLISHED
 from bayesbl.errors import UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, digest_of_file, file_state
 from bayesbl.fleet.joint_job import (
@@ -33,10 +33,10 @@ from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, p
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
 from bayesbl.measurement.amplitude_route import optima_of
 from bayesbl.measurement.curves import STORE
-from bayesbl.measurement.dated_wear import wear_of, years_between
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored import as_stored, stored_answers, summary_of
+from bayesbl.measurement.wear import wear_of, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore

@@ -15,9 +15,7 @@ from bayesbl.errors import ConfigError
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.joint_job import JointAnswer, RecordingAnswer
 from bayesbl.fleet.pooled_rates import Borrowed, Draws, TypeRates, alarms, pooled
-from bayesbl.measurement.dated_wear import date_after, years_between
-from bayesbl.measurement.wear import probability_before
-from bayesbl.measurement.wear_laws import shares
+from bayesbl.measurement.wear import date_after, probability_before, shares, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import IntervalKind, interval
 

@@ -27,7 +27,7 @@ from bayesbl.errors import RecordingError, ResultError
 from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import unsuited
-from bayesbl.measurement.curves import curve_source
+from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
 from bayesbl.measurement.measurement import (
     Answer,
@@ -35,7 +35,9 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Route,
+    Task,
     Verdict,
+    estimator_of,
 )
 from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
 from bayesbl.measurement.shared_groups import (
@@ -60,9 +62,7 @@ from bayesbl.measurement.shared_groups import (
     sampling_values,
 )
 from bayesbl.measurement.stored import routes_of, stored_answers
-from bayesbl.measurement.stored_curve import CURVE, curve_group
 from bayesbl.measurement.summary_types import NoiseSummary
-from bayesbl.measurement.task import Task, estimator_of
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.probabilities import normal_isf
 from bayesbl.processes import processes

@@ -17,17 +17,14 @@ import xarray as xr
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.measurement.change import Change, changes
 from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
-from bayesbl.measurement.dated_wear import summarise_wear, wear_of
-from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason
+from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
 from bayesbl.measurement.shared_groups import CHANGE, GAP, numbered
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, IntervalKind, interval
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.stacking import stack_snapshots
-from bayesbl.results.store import json_text
-from bayesbl.results.summary_types import origin
-from bayesbl.results.variables import STACKED, dataset
+from bayesbl.results.store import json_text, origin
+from bayesbl.results.variables import STACKED, dataset, stack_snapshots
 from bayesbl.ringing.symbols import SYMBOLS
 
 

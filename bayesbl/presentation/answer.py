@@ -281,7 +281,7 @@ def change_is_withheld(summary: MeasuredSummary) -> bool:
 
 def is_by_other_machine(summary: MeasuredSummary) -> bool:
     """Whether the answer rests on the gap curve of the paper's test bench."""
-    from bayesbl.config.fields import PUBLISHED  # pydantic is behind it
+    from bayesbl.config.sections import PUBLISHED
 
     return snapshots(summary)[0][1]["curve"] == PUBLISHED
 

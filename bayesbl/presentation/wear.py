@@ -121,7 +121,7 @@ LAWS = {
     "steady": "steady",
     "speeding_up": "speeding up",
 }
-"""The laws of :data:`bayesbl.measurement.wear_laws.KINDS` in words."""
+"""The laws of :data:`bayesbl.measurement.wear.KINDS` in words."""
 
 _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 

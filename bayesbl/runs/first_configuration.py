@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.config.fields import name_of, names_of
 from bayesbl.config.files import require_text_names
+from bayesbl.config.sections import name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
 from bayesbl.recording.guessing import UNKNOWN, Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
-from bayesbl.results.inputs import require_apart
+from bayesbl.results.folder import require_apart
 from bayesbl.results.store import write_text
 
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import Compared, DiagnoseConfig, Method
-from bayesbl.config.fields import RESULT_FILE, names_of
 from bayesbl.config.loading import config_from_options
+from bayesbl.config.sections import RESULT_FILE, names_of
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.free_motion.method import CHANNELS as FREE_MOTION

@@ -20,8 +20,7 @@ from bayesbl.config.loading import config_from_options, files_of, load_config
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.recording.input_bytes import read_input
-from bayesbl.results.folder import CONFIG_FILE
-from bayesbl.results.inputs import require_apart
+from bayesbl.results.folder import CONFIG_FILE, require_apart
 from bayesbl.runs.workflow import Draw, Options, Plan, Workflow
 from bayesbl.sentences import told
 

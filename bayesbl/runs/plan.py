@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.plan import PlanConfig
+from bayesbl.config.kinds import PlanConfig
 from bayesbl.errors import ConfigError
 from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_bench, ranked_motions
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.summary_types import Head, head
+from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 

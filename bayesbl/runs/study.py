@@ -57,14 +57,13 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ValidationError
 
+from bayesbl.config.kinds import StudyConfig
 from bayesbl.config.problems import config_error, problems_of
-from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ConfigError, ResultError, UserError, WorkerError
 from bayesbl.processes import processes
 from bayesbl.results.folder import figure_title, is_finished, require_free
 from bayesbl.results.provenance import git_commit, provenance_of
-from bayesbl.results.store import OUTCOME, read_tree
-from bayesbl.results.summary_types import Head, head
+from bayesbl.results.store import OUTCOME, Head, head, read_tree
 from bayesbl.results.variables import Group, Variable, require_declared
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_on_cluster

@@ -14,24 +14,24 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.config.bench import dump_bench
-from bayesbl.config.sweep import SweepConfig
+from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.bench_draws import SweptDraws
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.sweep import SweepRow, SweepSettings
 from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError
-from bayesbl.measurement.bench_sweep import SweepProblem
-from bayesbl.measurement.stored_curve import (
+from bayesbl.measurement.curves import (
     CURVE,
     GAP_CURVE,
     SOURCE_PREFIX,
+    SweepProblem,
     curve_to_dataset,
     one_curve_group,
 )
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.summary_types import Head, head
+from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, attributes, dataset, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from bayesbl.config.fields import RESULT_FILE
 from bayesbl.config.loading import dump_config
+from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.results.folder import (
     AUGMENTED_BENCH,

@@ -10,8 +10,8 @@ import pytest
 from places import RECORDINGS
 
 from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.config.kinds import SweepConfig
 from bayesbl.config.loading import load_config
-from bayesbl.config.sweep import SweepConfig
 from bayesbl.curve.bench_draws import SweptDraws, virtual_departures
 from bayesbl.curve.branch import likeliest_branch
 from bayesbl.curve.gap_curve import GapCurve
@@ -21,7 +21,7 @@ from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError, CurveError, UserError
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
-from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset, read_curve
+from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
@@ -476,7 +476,7 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
         made.append("row")
         return sweep_nominal(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("bayesbl.measurement.bench_sweep.sweep_nominal", counted)
+    monkeypatch.setattr("bayesbl.measurement.curves.sweep_nominal", counted)
     run_sweep(config)
     assert not made
     with monkeypatch.context() as edited:

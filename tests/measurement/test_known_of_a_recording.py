@@ -15,8 +15,8 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.measurement.bench_of import bench_with
 from bayesbl.measurement.curves import BenchCurves
+from bayesbl.measurement.measurement import Seeds, Task, recording_of
 from bayesbl.measurement.routes import measurer_of
-from bayesbl.measurement.task import Seeds, Task, recording_of
 from bayesbl.results.work import WorkStore
 
 BENCH = CONFIGS / "bench.toml"

@@ -18,8 +18,8 @@ from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
+from bayesbl.measurement.curves import curve_from_dataset
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.stored_curve import curve_from_dataset
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.diagnosis import named_effects
 from bayesbl.presentation.figures.gap import amplitude_to_gap, gap

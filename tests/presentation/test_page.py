@@ -21,8 +21,7 @@ from stored_measurement import judged
 import bayesbl
 from bayesbl import cli
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.measurement.dated_wear import summarise_wear, wear_group, years_between
-from bayesbl.measurement.wear import trend
+from bayesbl.measurement.wear import summarise_wear, trend, wear_group, years_between
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, wear, words
 from bayesbl.presentation.answer import NOT_SHOWN

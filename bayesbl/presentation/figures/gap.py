@@ -15,11 +15,9 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from bayesbl.measurement.dated_wear import DAYS_PER_YEAR, WEAR, used_dates
 from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summary_of
 from bayesbl.measurement.summary_types import SnapshotSummary
-from bayesbl.measurement.wear import LONGEST_YEARS
-from bayesbl.measurement.wear_laws import Laws
+from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, used_dates
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
     credible_interval,

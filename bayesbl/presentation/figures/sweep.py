@@ -16,7 +16,7 @@ from numpy.polynomial import polynomial
 from bayesbl.config.bench import parse_bench, reference_bench
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.regression import relative_fit
-from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
+from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure, values
 from bayesbl.presentation.figures.style import plain_log_axis
