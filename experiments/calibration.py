@@ -45,12 +45,11 @@ from made_recordings import draw_symbols, drifting, synthetic_recording, with_sa
 from outside_noise import encoder_harmonics, one_over_f, varied_speed
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.measured_channels import SpeedSource
 from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.bench.simulation import SpeedSource
 from bayesbl.config.bench import load_bench
 from bayesbl.config.sections import as_tuple, refuse
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.change import MeasuredRinging, gaps

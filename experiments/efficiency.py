@@ -22,8 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct

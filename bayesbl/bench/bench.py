@@ -24,15 +24,11 @@ from bayesbl.bench.kernel import (
     Slot,
 )
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
-from bayesbl.bench.measured_channels import PERFECT, Measurement
 from bayesbl.bench.motion import Motion
-from bayesbl.bench.parameters import (
-    PARAMETER_INFO,
-    check_parameters,
-    rotation_period_s,
-    slot_of,
-)
+from bayesbl.bench.parameters import PARAMETER_INFO, check_parameters, rotation_period_s, slot_of
 from bayesbl.bench.simulation import (
+    PERFECT,
+    Measurement,
     simulate_channels,
     simulate_motions,
     simulate_speeds,

@@ -25,8 +25,8 @@ from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
-from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.files import load_file
 from bayesbl.config.sections import Section, Tolerance, as_tuple, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError

@@ -29,10 +29,9 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import PUBLISHED
-from bayesbl.curve.bench_draws import SweptDraws
 from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
-from bayesbl.curve.swept_curve import departures, swept_curve
+from bayesbl.curve.swept_curve import SweptDraws, departures, swept_curve
 from bayesbl.errors import BenchError, CurveError
 from bayesbl.matching.observed import reference_speed
 from bayesbl.measurement.bench_of import bench_with

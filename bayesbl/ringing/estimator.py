@@ -20,10 +20,9 @@ from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.ringing.cleaning import FINDERS
+from bayesbl.ringing.cleaning import FINDERS, MotorLine, in_words, without_motor_lines
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
-from bayesbl.ringing.motor_lines import MotorLine, in_words, without_motor_lines
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
 from bayesbl.ringing.posterior import Posterior, sample_posterior

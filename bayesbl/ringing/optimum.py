@@ -16,11 +16,9 @@ import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.evolution import SearchHistory, minimise
 from bayesbl.ringing.guess import guesses, search_window
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import SearchHistory, minimise, refine
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -34,6 +32,7 @@ from bayesbl.ringing.symbols import (
     DisturbanceModel,
 )
 from bayesbl.ringing.table_2 import BoxSearch, search_as_printed, search_pulse_train
+from bayesbl.ringing.waveform import model_speed
 
 SearchMethod = Literal["guess", "paper", "table_2_box"]
 FoundBy = Literal["guess", "paper", "table_2_box", "warm"]

@@ -20,12 +20,11 @@ from bayesbl.ringing.covariance import Covariance, signal_to_noise
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN
-from bayesbl.sampling.chains import SamplerSettings, thinned, walk
+from bayesbl.sampling.chains import Ensembles, SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import (
     Contender,
     Diagnostics,
 )
-from bayesbl.sampling.ensemble import Ensembles
 
 DRAWS_FOR_EDGES = 2000
 """Of each ensemble: with four the edge of a 90 % interval scatters by 0.023 standard deviations."""

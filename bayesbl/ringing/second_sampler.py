@@ -24,7 +24,7 @@ from bayesbl.ringing.posterior import (
     complete,
     weighed_by_likelihood,
 )
-from bayesbl.ringing.refine import scatter_root
+from bayesbl.ringing.search import scatter_root
 from bayesbl.ringing.symbols import FREQUENCY, SEPARATION, START
 
 LIVE_POINTS = 400

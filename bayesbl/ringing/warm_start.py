@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.evolution import SearchHistory
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds, exchanged, settled
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import SearchHistory, refine
 from bayesbl.ringing.symbols import (
     DECAY,
     FREQUENCY,

@@ -26,7 +26,6 @@ from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import PUBLISHED
 from bayesbl.errors import ResultError
-from bayesbl.fleet.draws_store import DrawsStore
 from bayesbl.fleet.inventory import (
     Found,
     Joint,
@@ -36,13 +35,21 @@ from bayesbl.fleet.inventory import (
     find_recordings,
     read_joints,
 )
-from bayesbl.fleet.joint_job import REFUSED, JointAnswer, JointJob, RecordingAnswer
-from bayesbl.fleet.measured_joint import MeasuredJoint, fits_beside, measure_joint
+from bayesbl.fleet.measured_joint import (
+    REFUSED,
+    JointAnswer,
+    JointJob,
+    MeasuredJoint,
+    RecordingAnswer,
+    fits_beside,
+    measure_joint,
+)
 from bayesbl.fleet.plant_tables import (
     JOINT_COLUMNS,
     JOINTS_FILE,
     RECORDING_COLUMNS,
     RECORDINGS_FILE,
+    DrawsStore,
     Level,
     Measured,
     joint_rows,

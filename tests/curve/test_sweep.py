@@ -12,12 +12,10 @@ from places import RECORDINGS
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.config.loading import load_config
-from bayesbl.curve.bench_draws import SweptDraws, virtual_departures
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
-from bayesbl.curve.swept_curve import degree_reports, swept_curve
+from bayesbl.curve.swept_curve import SweptDraws, degree_reports, swept_curve, virtual_departures
 from bayesbl.errors import ConfigError, CurveError, UserError
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
@@ -30,11 +28,11 @@ from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
+from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.runs.kinds import check, declared_groups
 from bayesbl.runs.sweep import run_sweep
 

@@ -13,8 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
 
 from bayesbl.measurement.stored import Snapshot
-from bayesbl.noise.autoregression import autocorrelation
-from bayesbl.noise.rotation_noise import rotation_difference
+from bayesbl.noise.rotation_noise import autocorrelation, rotation_difference
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
     holding,

@@ -1,4 +1,6 @@
-"""A fast local least-squares optimum, for starts that are already close.
+"""Searches for the least sum of squares: CMA-ES over ranges, and a fast local one from close by.
+
+A fast local least-squares optimum, for starts that are already close.
 
 A quadratic is fitted to the sum of squares on a cloud of points whose shape is the Gauss-Newton
 covariance, its minimum becomes the new centre, the cloud shrinks. One kernel call evaluates a
@@ -8,13 +10,89 @@ whole cloud, and the regression smooths over the kinks that the window's edges l
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.jacobian import jacobian, jacobian_columns
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.symbols import SYMBOLS
+from bayesbl.ringing.waveform import jacobian, jacobian_columns
+
+
+@dataclass(frozen=True, slots=True)
+class SearchHistory:
+    """Convergence of CMA-ES, one row per iteration.
+
+    Attributes
+    ----------
+    run
+        Which start the iteration belongs to, shape (i,).
+    evaluations
+        Evaluations so far in that run, shape (i,).
+    rmse_rpm
+        Best RMSE so far in that run, shape (i,), rpm.
+    """
+
+    run: FloatArray
+    evaluations: FloatArray
+    rmse_rpm: FloatArray
+
+    @classmethod
+    def of_runs(cls, histories: Sequence[SearchHistory]) -> SearchHistory:
+        """Of several runs, numbered in their order."""
+        runs = [np.full(h.run.size, float(number)) for number, h in enumerate(histories)]
+        return cls(
+            np.concatenate(runs),
+            np.concatenate([h.evaluations for h in histories]),
+            np.concatenate([h.rmse_rpm for h in histories]),
+        )
+
+
+def minimise(
+    sum_of_squares: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    scale: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    generator: np.random.Generator,
+    *,
+    population: int,
+    iterations: int,
+    samples: int,
+) -> tuple[FloatArray, SearchHistory]:
+    """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``."""
+    import cma
+
+    low, high = box
+    options = {
+        "popsize": population,
+        "maxiter": iterations,
+        "bounds": [list((low - start) / scale), list((high - start) / scale)],
+        # Own generator: cma would otherwise seed and draw from NumPy's global state.
+        "randn": lambda rows, columns: generator.standard_normal((rows, columns)),
+        "seed": math.nan,
+        "verbose": -9,
+        "tolfun": 1e-10,
+        "tolfunhist": 1e-11,
+        "tolx": 1e-7,
+    }
+    strategy = cma.CMAEvolutionStrategy(np.zeros(start.size), 1.0, options)
+    rows: list[tuple[float, float]] = []
+    best, best_point = math.inf, start
+    while not strategy.stop():
+        asked = strategy.ask()
+        points = start + scale * np.asarray(asked)
+        values = sum_of_squares(points)
+        values = np.where(np.isfinite(values), values, 1e300)
+        strategy.tell(asked, 0.5 * np.log(values / samples + 1e-300))
+        least = int(np.argmin(values))
+        if values[least] < best:
+            best, best_point = float(values[least]), points[least]
+        rows.append((float(strategy.countevals), math.sqrt(best / samples)))
+    evaluations, rmse = np.array(rows).T
+    return best_point, SearchHistory(np.zeros(len(rows)), evaluations, rmse)
+
 
 MOST_ROUNDS = 60
 POINTS_PER_COEFFICIENT = 3
