@@ -21,7 +21,6 @@ ROOMS = (
     "declared",
     "libraries",
     "processes",
-    "threads",
     "progress",
     "probabilities",
     "compiled",

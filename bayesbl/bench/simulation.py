@@ -20,8 +20,8 @@ from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.steady import noise_through_loop, settling_time_s
 from bayesbl.errors import BenchError
 from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
+from bayesbl.processes import in_threads
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, FloatArray
-from bayesbl.threads import in_threads
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 SpeedSource = Literal["sensor", "encoder"]

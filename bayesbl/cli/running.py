@@ -5,19 +5,41 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from bayesbl.cli.statuses import WITHHELD
-from bayesbl.cli.volume import FIGURES, VOLUME
 from bayesbl.errors import ConfigError, RecordingError, ResultError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from bayesbl.config.sections import RunConfig
+
+
+FAILED, WRONG, WITHHELD = 1, 2, 3
+"""A bug or Ctrl-C; wrong usage, configuration or input; an answer that is withheld."""
+
+
+Volume = Literal["quiet", "normal", "verbose"]
+
+VOLUME: ContextVar[Volume] = ContextVar("volume", default="normal")
+"""Of the command that runs."""
+
+FIGURES: ContextVar[tuple[str, ...]] = ContextVar("figures", default=("png",))
+"""Formats in which a run draws its figures."""
+
+_OPTIONS = ("--quiet", "--verbose", "--no-figures", "--pdf")
+
+
+def brought_forward(arguments: Sequence[str]) -> list[str]:
+    """The same arguments with these options before the command, where they are read."""
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    ours = [text for text in arguments[:end] if text in _OPTIONS]
+    others = [text for text in arguments[:end] if text not in _OPTIONS]
+    return [*ours, *others, *arguments[end:]]
 
 
 def run_file(

@@ -27,12 +27,12 @@ from bayesbl.config.simulate import (
     load_simulation,
 )
 from bayesbl.errors import BenchError, ConfigError, ResultError
+from bayesbl.processes import in_threads
 from bayesbl.recording.types import TIME, Recording
 from bayesbl.results.atomic import replacing, require_replaceable
 from bayesbl.results.folder import require_apart, require_inside
 from bayesbl.results.identified import bench_from
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
-from bayesbl.threads import in_threads
 
 BYTES_PER_SAMPLE = 400.0
 """Of a simulated recording: its channels, and all of them as text."""

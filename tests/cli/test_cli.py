@@ -19,7 +19,7 @@ from places import AFTER, BEFORE, CONFIGS, RECORDINGS
 from quick import two_ensembles, without_figures
 
 from bayesbl import cli
-from bayesbl.cli.volume import brought_forward
+from bayesbl.cli.running import brought_forward
 
 ROTATION_SAMPLES = 3600
 
