@@ -80,6 +80,35 @@ def test_files_that_a_page_names_are_there(page: str) -> None:
     assert sorted(name for name in named - own if not (ROOT / name).exists()) == []
 
 
+def constants_of_the_package() -> dict[str, set[float]]:
+    """Values of every constant, by its name and by ``module.NAME``; none where it is computed."""
+    constants: dict[str, set[float]] = {}
+    for file in (ROOT / "bayesbl").rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        for names, values in re.findall(r"^([A-Z][A-Z_, ]*) = (.+)$", text, re.M):
+            for name, value in zip(names.split(", "), values.split(", "), strict=False):
+                number = {float(value)} if re.fullmatch(r"[\d_.e-]+", value) else set()
+                for key in (name, f"{file.stem}.{name}"):
+                    constants.setdefault(key, set()).update(number)
+    return constants
+
+
+def test_constants_of_the_design_are_those_of_the_code() -> None:
+    text = DESIGN.read_text(encoding="utf-8")
+    table = text.partition("| constant | value |")[2].partition("\n\n")[0]
+    code, compared, wrong = constants_of_the_package(), 0, []
+    for row in table.splitlines()[2:]:
+        _, names, value, *_ = row.split("|")
+        stated = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", value)}
+        stated |= {round(0.01 * float(n), 12) for n in re.findall(r"(\d+(?:\.\d+)?) %", value)}
+        for name in re.findall(r"`((?:\w+\.)?[A-Z][A-Z_]+)`", names):
+            compared += 1
+            if name not in code or not code[name] <= stated:
+                wrong.append((name, code.get(name), value.strip()))
+    assert compared > 10
+    assert wrong == []
+
+
 @pytest.mark.parametrize("maker", ["make_configuration.py", "make_results.py", "make_paper.py"])
 def test_a_page_that_is_made_is_as_the_program_is(maker: str) -> None:
     made = runpy.run_path(str(ROOT / "docs" / maker))["pages"]()
