@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import runpy
 import shlex
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,17 @@ import typer.main
 from places import ROOT
 
 from bayesbl.cli import app
+from bayesbl.presentation.citations import all_bibtex
 
 DESIGN = ROOT / "docs" / "design.md"
 CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")
 SHELL = re.compile(r"^```(?:sh|\{code-cell\}[^\n]*\n%%sh)\n(.*?)^```", re.S | re.M)
 DOCS = sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))
-PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS)
+OWN = ("README.md", "CHANGELOG.md", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md")
+PAGES = (*OWN, *DOCS)
+SHELL_CELL = re.compile(r"^```\{code-cell\}[^\n]*\n%%sh\n(.*?)^```", re.S | re.M)
+QUICK = {"check", "cite", "init"}
+"""Commands of a second or two."""
 
 
 def headings(text: str) -> set[str]:
@@ -123,6 +130,43 @@ def test_commands_of_a_page_are_such_as_the_program_takes(page: str) -> None:
         for line in re.findall(r"(?:^|&& )(?:\S*/)?bayesbl (.+)", shell.replace("\\\n", ""), re.M):
             name, *given = shlex.split(line, comments=True)
             program.commands[name].make_context(name, given)
+
+
+class Kernel:
+    """What ``docs/kernel_start.py`` asks of IPython."""
+
+    def __init__(self) -> None:
+        self.magics: dict[str, Callable[[str, str], None]] = {}
+
+    def register_magic_function(
+        self, function: Callable[[str, str], None], kind: str, name: str
+    ) -> None:
+        self.magics[name] = function
+
+
+@pytest.mark.parametrize("page", ["docs/first_answer.md", "docs/own_joint.md", "docs/cite.md"])
+def test_quick_commands_of_a_page_run_on_the_files_that_the_page_has_made(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel = Kernel()
+    monkeypatch.setattr(pytest.importorskip("IPython"), "get_ipython", lambda: kernel)
+    monkeypatch.chdir(tmp_path)
+    beside = str(Path(sys.executable).parent)
+    monkeypatch.setenv("PATH", os.pathsep.join([beside, os.environ["PATH"]]))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    runpy.run_path(str(ROOT / "docs" / "kernel_start.py"))
+    cells = SHELL_CELL.findall((ROOT / page).read_text(encoding="utf-8"))
+    quick = [cell for cell in cells if set(re.findall(r"^bayesbl (\w+)", cell, re.M)) <= QUICK]
+    assert quick
+    for cell in quick:
+        kernel.magics["sh"]("", cell)  # which raises where a command fails
+
+
+def test_the_bibliography_of_the_paper_is_that_of_the_program() -> None:
+    text = (ROOT / "paper" / "paper.bib").read_text(encoding="utf-8")
+    assert text.strip() == all_bibtex()
+    cited = set(re.findall(r"@(\w+)", (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")))
+    assert cited <= set(re.findall(r"^@\w+\{(\w+),", text, re.M))
 
 
 def test_the_design_describes_every_room() -> None:
