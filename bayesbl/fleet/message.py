@@ -1,6 +1,6 @@
 """Messages of devices: JSON of one schema, from which device, and whose recording each is about.
 
-Whatever may come from a network is checked: :mod:`bayesbl.fleet.answer_message` and
+Whatever may come from a network is checked: :mod:`bayesbl.fleet.message` and
 :mod:`bayesbl.fleet.mean_rotation` say what may stand in a message of each kind.
 
 A row of ``recordings.parquet`` as a message: written by ``watch``, checked by ``collect``.

@@ -6,7 +6,7 @@ Since the last repair the gap follows a monotone path,
 
     δ(t) = δ(t₁) + X(t),    X a gamma process with mean Δ u(t) and variance σ² u(t),    Δ > 0,
 
-whose mean u follows one of the laws of :mod:`bayesbl.measurement.wear_laws` and whose increments
+whose mean u follows one of the laws of :mod:`bayesbl.measurement.wear` and whose increments
 are irregular by σ (van Noortwijk 2009). Law and σ are drawn by sequential Monte Carlo (Del Moral,
 Doucet and Jasra 2006) from their marginal likelihood: δ(t₁) and Δ have flat priors and are
 integrated out; between snapshots the process is taken as normal with the same mean and covariance,
@@ -270,9 +270,9 @@ class Wear:
     Attributes
     ----------
     law
-        Number of its kind at the last snapshot in :data:`bayesbl.measurement.wear_laws.KINDS`.
+        Number of its kind at the last snapshot in :data:`bayesbl.measurement.wear.KINDS`.
     law_shape
-        :attr:`bayesbl.measurement.wear_laws.Laws.rows`, (law_parameter, chain, draw).
+        :attr:`bayesbl.measurement.wear.Laws.rows`, (law_parameter, chain, draw).
     first_rad, current_rad
         Gap at the first and at the last snapshot, given all of them.
     expected_growth_rad

@@ -240,9 +240,9 @@ class WorkStore:
         what
             Name of the work: the same inputs may decide several.
         inputs
-            All that decides the numbers, as :func:`bayesbl.results.codec.address` takes it.
+            All that decides the numbers, as :func:`bayesbl.results.work.address` takes it.
         kind
-            Type of the work, as :func:`bayesbl.results.codec.decoder` takes it.
+            Type of the work, as :func:`bayesbl.results.work.decoder` takes it.
         """
         kept = None if self.fresh else self.recall(what, inputs, kind)
         if kept is not None:
