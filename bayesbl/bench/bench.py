@@ -15,7 +15,6 @@ import numpy as np
 
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import (
     CURRENT,
     POSITION,
@@ -25,7 +24,13 @@ from bayesbl.bench.kernel import (
 )
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
 from bayesbl.bench.motion import Motion
-from bayesbl.bench.parameters import PARAMETER_INFO, check_parameters, rotation_period_s, slot_of
+from bayesbl.bench.parameters import (
+    PARAMETER_INFO,
+    JointNormal,
+    check_parameters,
+    rotation_period_s,
+    slot_of,
+)
 from bayesbl.bench.simulation import (
     PERFECT,
     Measurement,

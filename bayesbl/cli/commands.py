@@ -309,7 +309,7 @@ def init_command(
             found="nothing",
             expected="one or more recordings; or --bench for a joint's data sheet to fill in",
         )
-    from bayesbl.presentation.first_configuration import guessed, what_next
+    from bayesbl.presentation.console import guessed, what_next
     from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.kinds import check
@@ -328,7 +328,7 @@ def init_command(
 
 
 def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, force: bool) -> None:
-    from bayesbl.presentation.first_configuration import chosen, guessed
+    from bayesbl.presentation.console import chosen, guessed
     from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_diagnosis import start_diagnosis
     from bayesbl.runs.kinds import check
@@ -586,7 +586,7 @@ def _log(text: str | None) -> None:
 
 
 def _tell(row: Mapping[str, Any]) -> None:
-    from bayesbl.presentation.recording_line import recording_line
+    from bayesbl.presentation.console import recording_line
 
     _log(recording_line(row))
 
@@ -664,7 +664,7 @@ def effects_command(
 ) -> None:
     """Print the catalogue of physical effects, or one entry in full."""
     from bayesbl.bench.effects import EFFECTS, effect_named
-    from bayesbl.presentation.catalogue import catalogue, entry
+    from bayesbl.presentation.console import catalogue, entry
     from bayesbl.presentation.terminal import make_console, print_blocks
 
     print_blocks(catalogue(EFFECTS) if name is None else entry(effect_named(name)), make_console())

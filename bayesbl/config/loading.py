@@ -18,10 +18,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from bayesbl.arguments import File, checked
-from bayesbl.config.files import read_toml, require_kind
-from bayesbl.config.kinds import KINDS, RUNNABLE
-from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.problems import (
+from bayesbl.config.files import (
     Location,
     Problem,
     config_error,
@@ -29,7 +26,11 @@ from bayesbl.config.problems import (
     line_numbers,
     location_of,
     problems_of,
+    read_toml,
+    require_kind,
 )
+from bayesbl.config.kinds import KINDS, RUNNABLE
+from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED, RunConfig, name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean

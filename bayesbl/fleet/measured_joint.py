@@ -22,9 +22,9 @@ import xarray as xr
 from pydantic import ValidationError
 
 from bayesbl.bench.bench import Bench
+from bayesbl.config.files import problems_of
 from bayesbl.config.kinds import KINDS
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
-from bayesbl.config.problems import problems_of
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED
 from bayesbl.errors import ConfigError, UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, Found, Joint, digest_of_file, file_state
@@ -39,7 +39,7 @@ from bayesbl.measurement.wear import wear_of, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.warm_start import EarlierOptimum
+from bayesbl.ringing.optimum import EarlierOptimum
 from bayesbl.sentences import sentence, told
 
 REFUSED, FAILED = "refused", "failed"

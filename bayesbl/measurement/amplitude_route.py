@@ -23,9 +23,8 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
-from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.compatibility import unsuited
+from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
 from bayesbl.measurement.measurement import (
@@ -81,13 +80,12 @@ from bayesbl.results.variables import (
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import bounds
+from bayesbl.ringing.optimum import EarlierOptimum, bounds
 from bayesbl.ringing.pointwise import log_likelihood, predicted
+from bayesbl.ringing.posterior import SamplerCheck, require_second_sampler
 from bayesbl.ringing.search import refine
-from bayesbl.ringing.second_sampler import SamplerCheck, require_second_sampler
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch
-from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.ringing.waveform import jacobian_columns
 
 BAND_DRAWS = 100

@@ -34,8 +34,8 @@ from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nomin
 from bayesbl.curve.swept_curve import SweptDraws, departures, swept_curve
 from bayesbl.errors import BenchError, CurveError
 from bayesbl.matching.observed import reference_speed
-from bayesbl.measurement.bench_of import bench_with
 from bayesbl.measurement.compatibility import (
+    bench_with,
     other_speed,
     require_one_speed_of_all,
     require_same_estimator,

@@ -41,7 +41,7 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.bench_of import bench_of, bench_with, drifts_of
+from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
 from bayesbl.measurement.measurement import (
     Answer,

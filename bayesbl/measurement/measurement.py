@@ -24,8 +24,8 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
+from bayesbl.ringing.optimum import EarlierOptimum
 from bayesbl.ringing.symbols import DisturbanceModel
-from bayesbl.ringing.warm_start import EarlierOptimum
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import Outcome
 

@@ -23,7 +23,7 @@ from bayesbl.progress import StageProgress
 from bayesbl.recording.types import Recording
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.warm_start import EarlierOptimum
+from bayesbl.ringing.optimum import EarlierOptimum
 
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",

@@ -24,11 +24,16 @@ from bayesbl.ringing.cleaning import FINDERS, MotorLine, in_words, without_motor
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
-from bayesbl.ringing.posterior import Posterior, sample_posterior
-from bayesbl.ringing.second_sampler import SamplerCheck, check_sampler
+from bayesbl.ringing.optimum import (
+    EarlierOptimum,
+    NoLongerFits,
+    Optimum,
+    SearchMethod,
+    find_optimum,
+    warm_optimum,
+)
+from bayesbl.ringing.posterior import Posterior, SamplerCheck, check_sampler, sample_posterior
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
-from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
 

@@ -57,8 +57,8 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ValidationError
 
+from bayesbl.config.files import config_error, problems_of
 from bayesbl.config.kinds import StudyConfig
-from bayesbl.config.problems import config_error, problems_of
 from bayesbl.errors import ConfigError, ResultError, UserError, WorkerError
 from bayesbl.processes import processes
 from bayesbl.results.folder import figure_title, is_finished, require_free

@@ -268,7 +268,6 @@ def warm(folder: Path) -> None:
     from paho.mqtt.client import Client  # noqa: F401
 
     from bayesbl import library
-    from bayesbl.presentation.page import plant  # noqa: F401
     from bayesbl.results.work import code_identity
     from bayesbl.runs import collect, fleet, watch  # noqa: F401
 
