@@ -262,7 +262,11 @@ def read_result(path: str | Path) -> xr.DataTree:
             found=f"kind {kind!r}",
             expected=" or ".join(STORED),
         )
-    require_declared(tree, declared_groups(tree), path)
+    try:
+        require_declared(tree, declared_groups(tree))
+    except ResultError as problem:
+        problem.name_file(path)
+        raise
     needed = STORED[kind].attributes
     missing = [name for name in needed if name not in tree.attrs]
     if missing:
