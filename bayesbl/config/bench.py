@@ -167,27 +167,36 @@ def _effect_name(name: str) -> str:
     return name
 
 
-class ParameterEntry(Section):
+class _Uncertain(Section):
+    """A value whose uncertainty is stated in one way at most."""
+
+    value: float
+    tolerance: Tolerance = Field(default=None, ge=0.0)
+    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _stated_once(self) -> Self:
+        stated = {
+            name: value
+            for name in ("sd", "tolerance", "relative_tolerance")
+            if (value := getattr(self, name, None)) is not None
+        }
+        if len(stated) > 1:
+            refuse(
+                "A parameter has one standard deviation or tolerance.",
+                found=" and ".join(f"{name} = {value:g}" for name, value in stated.items()),
+                expected="one of them",
+            )
+        return self
+
+
+class ParameterEntry(_Uncertain):
     """An entry of ``[parameters]``; a tolerance is the half-width of a uniform prior.
 
     ``unit``: as the data sheet prints it, where it is not the one in the parameter's name.
     """
 
-    value: float
     unit: str | None = None
-    tolerance: Tolerance = Field(default=None, ge=0.0)
-    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
-
-    @model_validator(mode="after")
-    def _one_tolerance(self) -> Self:
-        if self.tolerance is not None and self.relative_tolerance is not None:
-            refuse(
-                "A parameter has one tolerance.",
-                found=f"tolerance = {self.tolerance:g} and "
-                f"relative_tolerance = {self.relative_tolerance:g}",
-                expected="one of the two",
-            )
-        return self
 
     def parameter(self, value: float) -> BenchParameter:
         """As the bench takes it; ``value`` in the bench's own unit."""
@@ -285,31 +294,13 @@ class MeasurementSection(Section):
         )
 
 
-class EffectValue(Section):
+class EffectValue(_Uncertain):
     """A parameter of an effect; ``sd`` where it was estimated, a tolerance where it was stated.
 
     A tolerance is the half-width of a uniform distribution, whose standard deviation is taken.
     """
 
-    value: float
     sd: float | None = Field(default=None, ge=0.0)
-    tolerance: Tolerance = Field(default=None, ge=0.0)
-    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
-
-    @model_validator(mode="after")
-    def _one_uncertainty(self) -> Self:
-        stated = {
-            name: value
-            for name in ("sd", "tolerance", "relative_tolerance")
-            if (value := getattr(self, name)) is not None
-        }
-        if len(stated) > 1:
-            refuse(
-                "A parameter has one standard deviation or tolerance.",
-                found=" and ".join(f"{name} = {value:g}" for name, value in stated.items()),
-                expected="one of them",
-            )
-        return self
 
     def parameter(self) -> EffectParameterValue:
         """As the bench takes it."""
@@ -320,6 +311,16 @@ class EffectValue(Section):
         return EffectParameterValue(self.value, sd)
 
 
+def _above_zero(entry: EffectValue) -> EffectValue:
+    if entry.value <= 0.0:
+        problem = "The stiffness of a spring and the inertia behind it are above zero."
+        refuse(problem, found=f"{entry.value:g}", expected="a number above zero")
+    return entry
+
+
+AboveZero = Annotated[EffectValue, AfterValidator(_above_zero)]
+
+
 class _Spring(Section, ABC):
     """A part of the joint behind a spring, as a data sheet states it.
 
@@ -327,13 +328,8 @@ class _Spring(Section, ABC):
     parameter for its part of that, or for the inertia itself.
     """
 
-    stiffness_nm_per_rad: EffectValue
+    stiffness_nm_per_rad: AboveZero
     damping_nm_s_per_rad: EffectValue = EffectValue(value=0.0)
-
-    @field_validator("stiffness_nm_per_rad")
-    @classmethod
-    def _stiff(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "A spring has a stiffness.")
 
     @abstractmethod
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
@@ -349,12 +345,6 @@ class _Spring(Section, ABC):
                 damping.value / k, _sd_over(damping.parameter().sd, k)
             ),
         }
-
-
-def _above_zero(entry: EffectValue, problem: str) -> EffectValue:
-    if entry.value <= 0.0:
-        refuse(problem, found=f"{entry.value:g}", expected="a number above zero")
-    return entry
 
 
 def _sd_over(sd: float | None, divisor: float) -> float | None:
@@ -376,7 +366,7 @@ class BeltSection(_Spring):
     ``reducer_inertia_kg_m2`` is the part of it behind the belt.
     """
 
-    reducer_inertia_kg_m2: EffectValue
+    reducer_inertia_kg_m2: AboveZero
     play_rad: EffectValue = EffectValue(value=0.0)
 
     @field_validator("play_rad")
@@ -389,11 +379,6 @@ class BeltSection(_Spring):
                 expected="0: a joint with a second play is withheld, not measured",
             )
         return entry
-
-    @field_validator("reducer_inertia_kg_m2")
-    @classmethod
-    def _behind(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "There is an inertia behind a belt.")
 
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
         """See :class:`_Spring`."""
@@ -409,13 +394,8 @@ class ArmSection(_Spring):
     load; ``inertia_kg_m2`` and ``gravity_share`` are what of them is behind the spring.
     """
 
-    inertia_kg_m2: EffectValue
+    inertia_kg_m2: AboveZero
     gravity_share: EffectValue = EffectValue(value=0.5)
-
-    @field_validator("inertia_kg_m2")
-    @classmethod
-    def _behind(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "There is an inertia behind the spring.")
 
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
         """See :class:`_Spring`."""
@@ -429,12 +409,7 @@ class ArmSection(_Spring):
 class BaseSection(_Spring):
     """``[base]``: what the joint is mounted on, about the joint's axis."""
 
-    inertia_kg_m2: EffectValue
-
-    @field_validator("inertia_kg_m2")
-    @classmethod
-    def _of_base(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "A base has an inertia.")
+    inertia_kg_m2: AboveZero
 
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
         """See :class:`_Spring`."""
