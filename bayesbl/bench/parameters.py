@@ -1,10 +1,8 @@
 """The bench's own parameters: name, unit, meaning, sign; and the flat vector they travel in.
 
-What of a joint moves between two snapshots though nobody touched it, and by how much.
-
-"Nothing but the gap changed" is never assumed: grease warms up, magnets weaken, bearings settle.
-
-What is known of several bench parameters together: their logarithms are normal.
+Some of them move between two snapshots though nobody touched the joint: "nothing but the gap
+changed" is never assumed, as grease warms up, magnets weaken, bearings settle. What is known of
+several of them together is a normal distribution of their logarithms.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Many simulations at once over the cores, from flat parameter vectors to arrays.
 
-How the bench is seen: encoder counts, noise, and which sensor the speed is of.
+And how the bench is seen: encoder counts, noise, and which sensor the speed is of.
 """
 
 from __future__ import annotations

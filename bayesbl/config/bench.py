@@ -1,10 +1,8 @@
 """Bench files: from TOML to a :class:`Bench`, and back.
 
-Units as data sheets and drives print them, converted to the bench's own.
-
-Some numbers are printed as something else: a reset time stands for the integral gain, a bandwidth
-for the proportional gain, a damping ratio for the damping. They are converted with the other
-parameters of the same bench.
+Units may be those that data sheets and drives print. Some numbers are printed as something else: a
+reset time stands for the integral gain, a bandwidth for the proportional gain, a damping ratio for
+the damping. They are converted with the other parameters of the same bench.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """From a file to its tables and its model: all that is wrong is reported at once.
 
-What validation found wrong in a configuration, in sentences that name line and field.
+Problems are sentences that name line and field.
 """
 
 from __future__ import annotations

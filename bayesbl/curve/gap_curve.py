@@ -5,9 +5,8 @@ source, and the range over which it was made. Draws are shared by all snapshots 
 wrong with the curve is wrong in the same way for each of them, and largely cancels in the change
 of δ.
 
-Which local optimum is the ringing, where the sum of squares alone may be wrong.
-
-Pulses close to the noise can fit almost as well, and sometimes better, exchanged and half a ringing
+A curve also tells which local optimum is the ringing, where the sum of squares may be wrong. Pulses
+close to the noise can fit almost as well, and sometimes better, exchanged and half a ringing
 off. A sweep knows which frequency and decay belong to each amplitude; as a prior on both this
 separates the optima. Within the chosen optimum A stays the least-squares amplitude that the curve
 means.

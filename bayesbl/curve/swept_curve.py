@@ -1,6 +1,4 @@
-"""A gap curve from a sweep.
-
-What the bench's own uncertain parameters do to the curve.
+"""A gap curve from a sweep, with what the bench's uncertain parameters do to it.
 
 The bench is swept at some draws of its parameters. At each gap, ln A, ln ω and ln τ are then
 described as smooth functions of the parameters (each draw regressed at its own gap: A on the

@@ -2,7 +2,7 @@
 
 What a device has to say waits on its disk until ``collect`` says that it is stored.
 
-A broker carries it. That the broker has taken a message says nothing: another client may have asked
+A broker carries it; that it has taken a message says nothing: another client may have asked
 for the topic, and a broker may lose what it holds. So each message is known by its SHA-256, which
 ``collect`` sends back once its row is on the disk; until then the message is sent again, each time
 after twice as long, so that few copies of it wait at a broker while ``collect`` is away.

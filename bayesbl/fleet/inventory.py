@@ -1,6 +1,6 @@
 """The joints of a plant and their recordings, as tables or a pattern of file names give them.
 
-Files in an object store (S3, Azure, HTTP …), listed and copied by fsspec.
+Those in an object store (S3, Azure, HTTP …) are listed and copied by fsspec.
 """
 
 from __future__ import annotations

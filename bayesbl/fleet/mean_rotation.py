@@ -1,9 +1,7 @@
 """A recording reduced to its mean rotation and the noise about it, as a device sends it on request.
 
-Some 20 kB for a channel in place of a file of half a megabyte: made by
-:mod:`bayesbl.fleet.mean_rotation`, a message here, and a file where it is collected.
-
-A recording reduced to its mean rotation, on the device that measured it.
+Some 20 kB for a channel in place of a file of half a megabyte: made on
+the device that measured it, sent as a message, and a file where it is collected.
 """
 
 from __future__ import annotations

@@ -4,8 +4,6 @@ A recording is measured as ``bayesbl fit`` measures it. By the amplitude, its se
 optimum of the recording before it, and the change is that of ``bayesbl compare``, which takes the
 finished fits from where they are kept. By the direct route gaps are paired through the bench that
 they share (:mod:`bayesbl.fleet.shared_bench`), so that a new recording is matched alone.
-
-What one joint's measurement is made of: what it is given, what each part of it answers.
 """
 
 from __future__ import annotations

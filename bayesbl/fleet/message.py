@@ -1,11 +1,8 @@
 """Messages of devices: JSON of one schema, from which device, and whose recording each is about.
 
-Whatever may come from a network is checked: :mod:`bayesbl.fleet.message` and
-:mod:`bayesbl.fleet.mean_rotation` say what may stand in a message of each kind.
-
-A row of ``recordings.parquet`` as a message: written by ``watch``, checked by ``collect``.
-
-What is not a row that ``watch`` can have written is refused with its reason.
+Whatever may come from a network is checked: here a row of
+``recordings.parquet``, in :mod:`bayesbl.fleet.mean_rotation` a mean rotation. What ``watch`` cannot
+have written is refused with its reason.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """``recordings.parquet`` and ``joints.parquet``: a row each, columns as declared here.
 
-Draws of all joints in one Zarr store, a group a joint, written and read region by region.
-
-It is Zarr's format 2 without compression: a folder of JSON and of little-endian numbers, which
-needs no library to be written. ``xarray.open_zarr(store, group="R1-J2")`` reads one joint.
+Draws of all joints are in one Zarr store beside them, a group a joint. It is Zarr's format 2
+without compression: a folder of JSON and of little-endian numbers, which needs no library to be
+written. ``xarray.open_zarr(store, group="R1-J2")`` reads one joint.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Whether recordings, estimator, gap curve, gear ratio and limit belong together.
 
-The bench that a configuration names for its joint, and what it knows beside that file.
+And the bench that a configuration names for its joint, with what it knows beside that file.
 """
 
 from __future__ import annotations

@@ -5,9 +5,7 @@ kept by content: the same bench with the same needs is read. All curves of a ben
 draws of it, so that its unknown parameters cancel in a change between recordings of other speeds
 and rates too.
 
-Gap curves in ``result.nc``: the band that every result shows, and the whole curve of a sweep.
-
-Sweeps of a bench and of benches drawn around it, each row made once and kept.
+``result.nc`` has the band that every result shows, and the whole curve of a sweep.
 """
 
 from __future__ import annotations

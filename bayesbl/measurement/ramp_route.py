@@ -3,10 +3,8 @@
 δ is half of the play: half the width, at zero torque, between the positions that small ramps leave
 on either flank. See ``docs/design.md``, "Torque ramps".
 
-Whether friction holds as much compliance in the last of some torque ramps as in the first.
-
 What ramps leave between the flanks is the dead zone and the compliance that friction holds. Where
-that changed, the width changes without wear.
+that compliance changed from the first recording to the last, the width changes without wear.
 """
 
 from __future__ import annotations

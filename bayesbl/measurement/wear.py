@@ -1,16 +1,14 @@
-"""How fast a joint wears, and when its gap reaches the limit, by laws of wear over dates.
-
-How fast a joint wears, and when its gap reaches a limit: from joint draws of dated snapshots.
+"""How fast a joint wears, and when its gap reaches a limit: from joint draws of dated snapshots.
 
 Since the last repair the gap follows a monotone path,
 
     δ(t) = δ(t₁) + X(t),    X a gamma process with mean Δ u(t) and variance σ² u(t),    Δ > 0,
 
-whose mean u follows one of the laws of :mod:`bayesbl.measurement.wear` and whose increments
-are irregular by σ (van Noortwijk 2009). Law and σ are drawn by sequential Monte Carlo (Del Moral,
-Doucet and Jasra 2006) from their marginal likelihood: δ(t₁) and Δ have flat priors and are
-integrated out; between snapshots the process is taken as normal with the same mean and covariance,
-beyond the last it is the gamma process itself, with changes of the law that no snapshot can show.
+whose mean u follows one of the laws below and whose increments are irregular by σ (van Noortwijk
+2009). Law and σ are drawn by sequential Monte Carlo (Del Moral, Doucet and Jasra 2006) from their
+marginal likelihood: δ(t₁) and Δ have flat priors and are integrated out; between snapshots the
+process is taken as normal with the same mean and covariance, beyond the last it is the gamma
+process itself, with changes of the law that no snapshot can show.
 
 The path is laid through *each joint draw* of the gaps, each with a law of its own. What the
 snapshots share, the curve's coefficients and the bench, is thereby one draw for all of them; a
@@ -20,10 +18,9 @@ share.
 Wear does not heal: paths that fall are left out. Rate and date must therefore never be read as a
 sign of wear; that is what :func:`trend` is for, which may have either sign.
 
-Laws of wear: how the mean gap grows in time, and what is believed of them before measuring.
-
-Time counts in spans, from 0 at the first snapshot in use to 1 at the last, so no law has a unit of
-time. The growth since the first snapshot is a multiple of that over the span, u(0) = 0, u(1) = 1.
+**Laws of wear.** Time counts in spans, from 0 at the first snapshot in use to 1 at the last, so no
+law has a unit of time. The growth since the first snapshot is a multiple of that over the span,
+u(0) = 0, u(1) = 1.
 
 There is one law, a power of age that changes from time to time. With a + t the age and p₀, p₁, …
 the exponents of its regimes, the rate of wear is
@@ -42,12 +39,10 @@ are
 each a median with the standard deviation of its logarithm. With two dates they alone say how wide a
 forecast is, and with any number how soon wear may change that was steady so far.
 
-Wear in time, as ``result.nc`` and ``summary.json`` of a comparison hold it.
-
-Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used`` (taken since
-the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`, where there is a rate.
-Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with ``drift_widens``
-where the gaps drift, ``width_over_prior`` of the date.
+**Stored.** Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used``
+(taken since the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`, where there
+is a rate. Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with
+``drift_widens`` where the gaps drift, ``width_over_prior`` of the date.
 
 ``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.

@@ -8,12 +8,10 @@ rest has the noise's autocorrelation and twice its variance.
 The scale is the root mean square whatever the tails of the noise: with outliers, too, the realised
 variance decides how far a least-squares optimum was moved.
 
-Autoregressive processes x_t = Σ φ_k x_{t−k} + ε_t: estimated, their order chosen, whitened.
-
-Outliers: are the noise's innovations normal, or Student-t with few degrees of freedom?
-
-Only differences of two innovations, one rotation apart, are seen. The difference of two Student-t
-variables is not Student-t itself, so its density is integrated.
+It is an autoregressive process x_t = Σ φ_k x_{t−k} + ε_t whose order is chosen. Its innovations are
+normal, or Student-t where there are outliers. Only differences of two innovations, one rotation
+apart, are seen. The difference of two Student-t variables is not Student-t itself, so its density
+is integrated.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
@@ -46,21 +46,23 @@ def no_play_by_ramps(part: SnapshotSummary) -> str | None:
 
 def ramp_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
     """A row per snapshot; ``places``: decimals of the gap in mrad."""
-    first = parts[0][1]
-    kind = words.short_kind(first["friction_torque_nm"])
-    named = any(name for name, _ in parts)
-    at = f"±{words.significant(first['lost_motion_torque_nm'])} N m"
-    columns = (
-        *([text("Snapshot")] if named else []),
-        numbers("Gap δ\n(mrad)"),
-        numbers(f"{kind}\n(mrad)"),
-        numbers(f"Lost motion\n{at}\n(mrad)"),
-        numbers("Compliance\n(mrad/N m)"),
-        numbers("Friction\n(N m)"),
-        text("Outcome"),
-    )
-    rows = [[*([name] if named else []), *_ramp_cells(part, places)] for name, part in parts]
-    return table(columns, rows)
+    at = f"±{words.significant(parts[0][1]['lost_motion_torque_nm'])} N m"
+    titles = (f"Lost motion\n{at}\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)")
+    return _snapshot_table(parts, titles, [_ramp_cells(part, places) for _, part in parts])
+
+
+def _snapshot_table(
+    parts: Sequence[tuple[str, SnapshotSummary]],
+    titles: Sequence[str],
+    cells: Iterable[Iterable[str]],
+) -> Table:
+    """A row per snapshot, named in a comparison: the gap, quantities of ``titles``, the outcome."""
+    named = [text("Snapshot")] if any(name for name, _ in parts) else []
+    kind = words.short_kind(parts[0][1]["lost_motion_rad"])
+    gap = ("Gap δ\n(mrad)", f"{kind}\n(mrad)")
+    columns = (*named, *map(numbers, (*gap, *titles)), text("Outcome"))
+    rows = zip(parts, cells, strict=True)
+    return table(columns, ([*([name] if named else []), *row] for (name, _), row in rows))
 
 
 def _ramp_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
@@ -154,20 +156,8 @@ def no_play_by_encoders(part: RouteSummary) -> str | None:
 
 def encoder_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
     """A row per snapshot; ``places``: decimals of the gap in mrad."""
-    kind = words.short_kind(parts[0][1]["lost_motion_rad"])
-    named = any(name for name, _ in parts)
-    columns = (
-        *([text("Snapshot")] if named else []),
-        numbers("Gap δ\n(mrad)"),
-        numbers(f"{kind}\n(mrad)"),
-        numbers("Play 2δ\n(mrad)"),
-        numbers("Lost motion\n(mrad)"),
-        numbers("Skew\n(ms)"),
-        numbers("Gear\nratio"),
-        text("Outcome"),
-    )
-    rows = [[*([name] if named else []), *_encoder_cells(part, places)] for name, part in parts]
-    return table(columns, rows)
+    titles = ("Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio")
+    return _snapshot_table(parts, titles, [_encoder_cells(part, places) for _, part in parts])
 
 
 def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:

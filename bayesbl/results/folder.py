@@ -2,7 +2,7 @@
 
 Its ``manifest.json`` lists what a run wrote. Another run replaces that, and nothing else.
 
-No output is an input: what every writer asks before it starts, with or without ``--force``.
+No output is an input: every writer asks that before it starts, with or without ``--force``.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Result files: NetCDF trees and JSON, each written under another name and renamed.
 
-The seal of a result file: its last bytes are the SHA-256 of all before them.
-
-It is asked before a library opens the file, since HDF5 may crash or hang on damaged bytes. HDF5 and
-NetCDF readers ignore what follows the end that a file states, and drop it when they change a file.
+The last bytes of a result file are its seal, the SHA-256 of all before them. It is asked before a
+library opens the file, since HDF5 may crash or hang on damaged bytes. HDF5 and NetCDF readers
+ignore what follows the end that a file states, and drop it when they change a file.
 """
 
 from __future__ import annotations

@@ -9,11 +9,10 @@ Whoever writes an entry decides numbers. So each holds the address of what it wa
 code that only the owner of a key can make, which lies with this user's own state: an entry that
 came with a folder from elsewhere is made again.
 
-Frozen dataclasses as bytes and back, and the address of their content.
-
-A value is numbers, texts, ``None``, arrays, and tuples, mappings and dataclasses of these. Its JSON
-and its arrays are stored in one ``.npz``, nothing that could be executed; it is read as the type
-that the reader asks for, and refused if it is not of that type.
+What is kept are frozen dataclasses. A value is numbers, texts, ``None``, arrays, and tuples,
+mappings and dataclasses of these. Its JSON and its arrays are stored in one ``.npz``, nothing that
+could be executed; it is read as the type that the reader asks for, and refused if it is not of that
+type.
 
 A field that cannot be given on construction (``init=False``) or is no part of what the value is
 (``compare=False``) is left out; the dataclass itself makes it again.

@@ -4,15 +4,13 @@ Three faults, in the order they are looked for. Each finder compares rotations w
 that a misfit which repeats is never taken for a fault, and returns the recording as it would be
 without it. A is then the least-squares amplitude of that recording, as the gap curve means it.
 
-Lines of the motor in the speed: found in every turn of it, and taken out before the fit.
-
-A ripple of the torque, a transmission error or an encoder off centre makes a wave at a whole order
-of the motor's angle that goes on all the time. Near the ringing's frequency pulses at every few
-turns of the motor explain it better than any explain the impacts. Ringing is there for a short
-time behind each impact only, so the median over the turns is the line alone. What that takes from
-the ringing is a single one of hundreds of load orders. Behind a gear of a low ratio the motor turns
-only a few times between two impacts, and ringing may fill most of its turns: it has another phase
-in each, where a line has the same in all.
+Before them lines of the motor are taken out. A ripple of the torque, a transmission error or an
+encoder off centre makes a wave at a whole order of the motor's angle that goes on all the time.
+Near the ringing's frequency pulses at every few turns of the motor explain it better than any
+explain the impacts. Ringing is there for a short time behind each impact only, so the median over
+the turns is the line alone. What that takes from the ringing is a single one of hundreds of load
+orders. Behind a gear of a low ratio the motor turns only a few times between two impacts, and
+ringing may fill most of its turns: it has another phase in each, where a line has the same in all.
 """
 
 from __future__ import annotations

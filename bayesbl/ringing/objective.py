@@ -1,9 +1,7 @@
 """Sum of squares between a recording and the disturbance model, for many parameters at once.
 
-Sum of squares of the disturbance model on any time stamps: exact, sample by sample.
-
-The path for recordings whose samples are not evenly spaced; about fifty times the work of
-:mod:`bayesbl.ringing.sums_of_squares`, which it mirrors in arguments and results.
+Evenly spaced samples go by :mod:`bayesbl.ringing.sums_of_squares`; any others sample by sample,
+which is exact and about fifty times the work.
 """
 
 from __future__ import annotations

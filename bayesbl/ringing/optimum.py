@@ -4,12 +4,11 @@ Its search starts from what the recording itself suggests and solves A, v_t and 
 exactly. The methods ``paper`` and ``table_2_box`` search from the middle of Table 2's ranges as
 well (:mod:`bayesbl.ringing.table_2`); what that ended at stands beside the optimum.
 
-The RMSE optimum from that of an earlier recording of the same joint.
-
-The ringing of a joint keeps its shape from one recording to the next, but a recording may start
-anywhere in a rotation. So the old waveform is tried at every start time, with the rotation period
-scaled by the speed and some room in period and frequency. The best trial is refined, and so are its
-exchanged neighbours, as in the full search.
+It may also start from the optimum of an earlier recording. The ringing of a joint keeps its shape
+from one recording to the next, but a recording may start anywhere in a rotation. So the old
+waveform is tried at every start time, with the rotation period scaled by the speed and some room in
+period and frequency. The best trial is refined, and so are its exchanged neighbours, as in the full
+search.
 """
 
 from __future__ import annotations

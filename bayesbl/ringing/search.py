@@ -1,10 +1,8 @@
 """Searches for the least sum of squares: CMA-ES over ranges, and a fast local one from close by.
 
-A fast local least-squares optimum, for starts that are already close.
-
-A quadratic is fitted to the sum of squares on a cloud of points whose shape is the Gauss-Newton
-covariance, its minimum becomes the new centre, the cloud shrinks. One kernel call evaluates a
-whole cloud, and the regression smooths over the kinks that the window's edges leave.
+In the local search a quadratic is fitted to the sum of squares on a cloud of points whose shape is
+the Gauss-Newton covariance, its minimum becomes the new centre, the cloud shrinks. One kernel call
+evaluates a whole cloud, and the regression smooths over the kinks that the window's edges leave.
 """
 
 from __future__ import annotations

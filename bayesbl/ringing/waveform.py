@@ -13,9 +13,7 @@ Two things differ from eq. 3, in three samples per pulse: its edges are resolved
   several rpm on a virtual bench, with a weight that depends on where between two samples the
   impact falls: at 1 kHz and δ = 3.3e-3 rad that scatters A by 0.1 rpm.
 
-The disturbance model with its nine symbols by name.
-
-Derivatives of the disturbance model: the columns behind every covariance in the package.
+Its derivatives are the columns behind every covariance in the package.
 """
 
 from __future__ import annotations

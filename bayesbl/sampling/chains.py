@@ -1,8 +1,7 @@
 """How ensembles are run until their chains are long enough, and what is kept of them.
 
-How probable it is that a true value within its tolerance leaves draws so pressed at an edge.
-
-Independent emcee ensembles that go on side by side, in stretches.
+Independent emcee ensembles go on side by side, in stretches. Of draws that press against the edge
+of a tolerance it is asked how probable that is for a true value within it.
 """
 
 from __future__ import annotations
