@@ -23,7 +23,8 @@ from bayesbl import cli
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.wear import summarise_wear, trend, wear_group, years_between
 from bayesbl.measurement.wear import wear as wear_in_time
-from bayesbl.presentation import answer, wear, words
+from bayesbl.presentation import answer, words
+from bayesbl.presentation import wear as worn
 from bayesbl.presentation.answer import NOT_SHOWN
 from bayesbl.presentation.figures.stored_figure import caption, figures_of, reading_order
 from bayesbl.presentation.page.build import page
@@ -436,7 +437,7 @@ def test_the_headline_of_dated_snapshots_claims_growth_only_where_it_is_shown():
 
 def test_dated_snapshots_lead_with_their_wear_and_never_with_a_change_across_a_repair():
     steady, repaired, untold = dated(), dated(), dated()
-    of_wear = wear.headline(steady, steady["wear"])
+    of_wear = worn.headline(steady, steady["wear"])
     assert list(answer.lead(steady)) == [of_wear, answer.headline(steady)]
     repaired["snapshots"].insert(0, {**repaired["snapshots"][0], "name": "worn"})
     assert list(answer.lead(repaired)) == [of_wear]
@@ -462,7 +463,7 @@ def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(
     tree.attrs["summary"] = json.dumps(summary | {"wear": {**wear, "reason": None}})
     told = plain(Reader(page(tree, [])).text)
     first = told[: told.index("Numbers")]
-    for expected in (wear.median_in_mrad(wear["rate"]), "mrad a year", "Change",
+    for expected in (worn.median_in_mrad(wear["rate"]), "mrad a year", "Change",
                      "Limit reached", wear["not_before"]["date"], "Plan the repair"):  # fmt: skip
         assert expected in first, expected
 
