@@ -21,12 +21,18 @@ from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import SamplerSettings, Walk, thinned, walk
+from bayesbl.sampling.chains import (
+    Ensembles,
+    SamplerSettings,
+    Walk,
+    chance_at_edge,
+    thinned,
+    walk,
+    walkers_needed,
+)
 from bayesbl.sampling.convergence import (
     Diagnostics,
 )
-from bayesbl.sampling.edges import chance_at_edge
-from bayesbl.sampling.ensemble import Ensembles, walkers_needed
 from bayesbl.sampling.importance import effective_size, resampled
 from bayesbl.sampling.truncated_normal import truncated_normal
 

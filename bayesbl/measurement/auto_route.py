@@ -17,10 +17,9 @@ import numpy as np
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
-from bayesbl.measurement.bench_of import bench_of
+from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
-from bayesbl.measurement.measurement import Measurement, Measurer, Reason, Verdict
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.measurement import Measurement, Measurer, Reason, Task, Verdict
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording

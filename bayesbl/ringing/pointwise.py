@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.compiled import compiled
-from bayesbl.noise.autoregression import autocorrelation, innovation_share
 from bayesbl.noise.process import NoiseModel
-from bayesbl.noise.rotation_noise import Noise
+from bayesbl.noise.rotation_noise import Noise, autocorrelation, innovation_share
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import (

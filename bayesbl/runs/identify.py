@@ -17,6 +17,7 @@ from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, identify
 from bayesbl.identification.problem import Problem
+from bayesbl.identification.summary import summarise_identification
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
@@ -25,20 +26,21 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.runs.asked_speed import asked_speed
+from bayesbl.runs.diagnose import asked_speed
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
 from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
-    from bayesbl.runs.summary import Summary
+    from bayesbl.identification.summary import IdentificationSummary
 
 
-def run(config: IdentifyConfig, options: Options) -> Summary:
+def run(config: IdentifyConfig, options: Options) -> IdentificationSummary:
     """Identify, and write the output folder with the bench."""
     return run_into_folder(
         config,
         options,
         lambda work: run_identify(config, options.progress, work),
+        summarise_identification,
     )
 
 

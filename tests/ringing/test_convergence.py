@@ -11,7 +11,7 @@ from made_recordings import synthetic_recording
 from synthetic_ringing import NOISE, STRONG, ambiguous, clean
 
 from bayesbl import cli
-from bayesbl.presentation.figures.signal import signal
+from bayesbl.presentation.figures.ringing import signal
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.covariance import Covariance
