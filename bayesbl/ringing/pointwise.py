@@ -238,10 +238,16 @@ def _log_densities(  # type: ignore[no-untyped-def]
             for i in range(order, n):
                 e[i] -= phi * rest[i - 1 - k]
         for r in range(found.shape[1]):
-            total, known = 0.0, 0.0
+            total, known, product = 0.0, 0.0, 1.0
             for i in range(rotation[r], rotation[r + 1]):
                 square = counts[i] * e[i] * e[i] / (scale * scale)
-                total += math.log1p(square / freedom) if freedom > 0.0 else square
                 known += counts[i]
+                if freedom > 0.0:
+                    product *= 1.0 + square / freedom
+                    if product > 1e200:  # one logarithm of many factors
+                        total += math.log(product)
+                        product = 1.0
+                else:
+                    total += square
             share = freedom + 1.0 if freedom > 0.0 else 1.0
-            found[m, r] += known * constant - 0.5 * share * total
+            found[m, r] += known * constant - 0.5 * share * (total + math.log(product))

@@ -62,6 +62,38 @@ def truncated_normal(
     return np.asarray(np.clip(peak + white @ root.T, low, high))
 
 
+def normal_in_box(
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Points (count, d) in a box, roughly those of a normal distribution, and their log density.
+
+    One coordinate after the other, the shortest range first, each normal given those before it and
+    within its range (Geweke 1989, Hajivassiliou and McFadden 1998). The density, up to a constant,
+    is that by which they were drawn.
+    """
+    from scipy.special import log_ndtr
+
+    low, high = box
+    order = np.argsort((high - low) / np.sqrt(np.diag(covariance)))
+    root = np.linalg.cholesky(covariance[np.ix_(order, order)])
+    white, log_mass = np.empty((count, peak.size)), np.zeros(count)
+    points = np.empty((count, peak.size))
+    for k, i in enumerate(order):
+        before = peak[i] + white[:, :k] @ root[k, :k]
+        begin, end = (low[i] - before) / root[k, k], (high[i] - before) / root[k, k]
+        white[:, k] = _between(begin, end, generator.random(count))
+        points[:, i] = np.clip(before + root[k, k] * white[:, k], low[i], high[i])
+        mirrored = begin > -end
+        above = log_ndtr(np.where(mirrored, -begin, end))
+        below = log_ndtr(np.where(mirrored, -end, begin))
+        log_mass += above + np.log1p(-np.exp(below - above))
+    return points, -0.5 * np.sum(white**2, axis=1) - log_mass
+
+
 def _between(low: FloatArray, high: FloatArray, share: FloatArray) -> FloatArray:
     """Quantiles of the standard normal distribution between two ends, all (m,)."""
     from scipy.special import log_ndtr, ndtri_exp
