@@ -171,7 +171,9 @@ def _factors(fit: SimulatedFit, place: int) -> Callable[[FloatArray], FloatArray
 
     def by_rounding(along: FloatArray) -> FloatArray:
         together, power = along.sum(axis=0), float(np.sum(along**2))
-        return np.array([max([1.0, *(np.mean((rows @ together) ** 2) / power for rows in rounded)])])
+        return np.array(
+            [max([1.0, *(np.mean((rows @ together) ** 2) / power for rows in rounded)])]
+        )
 
     return by_rounding
 

@@ -362,7 +362,7 @@ def _walk(
     seed: np.random.SeedSequence,
     progress: Progress | None,
 ) -> Walk:
-    """Independent draws, or emcee until chains are long enough and the gap's interval stands still."""
+    """Independent draws, or emcee until chains are long and the gap's interval stands still."""
     target, box = _LogDensity(model, surrogate), (model.low, model.high)
     generator = np.random.default_rng(seed.spawn(1)[0])
     found = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
