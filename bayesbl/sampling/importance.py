@@ -13,10 +13,12 @@ from bayesbl.sampling.truncated_normal import normal_in_box
 PROPOSED = 8000
 """Draws of each proposal."""
 ADAPTATIONS = 4
-LARGEST_TAIL = 0.5
-"""Pareto k̂ of the weights up to which they have a variance (Vehtari et al. 2024)."""
+LARGEST_TAIL = 0.7
+"""Pareto k̂ up to which so many weights are enough (Vehtari et al. 2024)."""
 LEAST_SHARE = 0.25
 """Kish's effective share of the draws from which on they are not drawn again."""
+FEWEST = 3.0
+"""Effective draws for each coordinate below which a proposal is not adapted, but given up."""
 FLATTEST = 0.1
 """Least curvature of a proposal, over that of a normal distribution as wide as the draws: where the
 box alone ends them, the quadratic may bend upwards."""
@@ -54,9 +56,9 @@ def independent_draws(
         points, log_proposal = normal_in_box(peak, covariance, box, PROPOSED, generator)
         density = target(points)
         log_weights = density - log_proposal
-        possible = np.isfinite(log_weights)
-        if np.count_nonzero(possible) < PROPOSED // 2:
+        if effective_size(log_weights) < FEWEST * peak.size:
             return None
+        possible = np.isfinite(log_weights)
         # ArviZ weighs by the inverse of a likelihood.
         log_weights[possible], tail = array_stats.psislw(-log_weights[possible])
         share = effective_size(log_weights) / PROPOSED
