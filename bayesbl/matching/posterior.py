@@ -27,8 +27,12 @@ from bayesbl.sampling.convergence import (
 )
 from bayesbl.sampling.edges import chance_at_edge
 from bayesbl.sampling.ensemble import Ensembles, walkers_needed
-from bayesbl.sampling.importance import effective_size, independent_draws, resampled
-from bayesbl.sampling.truncated_normal import truncated_normal
+from bayesbl.sampling.importance import (
+    effective_size,
+    independent_draws,
+    resampled,
+    truncated_normal,
+)
 
 DRAWS = 1000
 """Draws over all ensembles."""
@@ -268,7 +272,7 @@ class _Local:
     ) -> FloatArray:
         """Draws within a box, shape (count, d)."""
         generator = np.random.default_rng(seed)
-        return truncated_normal(self.peak, self.covariance, self.centre, box, count, generator)
+        return truncated_normal(self.peak, self.covariance, box, count, generator)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Draws with importance weights: how many independent ones they are worth, and resampling."""
+"""Draws with importance weights: of a normal distribution in a box, of a density nearly like it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.truncated_normal import normal_in_box
 
+TRIALS = 20
+"""Candidates for each draw of a normal distribution in a box."""
 PROPOSED = 8000
 """Draws of each proposal."""
 ADAPTATIONS = 4
@@ -125,3 +126,78 @@ def resampled(
             index = np.linspace(0, candidates - 1, count).round().astype(np.int64)
         picked[chain] = generator.permutation(index)
     return picked
+
+
+def truncated_normal(
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> FloatArray:
+    """Draws of a normal distribution within a box, shape (count, d).
+
+    By rejection where that is quick, else resampled from :func:`normal_in_box` by weights.
+
+    Parameters
+    ----------
+    peak, covariance
+        Of the normal distribution without the box, shapes (d,) and (d, d); the peak may lie out.
+    box
+        Low and high end of every range, shapes (d,); infinite where there is none.
+    """
+    low, high = box
+    root = np.linalg.cholesky(covariance)
+    tried = peak + generator.standard_normal((TRIALS * count, peak.size)) @ root.T
+    inside = tried[np.all((tried > low) & (tried < high), axis=1)]
+    if len(inside) >= count:
+        return inside[:count]
+    points, log_density = normal_in_box(peak, covariance, box, TRIALS * count, generator)
+    white = np.linalg.solve(root, (points - peak).T)
+    log_weights = -0.5 * np.sum(white**2, axis=0) - log_density
+    return points[resampled(log_weights[None], count, generator)[0]]
+
+
+def normal_in_box(
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Points (count, d) in a box, roughly those of a normal distribution, and their log density.
+
+    One coordinate after the other, the shortest range first, each normal given those before it and
+    within its range (Geweke 1989, Hajivassiliou and McFadden 1998). The density, up to a constant,
+    is that by which they were drawn.
+    """
+    from scipy.special import log_ndtr
+
+    low, high = box
+    order = np.argsort((high - low) / np.sqrt(np.diag(covariance)))
+    root = np.linalg.cholesky(covariance[np.ix_(order, order)])
+    white, log_mass = np.empty((count, peak.size)), np.zeros(count)
+    points = np.empty((count, peak.size))
+    for k, i in enumerate(order):
+        before = peak[i] + white[:, :k] @ root[k, :k]
+        begin, end = (low[i] - before) / root[k, k], (high[i] - before) / root[k, k]
+        white[:, k] = _between(begin, end, generator.random(count))
+        points[:, i] = np.clip(before + root[k, k] * white[:, k], low[i], high[i])
+        mirrored = begin > -end
+        above = log_ndtr(np.where(mirrored, -begin, end))
+        below = log_ndtr(np.where(mirrored, -end, begin))
+        log_mass += above + np.log1p(-np.exp(below - above))
+    return points, -0.5 * np.sum(white**2, axis=1) - log_mass
+
+
+def _between(low: FloatArray, high: FloatArray, share: FloatArray) -> FloatArray:
+    """Quantiles of the standard normal distribution between two ends, all (m,)."""
+    from scipy.special import log_ndtr, ndtri_exp
+
+    # Mirrored, so that the ends lie where the logarithm of the distribution is exact.
+    mirrored = low > -high
+    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+    below, above = log_ndtr(low), log_ndtr(high)
+    quantile = ndtri_exp(above + np.log(share + (1.0 - share) * np.exp(below - above)))
+    found = np.clip(quantile, low, high)
+    return np.asarray(np.where(mirrored, -found, found))
