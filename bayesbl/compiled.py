@@ -35,7 +35,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _forgiving(function: Any) -> Any:
-    """The function goes without its cache where the disk is full: numba itself ends in the error."""
+    """The function does without a cache on a full disk, where numba ends in the error."""
     cache = function._cache
     save = cache.save_overload
 

@@ -175,8 +175,9 @@ def _log_densities(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Adds to ``found`` (m, rotation) the log densities of innovations, draw by draw.
 
-    ``waves`` of the load angle, (harmonic, n), are those of ``nominal_turn``, with three terms in the change of their
-    rate: draws of T_w differ by some 1e-5 of it. ``counts`` is 1 where an innovation is known.
+    ``waves`` of the load angle, (harmonic, n), are those of ``nominal_turn``, with three terms in
+    the change of their rate: draws of T_w differ by some 1e-5 of it. ``counts`` is 1 where an
+    innovation is known.
     """
     n, order, harmonics = time.size, coefficients.size, baselines.shape[1] // 2
     rest, e = np.empty(n), np.empty(n)
