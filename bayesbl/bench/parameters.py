@@ -194,7 +194,9 @@ def check_parameters(matrix: FloatArray) -> None:
 
 
 def _check_gap(matrix: FloatArray) -> None:
-    _refuse_where(matrix[:, Slot.gap_rad] < 0.0, matrix, Slot.gap_rad, "zero or a number above it")
+    own = matrix[:, Slot.gap_rad]
+    beyond = (own < 0.0) | (own > math.pi)
+    _refuse_where(beyond, matrix, Slot.gap_rad, "zero or a number above it, at most π: half a turn")
     gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
     sharpness = matrix[:, Slot.stiffness_sharpness_per_rad]
     arctan = (matrix[:, Slot.hard_dead_zone] == 0.0) & (matrix[:, Slot.rigid] == 0.0)

@@ -8,6 +8,7 @@ imported, so that ``bayesbl check`` answers at once.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import unicodedata
@@ -138,6 +139,8 @@ def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
 def _positive(bounds: tuple[float, float]) -> tuple[float, float]:
     if bounds[0] <= 0.0:
         refuse("A gap must be positive.", found=bounds[0], expected="greater than 0")
+    if bounds[1] > math.pi:
+        refuse("A gap is less than half a turn.", found=bounds[1], expected="at most π")
     return bounds
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -510,7 +511,11 @@ def verdict(
     """
     diagnostics = fit.posterior.diagnostics
     failed = diagnostics.outcome == "withheld"
-    sampling = [Reason.told("sampling", text, withholds=failed) for text in diagnostics.reasons]
+    codes = chain([diagnostics.code], repeat("sampling"))
+    sampling = [
+        Reason.told(code, text, withholds=failed)
+        for code, text in zip(codes, diagnostics.reasons, strict=False)
+    ]
     notes = [Reason.told("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]

@@ -78,10 +78,10 @@ class AutoMeasurer(Measurer):
             case UserError(), UserError():
                 raise direct
             case Measurement(), UserError():
-                refused = {"amplitude": Reason.told("refused", str(amplitude))}
+                refused = {"amplitude": Reason.told(amplitude.code, str(amplitude))}
                 return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
             case UserError(), Measurement():
-                refusal = Reason.told("refused", str(direct))
+                refusal = Reason.told(direct.code, str(direct))
                 because = [{"code": refusal.code, **refusal.values}]
                 return replace(self._by_amplitude(amplitude, because), refused={"direct": refusal})
             case Measurement(), Measurement():

@@ -59,14 +59,17 @@ def minimise(
     iterations: int,
     samples: int,
 ) -> tuple[FloatArray, SearchHistory]:
-    """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``."""
+    """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``.
+
+    What lies beyond an end of the box counts as its mirror image: cma's own handling of bounds goes
+    from point to point, and takes as long as all the rest.
+    """
     import cma
 
     low, high = box
     options = {
         "popsize": population,
         "maxiter": iterations,
-        "bounds": [list((low - start) / scale), list((high - start) / scale)],
         # Own generator: cma would otherwise seed and draw from NumPy's global state.
         "randn": lambda rows, columns: generator.standard_normal((rows, columns)),
         "seed": math.nan,
@@ -80,7 +83,9 @@ def minimise(
     best, best_point = math.inf, start
     while not strategy.stop():
         asked = strategy.ask()
-        points = start + scale * np.asarray(asked)
+        width = high - low
+        beyond = (start + scale * np.asarray(asked) - low) % (2.0 * width) - width
+        points = high - np.abs(beyond)
         values = sum_of_squares(points)
         values = np.where(np.isfinite(values), values, 1e300)
         strategy.tell(asked, 0.5 * np.log(values / samples + 1e-300))

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.flank_change import require_flank_change
+from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.bench import load_bench
 from bayesbl.config.identify import IdentifyConfig
 from bayesbl.errors import ConfigError
@@ -111,10 +111,8 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
     used = tuple(seen["fit"])
     steady = all(one.motion is None for one in used)
     if steady:
-        gravity = bench.parameters["gravity_torque_nm"]
-        heaviest = bench.with_parameters(gravity_torque_nm=gravity.value + gravity.tolerance)
         speeds = [one.reference_speed_rpm for one in used]
-        require_flank_change(heaviest, speeds, config.bench)
+        require_flank_change(heaviest(bench), speeds, config.bench)
     if steady and len({one.reference_speed_rpm for one in used}) < 2:
         notes.append(
             "All recordings are at one speed in one direction: strokes to and fro, another speed "

@@ -90,6 +90,8 @@ def test_ringing_lost_in_noise_is_the_first_reason_and_its_band_can_be_drawn(
     )
     reason = withheld(silent, tmp_path, capsys, "[posterior]\nensembles = 2\nmax_steps = 500\n")
     assert reason.startswith("The impact ringing is too weak")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["reason"]["code"] == "no_flank_change"
     tree = read_tree(tmp_path / "out")
     assert all(
         np.isfinite(tree["amplitude/predictive"][name]).all() for name in ("low_rpm", "high_rpm")

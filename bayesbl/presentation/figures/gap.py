@@ -41,7 +41,7 @@ from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.units import number
 
 _ROW_IN = 0.5
-_RIDGE = 0.72
+_RIDGE = 0.6
 """Height of a density, in rows."""
 _BINS = 60
 
@@ -77,7 +77,7 @@ def gap(tree: xr.DataTree) -> Figure:
     limit = tree.attrs.get("limit_rad")
     _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", limit)
     if changes:
-        _draw_rows(axes[1], tree, changes, count, "Change of the gap δ (mrad)")
+        _draw_rows(axes[1], tree, changes, len(changes), "Change of the gap δ (mrad)")
         axes[1].axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
         titles.append("change from first to last")
     style.head_panels(axes, titles)

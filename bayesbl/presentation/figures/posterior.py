@@ -150,7 +150,7 @@ def _label(
         panel.text(
             *((place, -0.06) if across else (-0.06, place)), f"{tick:.10g}".replace("-", "−"),
             ha="center" if across else "right", va="top" if across else "center",
-            rotation=0.0 if across else 90.0, fontsize=5.5,
+            rotation=0.0 if across else 90.0, fontsize=6.0,
         )  # fmt: skip
     where = (middle, -0.24) if across else (-0.36, middle)
     panel.text(
