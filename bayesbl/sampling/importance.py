@@ -155,7 +155,7 @@ def truncated_normal(
     points, log_density = normal_in_box(peak, covariance, box, TRIALS * count, generator)
     white = np.linalg.solve(root, (points - peak).T)
     log_weights = -0.5 * np.sum(white**2, axis=0) - log_density
-    return points[resampled(log_weights[None], count, generator)[0]]
+    return np.asarray(points[resampled(log_weights[None], count, generator)[0]])
 
 
 def normal_in_box(
