@@ -53,7 +53,7 @@ _COUNTED = frozenset(("sample", "samples"))
 _COUNTERS_WORDS = _COUNTED | {"index", "number", "no", "nr", "count"}
 
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
-_LOAD = "load link joint output arm"
+_LOAD = "load link joint output out arm l wheel pendulum secondary external"
 _MOTOR = "motor mot m"
 _SIDES = f"{_REFERENCE} {_MOTOR} load"
 """What groups of one joint's columns are called: none of them is a joint."""
@@ -71,6 +71,9 @@ _SIDES_ALIKE = 2.5
 
 _TURNS_BACK = 1.5
 """Way over distance of a motor that goes to and fro."""
+
+_FOLLOWS = 0.5
+"""Share of a position's variance that another one explains, if both may be of one joint."""
 
 _AGREEMENT = 0.02
 """Relative; speed and position, or speed and reference, that differ by less belong together."""
@@ -150,6 +153,8 @@ def guess_columns(
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
+    if MOTOR_SPEED not in chosen:
+        chosen |= _pair_of_positions(table, named, chosen)
     both = _is_of_two_encoders(table, chosen)
     ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(table, chosen)
     moved = position_will_do and MOTOR_POSITION in chosen
@@ -227,6 +232,34 @@ def _is_of_ramps(table: Table, chosen: Mapping[str, _Named]) -> bool:
         return False
     low, high = -float(torque.min()), float(torque.max())
     return 0.0 < max(low, high) <= _SIDES_ALIKE * min(low, high)
+
+
+def _pair_of_positions(
+    table: Table, named: Sequence[_Named], chosen: Mapping[str, _Named]
+) -> dict[str, _Named]:
+    """Motor and load among positions that the names do not tell apart: what follows the first one.
+
+    The motor is the one that is called so, or that turns further.
+    """
+    sides = (MOTOR_POSITION, LOAD_POSITION)
+    there = [chosen[side] for side in sides if side in chosen]
+    if len(there) != 1:
+        return {}
+    others = [c for c in named if c is not there[0] and _channel(c) in sides]
+    first = _numbers(table, there[0])
+    follows: dict[float, _Named] = {}
+    for column in others:
+        values = _numbers(table, column)
+        good = np.isfinite(first) & np.isfinite(values) if values.size == first.size else False
+        pair = (np.unwrap(first[good]), np.unwrap(values[good])) if np.any(good) else None
+        if pair and min(map(np.ptp, pair)) > 0.0:
+            follows[float(np.corrcoef(*pair)[0, 1] ** 2)] = column
+    if not follows or max(follows) < _FOLLOWS:
+        return {}
+    both = [there[0], follows[max(follows)]]
+    ways = [float(np.nanmax(v) - np.nanmin(v)) for v in (_numbers(table, c) for c in both)]
+    swapped = not both[0].is_called(_MOTOR) and (both[1].is_called(_MOTOR) or ways[1] > ways[0])
+    return dict(zip(sides, reversed(both) if swapped else both, strict=True))
 
 
 def _is_of_two_encoders(table: Table, chosen: Mapping[str, _Named]) -> bool:

@@ -88,7 +88,9 @@ def read_recording(
     _check_finite(path, table, others, values)
     rows = np.flatnonzero(np.isfinite(stamps))
     if rows.size >= MINIMUM_SAMPLES:
-        order, time = mended_clock(stamps[rows], values[rows], time_column.factor, repairs)
+        order, time = mended_clock(
+            stamps[rows], values[rows], time_column.factor, repairs, even=even
+        )
         rows, stamps = rows[order], time
     time_s = _seconds(path, table, time_column, stamps, rows)
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
