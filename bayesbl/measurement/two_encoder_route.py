@@ -42,7 +42,12 @@ from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import Channels, scaled_paths
-from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
+from bayesbl.two_encoders.transmission import (
+    LASTING,
+    PLAY_RAD,
+    Transmission,
+    fit_transmission,
+)
 
 NAME = "two_encoders"
 
@@ -50,9 +55,6 @@ FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
 
 LIKELY = 0.5
 """Probability from which something is told as a note."""
-
-LASTING = 0.1
-"""Misfit that lasts for a stroke over half the lost motion, from which it is told."""
 
 HIDDEN = 3.0
 """Largest δ that a misfit hides, over its standard deviation."""
@@ -224,7 +226,6 @@ class TwoEncoderMeasurer(Measurer):
         """All that limits the answer."""
         upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
         lost = float(np.median(found.draws["lost_motion_rad"]))
-        visible = found.followed > LIKELY
         if found.probability_of_play < UPPER_BOUND_LEVEL:
             if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper}, withholds=True)
@@ -237,7 +238,7 @@ class TwoEncoderMeasurer(Measurer):
                         "lost_mrad": 1e3 * lost,
                     },
                 )
-        if found.gravity_holds > HELD_BY_WEIGHT and not visible:
+        if found.gravity_holds > HELD_BY_WEIGHT and found.probability_of_play < UPPER_BOUND_LEVEL:
             yield Reason("held_by_weight", {"share": found.gravity_holds}, withholds=True)
         if found.reversals < FEW_REVERSALS:
             yield Reason("few_reversals", {"count": found.reversals})

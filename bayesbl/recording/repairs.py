@@ -64,7 +64,7 @@ def mended_clock(
         Gains what was done and how many times.
     even
         Whether samples are to be even in time. Then a single stamp that repeats the one before is
-        an error in the file; else its sample came before the next stamp, and that is all that counts.
+        an error in the file; else its sample came before the next stamp, which is all that counts.
     """
     stamps = _continued(stamps, factor, repairs)
     order = _in_order(stamps, values, repairs)
@@ -116,9 +116,7 @@ def _in_order(stamps: FloatArray, values: FloatArray, repairs: Counter[str]) -> 
     return order
 
 
-def _spread(
-    time: FloatArray, factor: float, repairs: Counter[str], *, even: bool
-) -> FloatArray:
+def _spread(time: FloatArray, factor: float, repairs: Counter[str], *, even: bool) -> FloatArray:
     """Samples of a coarse clock on the line through all of them, or evenly within its ticks."""
     steps = np.diff(time)
     is_coarse = np.mean(steps == 0.0) >= SHARED_STAMPS

@@ -42,7 +42,6 @@ from bayesbl.two_encoders.paths import (
     Channels,
     Paths,
     load_lag,
-    moving_mean,
     scaled_paths,
 )
 
@@ -61,6 +60,10 @@ about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 
 COASTING = (np.inf, 3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
+
+WEIGHT, RUBBED, DIRECTIONS = 30.0, (0.05, 0.1, 0.2, 0.4, 0.8), 8
+"""Deceleration by the load's weight, rad/s² (gravity over a third of a metre), parts of it that
+friction makes, and directions of the weight: to begin with."""
 
 STAYS = 0.5
 """Probability of the first, beforehand."""
@@ -82,9 +85,15 @@ Over a part of a turn it looks like another gear ratio.
 ALIKE_RAD = 1e-3
 """Lag up to which the transmission error is the same at the motor's and the load's angle."""
 
-TURNING, SMOOTHED = (1e-4, 1e-3, 1e-2, 5e-2, 2e-1), 0.1
-"""Lags over the travel that friction may turn behind, and part of a stroke that what is left of the
-torque is averaged over: noise in it would pass for less compliance."""
+TURNING = (1e-4, 1e-3, 1e-2, 5e-2, 2e-1)
+"""Lags over the travel that friction may turn behind."""
+
+STROKE_PARTS, TORQUE_MODEL = 5, 0.1
+"""Independent parts of a stroke, and relative standard deviation of a plain law of the torque."""
+
+TURNED, CREEP = 1.5, 0.1
+"""Way after a reversal over twice the lag, and speed over its root mean square, from which the
+teeth carry all of the motor's torque that its own friction and inertia leave."""
 
 PLACES = 24
 """Along the travel, at which misfits of one pass and the next are compared."""
@@ -99,6 +108,9 @@ MOST_CURVE_RAD = 8e-3
 
 SLOWED = (0.5, 0.7, 0.85, 1.2, 1.45, 2.0)
 """Times a deceleration that are tried in its place."""
+
+LASTING = 0.1
+"""Misfit that lasts for a stroke over h, from which the load goes ways that the model lacks."""
 
 LOOSE = 0.3
 """Standard deviation in the gap, over h."""
@@ -142,13 +154,15 @@ class Noise:
 class Course:
     """How the load gets from flank to flank.
 
-    By its free deceleration, rad/s²; or in no way that is known (``free``): the
-    lag is then what was measured, wherever that is well within the gap.
+    By its free deceleration through friction and weight, rad/s²; or in no way that is known
+    (``free``): the lag is then what was measured, wherever that is well within the gap.
     """
 
     drag: float
     prior: float
     free: bool = False
+    weight_cos: float = 0.0
+    weight_sin: float = 0.0
 
 
 @dataclass(slots=True)
@@ -217,7 +231,7 @@ class Design:
     The load's angle in them is as modelled, x − s.
     """
 
-    def __init__(self, paths: Paths, torque: FloatArray | None, *, stated: bool) -> None:
+    def __init__(self, paths: Paths, *, stated: bool) -> None:
         self.motor_rad = paths.binned(paths.motor_rad)
         self.load_rad = paths.binned(paths.load_rad)
         self.time_s = paths.binned(paths.time_s)
@@ -227,11 +241,7 @@ class Design:
         plain += [paths.binned(paths.speed), paths.binned(paths.acceleration)]
         names = ["offset", "ratio", "skew", "inertia"]
         sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S]
-        sd += [INERTIA_S2 if torque is None else 0.1]
-        if torque is not None:
-            plain.append(paths.binned(torque))
-            names.append("torque")
-            sd.append(1.0 / max(float(np.std(torque)), 1e-12))
+        sd += [INERTIA_S2]
         self.turns = self.travel_rad > 2.0 * np.pi
         first = len(names) + (0 if self.turns else 2)
         orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
@@ -253,7 +263,6 @@ class Design:
         self.plain, self.names, self.sd = plain, tuple(names), np.array(sd)
         self.curve = slice(first, len(names))
         self.alike: FloatArray | None = None
-        self.stiff = False
         self.centre = np.zeros(len(names))
         # The stated ratio, and channels of one clock.
         self.centre[1], self.centre[2] = 1.0, paths.skew_s
@@ -298,8 +307,6 @@ class Design:
         """Of the prior of β."""
         sd = self.sd.copy()
         sd[self.curve] *= noise.curve_rad
-        if self.stiff and "torque" in self.names:
-            sd[self.names.index("torque")] *= 1e-4
         return sd**-2.0
 
 
@@ -358,7 +365,16 @@ class Model:
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
         return np.asarray(
-            load_lag(path.motor_rad, path.speed, path.time_s, half_rad, how.drag, start)
+            load_lag(
+                path.motor_rad,
+                path.speed,
+                path.time_s,
+                half_rad,
+                how.drag,
+                start,
+                how.weight_cos,
+                how.weight_sin,
+            )
         )
 
     def cell(self, course: int, half_rad: float, noise: Noise) -> Cell:
@@ -484,11 +500,13 @@ def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
     return float(np.copysign(best, seen)), True
 
 
-def of_friction(paths: Paths) -> tuple[float, FloatArray, FloatArray]:
-    """Friction that turns with the direction, N m; the torque of the load's weight; the rest.
+def of_friction(paths: Paths) -> tuple[float, FloatArray]:
+    """Friction that turns with the direction, N m, and the torque of the load's weight, by the
+    motor's torque.
 
     Friction of the load turns when it is taken along again, behind a play that is not known yet: so
-    lags of several sizes are taken off. The rest, smoothed, is what winds the joint up beside it.
+    lags of several sizes are taken off. Inertia that is a curve of the angle counts as weight: it
+    holds the load on a flank as well.
     """
     assert paths.torque_nm is not None
     travel = float(np.ptp(paths.motor_rad))
@@ -497,15 +515,62 @@ def of_friction(paths: Paths) -> tuple[float, FloatArray, FloatArray]:
         for half in travel * np.array(TURNING)
     ]
     load = paths.load_rad
-    weight = np.stack([np.ones_like(load), np.cos(load), np.sin(load)], axis=1)
-    columns = np.column_stack([*turning, paths.speed, paths.acceleration, weight])
-    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    beta = np.linalg.lstsq(columns / scale, paths.torque_nm, rcond=1e-6)[0] / scale
-    friction = float(beta[: len(TURNING)].sum())
-    rest = paths.torque_nm - np.stack(turning, axis=1) @ beta[: len(TURNING)]
-    stroke = float(np.ptp(paths.time_s)) / (paths.reversals + 1)
-    smooth = moving_mean(rest, paths.time_s, SMOOTHED * stroke)
-    return max(friction, 0.0), weight @ beta[len(TURNING) + 2 :], smooth
+    weight = np.stack([np.cos(load), np.sin(load)], axis=1)
+    columns = np.column_stack([*turning, paths.speed, weight])
+    columns = columns - columns.mean(axis=0)
+    columns /= np.maximum(columns.std(axis=0), 1e-300)
+    torque = paths.torque_nm - paths.torque_nm.mean()
+    # Each column may make the whole torque. A stroke is seen once, at as many places as it has
+    # parts: the misfit of this plain law is no noise that averages out over samples.
+    count = min(STROKE_PARTS * (paths.reversals + 1), torque.size)
+    inner, towards = (columns.T @ v * (count / torque.size) for v in (columns, torque))
+    variance = max(float(np.var(torque)), 1e-300)
+    noise, beta = 0.0, np.zeros(len(inner))
+    for _ in range(5):
+        left = float(np.var(torque - columns @ beta))
+        noise = max(left / variance, TORQUE_MODEL**2)
+        beta = np.linalg.solve(inner + noise * np.eye(len(inner)), towards)
+    scale = np.array([max(float(each.std()), 1e-300) for each in turning])
+    friction = float(np.sum(beta[: len(TURNING)] / scale))
+    return max(friction, 0.0), columns[:, -2:] @ beta[-2:]
+
+
+def of_compliance(model: Model, cell: Cell) -> tuple[float, float, float]:
+    """What a torque winds the joint up by, rad/(N m): least, its standard deviation, and most.
+
+    While the teeth are in contact and the motor moves, its torque less what friction, inertia and
+    the load's weight make of it (all that is in H, and the direction) passes through the joint: a
+    brake's, or another axis's. Elsewhere it does not, so these samples tell nothing. Errors of the
+    torque make the slope of the wind-up over the torque too small, those of the wind-up the slope
+    of the torque over the wind-up: the compliance is between both (Frisch 1934). Strokes, not
+    samples, are independent (jackknife).
+    """
+    paths, design = model.paths, model.design
+    assert paths.torque_nm is not None
+    turn = TURNED * max(cell.half_rad, 0.01 * float(np.ptp(paths.motor_rad)))
+    lag = load_lag(paths.motor_rad, paths.speed, paths.time_s, turn, np.inf, 0.0) / turn
+    moves = np.abs(paths.speed) > CREEP * np.sqrt(np.mean(paths.speed**2))
+    inside = paths.binned((np.abs(lag) > 1.0 - 1e-9) & moves) > 1.0 - 1e-9
+    side = np.sign(paths.binned(lag))
+    others = np.column_stack([design.columns(cell.lag), side])[inside]
+    if len(others) < 2 * others.shape[1]:
+        return 0.0, np.inf, 0.0
+    values = np.stack([paths.binned(paths.torque_nm), model.residual(cell)], axis=1)[inside]
+    span, sizes, _ = np.linalg.svd(
+        others / np.maximum(np.linalg.norm(others, axis=0), 1e-300), full_matrices=False
+    )
+    span = span[:, sizes > 1e-5 * sizes[0]]
+    torque, wound = (values - span @ (span.T @ values)).T
+    stroke = np.cumsum(np.append(False, np.diff(side) != 0.0))[inside]
+    of_stroke = [np.bincount(stroke, each) for each in (torque * wound, torque**2, wound**2)]
+    both, square, other = [float(p.sum()) for p in of_stroke]
+    if not (both < 0.0 < square * other):
+        return 0.0, np.inf, 0.0
+    kept = of_stroke[1] > 0.0
+    without = -(both - of_stroke[0][kept]) / np.maximum(square - of_stroke[1][kept], 1e-300)
+    count = without.size
+    spread = float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2)))
+    return -both / square, spread if count > 2 else np.inf, -other / both
 
 
 def fit_transmission(
@@ -518,20 +583,24 @@ def fit_transmission(
     told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
+    weighed = False
     for made in range(8):
         told(made, 10)
         model, friction, weight = _model(channels, slope, skew, stated)
-        # A torque turns with the direction as a lag does, and would take its place in the search.
-        model.design.stiff = True
         free, best = model.fitted(*_searched(model, noise))
         free, best = _slowed(model, free, best)
+        if weighed:
+            free, best = _with_weight(model, free, best)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
         moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
         moved &= abs(skew + late) < LONGEST_SKEW_S
         scaled = not stated and abs(scale - 1.0) > 5e-3
         if not moved and not scaled:
-            break
+            if weighed:
+                break
+            weighed = True
+            continue
         skew += float(late) if moved else 0.0
         slope *= float(scale) if scaled else 1.0
     # A load that goes its own way is tried last: it would follow any other skew and ratio too.
@@ -542,7 +611,6 @@ def fit_transmission(
             free, best = fitted, own
             model.see(best)
     told(9, 10)
-    model.design.stiff = False
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
@@ -559,15 +627,14 @@ def _model(
     rest = 1.0 - STAYS
     courses = [Course(np.inf, STAYS)]
     coasting = COASTING[1:]
-    torque, friction, weight = None, None, 0.0
+    friction, weight = None, 0.0
     if paths.torque_nm is not None:
-        friction, held, torque = of_friction(paths)
-        level = np.abs(held)
+        friction, held = of_friction(paths)
         moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
-        weight = float(np.mean(level[moving] > friction))
-    courses += [Course(c * usual, 0.8 * rest / len(coasting)) for c in coasting]
+        weight = float(np.mean(np.abs(held)[moving] > friction))
+    courses += [Course(c * usual, 0.6 * rest / len(coasting)) for c in coasting]
     courses.append(Course(0.0, 0.2 * rest, free=True))
-    return Model(paths, Design(paths, torque, stated=stated), courses), friction, weight
+    return Model(paths, Design(paths, stated=stated), courses), friction, weight
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
@@ -622,6 +689,44 @@ def _slowed(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     return noise, best
 
 
+def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
+    """With a load that its weight moves, where the evidence is then larger.
+
+    Some frictions and directions of the weight are tried over a grid of h, then all four are moved
+    to where the evidence is largest: with the noise of what no weight explains, as with less of it
+    the peak is too narrow to be found. One course is added to the model's.
+    """
+    prior = 0.2 * (1.0 - STAYS) / (len(RUBBED) * DIRECTIONS)
+    trial = len(model.courses)
+
+    def at(point: FloatArray) -> Cell:
+        half, drag, weight_cos, weight_sin = np.exp(point[0]), np.exp(point[1]), *point[2:]
+        how = Course(float(drag), prior, False, float(weight_cos), float(weight_sin))
+        model.courses[trial:] = [how]
+        return model.cell(trial, float(half), noise)
+
+    tried: list[tuple[float, FloatArray]] = []
+    for rubbed in RUBBED:
+        for turn in 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
+            pull = WEIGHT * np.array([np.cos(turn), np.sin(turn)])
+            for half in _halves(model, 1e-4, PER_DECADE):
+                point = np.array([np.log(half), np.log(rubbed * WEIGHT), *pull])
+                tried.append((at(point).log_evidence, point))
+    tried.sort(key=lambda each: -each[0])
+    moved = []
+    for _, point in tried[:3]:
+        steps = np.diag([0.2, 0.4, 0.2 * WEIGHT, 0.2 * WEIGHT])
+        simplex = np.vstack([point, point + steps])
+        found = _lowest(lambda p: -at(p).log_evidence, simplex, 120)
+        moved.append((at(found).log_evidence, found))
+    fitted, cell = model.fitted(trial, at(max(moved, key=lambda m: m[0])[1]).half_rad, noise)
+    gain = np.log(prior / model.courses[best.course].prior)
+    if cell.log_evidence + gain <= best.log_evidence:
+        del model.courses[trial:]
+        return noise, best
+    return fitted, cell
+
+
 def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
     """Cells over courses and h."""
     return [
@@ -672,12 +777,12 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
-def _held_quantiles(compliance: tuple[float, float], friction: float | None) -> FloatArray:
+def _held_quantiles(compliance: FloatArray | None, friction: float | None) -> FloatArray:
     """Equally probable values of w/2, rad, shape (q,)."""
-    if friction is None or compliance[0] < 3.0 * compliance[1]:
+    if friction is None or compliance is None:
         return np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
-    spread = np.maximum(compliance[0] + compliance[1] * ndtri((np.arange(20) + 0.5) / 20), 1e-12)
     share = (np.arange(40) + 0.5) / 40
+    spread = np.quantile(compliance, (np.arange(20) + 0.5) / 20)
     return np.asarray(np.maximum((friction * spread[:, None] * share).ravel(), 1.1e-6))
 
 
@@ -691,11 +796,18 @@ def _drawn(
 ) -> Transmission:
     best = max(cells, key=lambda c: c.log_evidence)
     names = model.design.names
-    compliance = (0.0, np.inf)
+    count = int(np.prod(DRAWS))
+    compliance: FloatArray | None = None
     if friction is not None:
-        at = names.index("torque")
-        covariance = cho_solve((best.root, True), np.eye(len(names))[:, at])
-        compliance = (-float(best.beta[at]), float(np.sqrt(model.counted * covariance[at])))
+        least, spread, most = of_compliance(model, best)
+        # A misfit that lasts for a stroke would pass for wind-up.
+        if least > 3.0 * spread and noise.drift_rad < LASTING * best.half_rad:
+            between = generator.uniform(size=count)
+            compliance = np.maximum(
+                least ** (1.0 - between) * most**between
+                + spread * generator.standard_normal(count),
+                1e-12,
+            )
     held = _held_quantiles(compliance, friction)
     half = np.array([c.half_rad for c in cells])
     low, high = PLAY_RAD
@@ -713,7 +825,6 @@ def _drawn(
         prior = np.log(density)
     masses = _log_masses(cells, prior, model)
     probability = np.exp(masses - logsumexp(masses))
-    count = int(np.prod(DRAWS))
     interval = generator.choice(probability.size, size=count, p=probability)
     share = generator.uniform(size=count)
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
@@ -757,8 +868,8 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")],
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    if friction is not None and compliance[0] > 3.0 * compliance[1]:
-        draws["compliance_rad_per_nm"] = -beta[:, names.index("torque")]
+    if compliance is not None:
+        draws["compliance_rad_per_nm"] = compliance
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
     harmonics = {
         (side, int(order)): np.hypot(
