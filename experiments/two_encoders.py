@@ -271,9 +271,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
         "lost_rad": joint.lost_rad,
         "probability": found.probability_of_play,
         "play_covered": float(low <= joint.play_rad <= high) if told else math.nan,
-        "bound_holds": float(
-            joint.play_rad <= 2.0 * upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
-        ),
+        "bound_holds": float(joint.play_rad <= 2.0 * upper_bound_rad(found)),
         "lost_covered": covered("lost_motion_rad", joint.lost_rad),
         "stiffness_covered": covered(compliance, 1.0 / joint.stiffness)
         if compliance in found.draws

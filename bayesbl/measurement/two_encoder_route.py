@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.special import ndtri
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
@@ -35,7 +36,6 @@ from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_TORQUE,
-    FloatArray,
     Recording,
 )
 from bayesbl.results.intervals import interval
@@ -56,8 +56,8 @@ FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
 LIKELY = 0.5
 """Probability from which something is told as a note."""
 
-HIDDEN = 3.0
-"""Largest δ that a misfit hides, over its standard deviation."""
+ENDS = (0.005, 0.995)
+"""Quantiles of a misfit between which a hidden play would show."""
 
 FOLLOWS = 0.1
 """Share of the load's variance that the motor's position explains, from which they are of one
@@ -212,7 +212,7 @@ class TwoEncoderMeasurer(Measurer):
         outcome: Outcome = "withheld" if withheld else "converged" if sound else "usable"
         reasons += [Reason.told("recording", text) for text in recording.notes]
         groups = groups_of(found, recording)
-        upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        upper = upper_bound_rad(found)
         return Answer(
             recording.name,
             found.draws["delta_rad"],
@@ -224,7 +224,7 @@ class TwoEncoderMeasurer(Measurer):
 
     def _findings(self, found: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
-        upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        upper = upper_bound_rad(found)
         lost = float(np.median(found.draws["lost_motion_rad"]))
         if found.probability_of_play < UPPER_BOUND_LEVEL:
             if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
@@ -270,12 +270,16 @@ def _misfit_lasts(found: Transmission) -> bool:
     return found.probability_of_play > LIKELY and found.noise.drift_rad > LASTING * half
 
 
-def upper_bound_rad(delta_rad: FloatArray, drift_rad: float) -> float:
-    """Of δ, with 95 %: a misfit that lasts for a stroke can hide a play of a few times its size.
+def upper_bound_rad(found: Transmission) -> float:
+    """Of δ, with 95 %.
 
-    Skew, inertia and transmission error take up a part of a lag that the model does not have.
+    A load within a play goes no further than the play: one that the model does not follow shows
+    its play in the range of the misfit, beyond that of white noise.
     """
-    return max(upper_bound(delta_rad), HIDDEN * drift_rad)
+    low, high = np.quantile(found.lag_rad, ENDS)
+    noise = float(ndtri(ENDS[1])) * found.noise.white_rad
+    hidden = np.sqrt(max((0.5 * (high - low)) ** 2 - noise**2, 0.0))
+    return max(upper_bound(found.draws["delta_rad"]), float(hidden))
 
 
 def channels_of(recording: Recording) -> Channels:

@@ -39,6 +39,7 @@ from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.two_encoders.paths import (
     LONGEST_SKEW_S,
+    STILL,
     Channels,
     Paths,
     load_lag,
@@ -163,6 +164,11 @@ class Course:
     free: bool = False
     weight_cos: float = 0.0
     weight_sin: float = 0.0
+
+    @property
+    def falls(self) -> bool:
+        """Whether the load's weight moves it."""
+        return self.weight_cos != 0.0 or self.weight_sin != 0.0
 
 
 @dataclass(slots=True)
@@ -777,6 +783,48 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
+def of_windup(model: Model, cell: Cell) -> tuple[float, float]:
+    """Which part of h is wind-up, by the torque on the way between the flanks, and its standard
+    deviation; infinite where the torque does not tell it.
+
+    Wind-up hands the load's friction over in proportion to the lag, play all of it at the flank. So
+    the torque is fitted by both, beside the motor's own friction, inertia, viscous friction and the
+    load's weight. What that plain law leaves is no noise: it counts whole.
+    """
+    paths, design, half = model.paths, model.design, cell.half_rad
+    how = model.courses[cell.course]
+    if paths.torque_nm is None or how.falls or half <= 0.0:
+        return 0.5, np.inf
+    other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ cell.beta)
+    other -= np.interp(paths.time_s, design.time_s, cell.beta[1] * (design.motor_rad - cell.lag))
+    lag = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
+    model_lag = model.lag(0 if how.free else cell.course, half) / half
+    at_flank = np.where(np.abs(model_lag) > 1.0 - 1e-9, np.sign(model_lag), 0.0)
+    inside = at_flank == 0.0
+    usual = float(np.sqrt(np.mean(paths.speed**2)))
+    direction = np.tanh(paths.speed / (STILL * usual))
+    columns = np.column_stack(
+        [
+            np.where(inside, np.clip(lag, -1.0, 1.0), at_flank),
+            at_flank,
+            direction,
+            paths.speed / usual,
+            paths.acceleration / max(paths.typical_acceleration, 1e-300),
+            np.cos(paths.load_rad),
+            np.sin(paths.load_rad),
+            np.ones(lag.size),
+        ]
+    )
+    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-8)[0]
+    handed = float(beta[0] + beta[1])
+    left = float(np.std(paths.torque_nm - columns @ beta))
+    # A lag that noise blurs is a poor measure of the way.
+    blurred = float(np.mean((lag - model_lag)[inside] ** 2)) if inside.any() else np.inf
+    if not handed > 0.0 or inside.sum() < columns.shape[1]:
+        return 0.5, np.inf
+    return float(beta[0]) / handed, float(np.hypot(left / handed, np.sqrt(blurred)))
+
+
 def _held_quantiles(compliance: FloatArray | None, friction: float | None) -> FloatArray:
     """Equally probable values of w/2, rad, shape (q,)."""
     if friction is None or compliance is None:
@@ -816,9 +864,16 @@ def _drawn(
     breadth = 0.1 + 0.2 * float(np.std(logs))
     bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
     bare /= breadth * np.sqrt(2.0 * np.pi)
-    gap = half[:, None] - held
+    # A load that its weight moves changes the flank where the joint is not wound up.
+    falls = np.array([model.courses[c.course].falls for c in cells])
+    bare[falls] = 0.0
+    gap = half[:, None] - np.where(falls[:, None], 0.0, held)
     inside = (gap > low) & (gap < high)
     of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
+    part, spread = of_windup(model, best)
+    if np.isfinite(spread):
+        of_gap *= np.exp(-0.5 * ((held / half[:, None] - part) / spread) ** 2)
+        bare *= np.exp(-0.5 * (max(1.0 - part, 0.0) / spread) ** 2)
     with_play = of_gap.mean(axis=1) / np.log(high / low)
     density = NO_PLAY * bare + (1.0 - NO_PLAY) * with_play
     with np.errstate(divide="ignore"):
@@ -837,7 +892,7 @@ def _drawn(
         mine = plays & (nearest == cell)
         each = of_gap[cell] / of_gap[cell].sum()
         chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each)]
-        delta[mine] = np.clip(lost[mine] - chosen, low, high)
+        delta[mine] = np.clip(lost[mine] - (0.0 if falls[cell] else chosen), low, high)
     beta, wider = np.empty((count, len(names))), np.sqrt(model.counted)
     for cell in np.unique(nearest):
         mine = np.flatnonzero(nearest == cell)
@@ -896,5 +951,5 @@ def _drawn(
         float(np.mean([model.courses[cells[c].course].free for c in nearest])),
         paths.reversals,
         friction,
-        weight,
+        0.0 if falls[nearest].mean() > 0.5 else weight,
     )
