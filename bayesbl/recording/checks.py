@@ -30,7 +30,7 @@ from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
-MINIMUM_SAMPLING_HZ = 100.0
+MINIMUM_SAMPLING_HZ = 50.0
 """The ringing is near 10 Hz and lasts 0.2 s: below this a pulse is too few samples."""
 
 MINIMUM_ROTATIONS = 1.95
@@ -121,7 +121,7 @@ def require_channels(recording: Recording, channels: Sequence[str]) -> None:
 def require_sampling_rate(recording: Recording) -> None:
     """The mean sampling rate is at least :data:`MINIMUM_SAMPLING_HZ`."""
     rate = 1.0 / recording.sampling_period_s
-    # Rounded time stamps put 100 Hz a hair below itself.
+    # Rounded time stamps put a rate a hair below itself.
     if not rate >= MINIMUM_SAMPLING_HZ * (1.0 - 1e-3):
         raise RecordingError(
             "The sampling rate is too low to see the impacts." + _time_in_ms(recording),
@@ -454,7 +454,11 @@ def _other_unit(ratio: float, channel: str) -> str:
 def _time_in_ms(recording: Recording) -> str:
     """A sentence where time would make a usual sampling rate if it were in milliseconds."""
     rate = 1000.0 / recording.sampling_period_s
-    return f" The column for {TIME} looks like ms, not s." if 100.0 <= rate <= 1e5 else ""
+    return (
+        f" The column for {TIME} looks like ms, not s."
+        if MINIMUM_SAMPLING_HZ <= rate <= 1e5
+        else ""
+    )
 
 
 def in_file(recording: Recording, error: RecordingError) -> RecordingError:

@@ -64,7 +64,8 @@ NO_UNIT = "no unit found: check it"
 UNKNOWN = "?"
 """In place of a unit that nothing tells now and nothing could check later."""
 
-_USUAL_RATES_HZ = (100.0, 1e5)
+_USUAL_RATES_HZ = (10.0, 1e5)
+_LONGEST_S = 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SIDES_ALIKE = 2.5
 """Ratio of the largest torques each way, up to which they may be ramps to and fro."""
@@ -451,8 +452,10 @@ def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str
     steps = np.diff(time[np.isfinite(time)])
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     for unit in ("s", "ms", "us", "ns"):
-        rate = 1.0 / (step * conversion_factor(TIME, unit)) if step > 0.0 else 0.0
-        if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1]:
+        factor = conversion_factor(TIME, unit)
+        rate = 1.0 / (step * factor) if step > 0.0 else 0.0
+        lasts = factor * step * steps.size
+        if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1] and lasts <= _LONGEST_S:
             return unit, f"a sampling rate of {rate:.4g} Hz"
     return None
 

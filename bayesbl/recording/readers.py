@@ -257,6 +257,9 @@ def _parsed(path: Path) -> tuple[Table, str]:
     """The table in a file, and the SHA-256 of the file."""
     data = _read_bytes(path)
     format_ = _format_of(path)
+    beside = (path.with_suffix(s) for s in (format_.beside, format_.beside.upper()) if s)
+    if samples := next((file for file in beside if file.exists()), None):
+        data += _read_bytes(samples)
     sha256 = hashlib.sha256(data).hexdigest()
     data = unpacked(path, data)
     if not format_.signatures:  # text is read by this package itself
