@@ -42,12 +42,7 @@ from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import Channels, scaled_paths
-from bayesbl.two_encoders.transmission import (
-    LASTING,
-    PLAY_RAD,
-    Transmission,
-    fit_transmission,
-)
+from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
 
 NAME = "two_encoders"
 
@@ -55,6 +50,9 @@ FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
 
 LIKELY = 0.5
 """Probability from which something is told as a note."""
+
+LASTING = 0.1
+"""Misfit that lasts for a stroke over half the lost motion, from which it is told."""
 
 ENDS = (0.005, 0.995)
 """Quantiles of a misfit between which a hidden play would show."""

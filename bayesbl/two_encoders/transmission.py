@@ -92,10 +92,6 @@ TURNING = (1e-4, 1e-3, 1e-2, 5e-2, 2e-1)
 STROKE_PARTS, TORQUE_MODEL = 5, 0.1
 """Independent parts of a stroke, and relative standard deviation of a plain law of the torque."""
 
-TURNED, CREEP = 1.5, 0.1
-"""Way after a reversal over twice the lag, and speed over its root mean square, from which the
-teeth carry all of the motor's torque that its own friction and inertia leave."""
-
 PLACES = 24
 """Along the travel, at which misfits of one pass and the next are compared."""
 
@@ -107,11 +103,8 @@ MOST_CURVE_RAD = 8e-3
 """Largest standard deviation of the first order of the transmission error: more is another motion.
 """
 
-SLOWED = (0.5, 0.7, 0.85, 1.2, 1.45, 2.0)
-"""Times a deceleration that are tried in its place."""
-
-LASTING = 0.1
-"""Misfit that lasts for a stroke over h, from which the load goes ways that the model lacks."""
+ANY_PART = 0.5
+"""Standard deviation of the part of h that is wind-up, from which it tells nothing."""
 
 LOOSE = 0.3
 """Standard deviation in the gap, over h."""
@@ -541,42 +534,47 @@ def of_friction(paths: Paths) -> tuple[float, FloatArray]:
     return max(friction, 0.0), columns[:, -2:] @ beta[-2:]
 
 
-def of_compliance(model: Model, cell: Cell) -> tuple[float, float, float]:
-    """What a torque winds the joint up by, rad/(N m): least, its standard deviation, and most.
+def of_windup(model: Model, cell: Cell) -> tuple[float, float, float | None]:
+    """Which part of h is wind-up, by the torque on the way between the flanks, its standard
+    deviation, and the load's friction, N m; ``None`` where the torque does not tell them.
 
-    While the teeth are in contact and the motor moves, its torque less what friction, inertia and
-    the load's weight make of it (all that is in H, and the direction) passes through the joint: a
-    brake's, or another axis's. Elsewhere it does not, so these samples tell nothing. Errors of the
-    torque make the slope of the wind-up over the torque too small, those of the wind-up the slope
-    of the torque over the wind-up: the compliance is between both (Frisch 1934). Strokes, not
-    samples, are independent (jackknife).
+    Wind-up hands the load's friction over in proportion to the lag, play all of it at the flank. So
+    the torque is fitted by both, beside the motor's own friction, inertia, viscous friction and the
+    load's weight. What that plain law leaves is no noise: it counts whole.
     """
-    paths, design = model.paths, model.design
-    assert paths.torque_nm is not None
-    turn = TURNED * max(cell.half_rad, 0.01 * float(np.ptp(paths.motor_rad)))
-    lag = load_lag(paths.motor_rad, paths.speed, paths.time_s, turn, np.inf, 0.0) / turn
-    moves = np.abs(paths.speed) > CREEP * np.sqrt(np.mean(paths.speed**2))
-    inside = paths.binned((np.abs(lag) > 1.0 - 1e-9) & moves) > 1.0 - 1e-9
-    side = np.sign(paths.binned(lag))
-    others = np.column_stack([design.columns(cell.lag), side])[inside]
-    if len(others) < 2 * others.shape[1]:
-        return 0.0, np.inf, 0.0
-    values = np.stack([paths.binned(paths.torque_nm), model.residual(cell)], axis=1)[inside]
-    span, sizes, _ = np.linalg.svd(
-        others / np.maximum(np.linalg.norm(others, axis=0), 1e-300), full_matrices=False
+    paths, design, half = model.paths, model.design, cell.half_rad
+    how = model.courses[cell.course]
+    if paths.torque_nm is None or how.falls or half <= 0.0:
+        return 0.5, np.inf, None
+    other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ cell.beta)
+    other -= np.interp(paths.time_s, design.time_s, cell.beta[1] * (design.motor_rad - cell.lag))
+    lag = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
+    model_lag = model.lag(0 if how.free else cell.course, half) / half
+    at_flank = np.where(np.abs(model_lag) > 1.0 - 1e-9, np.sign(model_lag), 0.0)
+    inside = at_flank == 0.0
+    usual = float(np.sqrt(np.mean(paths.speed**2)))
+    direction = np.tanh(paths.speed / (STILL * usual))
+    columns = np.column_stack(
+        [
+            np.where(inside, np.clip(lag, -1.0, 1.0), at_flank),
+            at_flank,
+            direction,
+            paths.speed / usual,
+            paths.acceleration / max(paths.typical_acceleration, 1e-300),
+            np.cos(paths.load_rad),
+            np.sin(paths.load_rad),
+            np.ones(lag.size),
+        ]
     )
-    span = span[:, sizes > 1e-5 * sizes[0]]
-    torque, wound = (values - span @ (span.T @ values)).T
-    stroke = np.cumsum(np.append(False, np.diff(side) != 0.0))[inside]
-    of_stroke = [np.bincount(stroke, each) for each in (torque * wound, torque**2, wound**2)]
-    both, square, other = [float(p.sum()) for p in of_stroke]
-    if not (both < 0.0 < square * other):
-        return 0.0, np.inf, 0.0
-    kept = of_stroke[1] > 0.0
-    without = -(both - of_stroke[0][kept]) / np.maximum(square - of_stroke[1][kept], 1e-300)
-    count = without.size
-    spread = float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2)))
-    return -both / square, spread if count > 2 else np.inf, -other / both
+    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-8)[0]
+    handed = float(beta[0] + beta[1])
+    left = float(np.std(paths.torque_nm - columns @ beta))
+    # A lag that noise blurs is a poor measure of the way.
+    blurred = float(np.mean((lag - model_lag)[inside] ** 2)) if inside.any() else np.inf
+    spread = float(np.hypot(left / max(handed, 1e-300), np.sqrt(blurred)))
+    if inside.sum() < columns.shape[1] or spread > ANY_PART:
+        return 0.5, np.inf, None
+    return float(beta[0]) / handed, spread, handed
 
 
 def fit_transmission(
@@ -594,7 +592,7 @@ def fit_transmission(
         told(made, 10)
         model, friction, weight = _model(channels, slope, skew, stated)
         free, best = model.fitted(*_searched(model, noise))
-        free, best = _slowed(model, free, best)
+        free, best = _coasting(model, free, best)
         if weighed:
             free, best = _with_weight(model, free, best)
         names = model.design.names
@@ -638,7 +636,7 @@ def _model(
         friction, held = of_friction(paths)
         moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
         weight = float(np.mean(np.abs(held)[moving] > friction))
-    courses += [Course(c * usual, 0.6 * rest / len(coasting)) for c in coasting]
+    courses += [Course(c * usual, 0.5 * rest / len(coasting)) for c in coasting]
     courses.append(Course(0.0, 0.2 * rest, free=True))
     return Model(paths, Design(paths, stated=stated), courses), friction, weight
 
@@ -675,62 +673,56 @@ def _searched(model: Model, noise: Noise, *, freely: bool = False) -> tuple[int,
     return course, half, model.profiled(course, half, noise)[0]
 
 
-def _slowed(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
-    """With the deceleration of the best course moved to where the evidence is largest."""
-    how = model.courses[best.course]
-    if how.free or not 0.0 < how.drag < np.inf:
-        return noise, best
-    for _ in range(2):
-        before, drag = best, model.courses[best.course].drag
-        kept = drag
-        for times in SLOWED:
-            model.courses[best.course] = replace(how, drag=times * drag)
-            cell = model.cell(best.course, best.half_rad, noise)
-            if cell.log_evidence > best.log_evidence:
-                best, kept = cell, times * drag
-        model.courses[best.course] = replace(how, drag=kept)
-        if best is before:
-            break
-        noise, best = model.fitted(best.course, best.half_rad, noise)
-    return noise, best
+def _placed(
+    model: Model, noise: Noise, best: Cell, tried: Sequence[FloatArray], prior: float
+) -> tuple[Noise, Cell]:
+    """With one more course, where its evidence is the largest.
 
-
-def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
-    """With a load that its weight moves, where the evidence is then larger.
-
-    Some frictions and directions of the weight are tried over a grid of h, then all four are moved
-    to where the evidence is largest: with the noise of what no weight explains, as with less of it
-    the peak is too narrow to be found. One course is added to the model's.
+    ``tried``: ln h, ln of the drag, and, where the load's weight moves it, both of its parts. The
+    best of them are moved to where the evidence is largest, with the noise of what was best
+    without: with less of it the peak is too narrow to be found.
     """
-    prior = 0.2 * (1.0 - STAYS) / (len(RUBBED) * DIRECTIONS)
     trial = len(model.courses)
 
     def at(point: FloatArray) -> Cell:
-        half, drag, weight_cos, weight_sin = np.exp(point[0]), np.exp(point[1]), *point[2:]
-        how = Course(float(drag), prior, False, float(weight_cos), float(weight_sin))
+        weight_cos, weight_sin = point[2:] if point.size > 2 else (0.0, 0.0)
+        how = Course(float(np.exp(point[1])), prior, False, float(weight_cos), float(weight_sin))
         model.courses[trial:] = [how]
-        return model.cell(trial, float(half), noise)
+        return model.cell(trial, float(np.exp(point[0])), noise)
 
-    tried: list[tuple[float, FloatArray]] = []
-    for rubbed in RUBBED:
-        for turn in 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-            pull = WEIGHT * np.array([np.cos(turn), np.sin(turn)])
-            for half in _halves(model, 1e-4, PER_DECADE):
-                point = np.array([np.log(half), np.log(rubbed * WEIGHT), *pull])
-                tried.append((at(point).log_evidence, point))
-    tried.sort(key=lambda each: -each[0])
-    moved = []
-    for _, point in tried[:3]:
-        steps = np.diag([0.2, 0.4, 0.2 * WEIGHT, 0.2 * WEIGHT])
+    order = np.argsort([-at(point).log_evidence for point in tried])
+    moved: list[tuple[float, FloatArray]] = []
+    for point in (tried[int(i)] for i in order[:3]):
+        steps = np.diag([0.2, 0.4, 0.2 * WEIGHT, 0.2 * WEIGHT][: point.size])
         simplex = np.vstack([point, point + steps])
-        found = _lowest(lambda p: -at(p).log_evidence, simplex, 120)
+        found = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
         moved.append((at(found).log_evidence, found))
     fitted, cell = model.fitted(trial, at(max(moved, key=lambda m: m[0])[1]).half_rad, noise)
-    gain = np.log(prior / model.courses[best.course].prior)
-    if cell.log_evidence + gain <= best.log_evidence:
+    if cell.log_evidence + np.log(prior / model.courses[best.course].prior) <= best.log_evidence:
         del model.courses[trial:]
         return noise, best
     return fitted, cell
+
+
+def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
+    """With a load that coasts by a deceleration of its own."""
+    drags = np.array(COASTING[1:-1]) * model.paths.typical_acceleration
+    halves = _halves(model, 1e-4, PER_DECADE)
+    tried = [np.log([half, drag]) for drag in drags for half in halves]
+    return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
+
+
+def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
+    """With a load that its weight moves, by some frictions and directions to begin with."""
+    turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    tried = [
+        np.array([np.log(half), np.log(rubbed * WEIGHT), *pull])
+        for rubbed in RUBBED
+        for pull in WEIGHT * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        for half in _halves(model, 1e-4, PER_DECADE)
+    ]
+    prior = 0.2 * (1.0 - STAYS) / (len(RUBBED) * DIRECTIONS)
+    return _placed(model, noise, best, tried, prior)
 
 
 def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
@@ -783,57 +775,6 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
-def of_windup(model: Model, cell: Cell) -> tuple[float, float]:
-    """Which part of h is wind-up, by the torque on the way between the flanks, and its standard
-    deviation; infinite where the torque does not tell it.
-
-    Wind-up hands the load's friction over in proportion to the lag, play all of it at the flank. So
-    the torque is fitted by both, beside the motor's own friction, inertia, viscous friction and the
-    load's weight. What that plain law leaves is no noise: it counts whole.
-    """
-    paths, design, half = model.paths, model.design, cell.half_rad
-    how = model.courses[cell.course]
-    if paths.torque_nm is None or how.falls or half <= 0.0:
-        return 0.5, np.inf
-    other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ cell.beta)
-    other -= np.interp(paths.time_s, design.time_s, cell.beta[1] * (design.motor_rad - cell.lag))
-    lag = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
-    model_lag = model.lag(0 if how.free else cell.course, half) / half
-    at_flank = np.where(np.abs(model_lag) > 1.0 - 1e-9, np.sign(model_lag), 0.0)
-    inside = at_flank == 0.0
-    usual = float(np.sqrt(np.mean(paths.speed**2)))
-    direction = np.tanh(paths.speed / (STILL * usual))
-    columns = np.column_stack(
-        [
-            np.where(inside, np.clip(lag, -1.0, 1.0), at_flank),
-            at_flank,
-            direction,
-            paths.speed / usual,
-            paths.acceleration / max(paths.typical_acceleration, 1e-300),
-            np.cos(paths.load_rad),
-            np.sin(paths.load_rad),
-            np.ones(lag.size),
-        ]
-    )
-    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-8)[0]
-    handed = float(beta[0] + beta[1])
-    left = float(np.std(paths.torque_nm - columns @ beta))
-    # A lag that noise blurs is a poor measure of the way.
-    blurred = float(np.mean((lag - model_lag)[inside] ** 2)) if inside.any() else np.inf
-    if not handed > 0.0 or inside.sum() < columns.shape[1]:
-        return 0.5, np.inf
-    return float(beta[0]) / handed, float(np.hypot(left / handed, np.sqrt(blurred)))
-
-
-def _held_quantiles(compliance: FloatArray | None, friction: float | None) -> FloatArray:
-    """Equally probable values of w/2, rad, shape (q,)."""
-    if friction is None or compliance is None:
-        return np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
-    share = (np.arange(40) + 0.5) / 40
-    spread = np.quantile(compliance, (np.arange(20) + 0.5) / 20)
-    return np.asarray(np.maximum((friction * spread[:, None] * share).ravel(), 1.1e-6))
-
-
 def _drawn(
     model: Model,
     cells: Sequence[Cell],
@@ -845,18 +786,7 @@ def _drawn(
     best = max(cells, key=lambda c: c.log_evidence)
     names = model.design.names
     count = int(np.prod(DRAWS))
-    compliance: FloatArray | None = None
-    if friction is not None:
-        least, spread, most = of_compliance(model, best)
-        # A misfit that lasts for a stroke would pass for wind-up.
-        if least > 3.0 * spread and noise.drift_rad < LASTING * best.half_rad:
-            between = generator.uniform(size=count)
-            compliance = np.maximum(
-                least ** (1.0 - between) * most**between
-                + spread * generator.standard_normal(count),
-                1e-12,
-            )
-    held = _held_quantiles(compliance, friction)
+    held = np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
     half = np.array([c.half_rad for c in cells])
     low, high = PLAY_RAD
     # Densities over ln h without play, and with it, by a smooth histogram of ln w/2.
@@ -870,8 +800,8 @@ def _drawn(
     gap = half[:, None] - np.where(falls[:, None], 0.0, held)
     inside = (gap > low) & (gap < high)
     of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
-    part, spread = of_windup(model, best)
-    if np.isfinite(spread):
+    part, spread, handed_nm = of_windup(model, best)
+    if handed_nm is not None:
         of_gap *= np.exp(-0.5 * ((held / half[:, None] - part) / spread) ** 2)
         bare *= np.exp(-0.5 * (max(1.0 - part, 0.0) / spread) ** 2)
     with_play = of_gap.mean(axis=1) / np.log(high / low)
@@ -912,6 +842,7 @@ def _drawn(
     lost = np.maximum(lost * scale + moved, 0.0)
     delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
     plays = delta > 0.0
+    goes = [how.falls or how.free for how in model.courses]
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
     draws = {
@@ -923,8 +854,9 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")],
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    if compliance is not None:
-        draws["compliance_rad_per_nm"] = compliance
+    if handed_nm is not None:
+        about = np.exp(spread * generator.standard_normal(count))
+        draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm * about
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
     harmonics = {
         (side, int(order)): np.hypot(
@@ -951,5 +883,5 @@ def _drawn(
         float(np.mean([model.courses[cells[c].course].free for c in nearest])),
         paths.reversals,
         friction,
-        0.0 if falls[nearest].mean() > 0.5 else weight,
+        0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else weight,
     )
