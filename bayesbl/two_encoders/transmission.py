@@ -86,12 +86,6 @@ Over a part of a turn it looks like another gear ratio.
 ALIKE_RAD = 1e-3
 """Lag up to which the transmission error is the same at the motor's and the load's angle."""
 
-TURNING = (1e-4, 1e-3, 1e-2, 5e-2, 2e-1)
-"""Lags over the travel that friction may turn behind."""
-
-STROKE_PARTS, TORQUE_MODEL = 5, 0.1
-"""Independent parts of a stroke, and relative standard deviation of a plain law of the torque."""
-
 PLACES = 24
 """Along the travel, at which misfits of one pass and the next are compared."""
 
@@ -501,37 +495,23 @@ def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
 
 def of_friction(paths: Paths) -> tuple[float, FloatArray]:
     """Friction that turns with the direction, N m, and the torque of the load's weight, by the
-    motor's torque.
-
-    Friction of the load turns when it is taken along again, behind a play that is not known yet: so
-    lags of several sizes are taken off. Inertia that is a curve of the angle counts as weight: it
-    holds the load on a flank as well.
+    motor's torque. Inertia that is a curve of the angle counts as weight: it holds the load on a
+    flank as well.
     """
     assert paths.torque_nm is not None
-    travel = float(np.ptp(paths.motor_rad))
-    turning = [
-        load_lag(paths.motor_rad, paths.speed, paths.time_s, half, np.inf, 0.0) / half
-        for half in travel * np.array(TURNING)
-    ]
+    usual = float(np.sqrt(np.mean(paths.speed**2)))
     load = paths.load_rad
-    weight = np.stack([np.cos(load), np.sin(load)], axis=1)
-    columns = np.column_stack([*turning, paths.speed, weight])
-    columns = columns - columns.mean(axis=0)
-    columns /= np.maximum(columns.std(axis=0), 1e-300)
-    torque = paths.torque_nm - paths.torque_nm.mean()
-    # Each column may make the whole torque. A stroke is seen once, at as many places as it has
-    # parts: the misfit of this plain law is no noise that averages out over samples.
-    count = min(STROKE_PARTS * (paths.reversals + 1), torque.size)
-    inner, towards = (columns.T @ v * (count / torque.size) for v in (columns, torque))
-    variance = max(float(np.var(torque)), 1e-300)
-    noise, beta = 0.0, np.zeros(len(inner))
-    for _ in range(5):
-        left = float(np.var(torque - columns @ beta))
-        noise = max(left / variance, TORQUE_MODEL**2)
-        beta = np.linalg.solve(inner + noise * np.eye(len(inner)), towards)
-    scale = np.array([max(float(each.std()), 1e-300) for each in turning])
-    friction = float(np.sum(beta[: len(TURNING)] / scale))
-    return max(friction, 0.0), columns[:, -2:] @ beta[-2:]
+    columns = np.column_stack(
+        [
+            np.tanh(paths.speed / (STILL * usual)),
+            paths.speed / usual,
+            np.ones(load.size),
+            np.cos(load),
+            np.sin(load),
+        ]
+    )
+    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-6)[0]
+    return max(float(beta[0]), 0.0), columns[:, 2:] @ beta[2:]
 
 
 def of_windup(model: Model, cell: Cell) -> tuple[float, float, float | None]:
@@ -591,7 +571,7 @@ def fit_transmission(
     for made in range(8):
         told(made, 10)
         model, friction, weight = _model(channels, slope, skew, stated)
-        free, best = model.fitted(*_searched(model, noise))
+        free, best = model.fitted(*_searched(model, noise, 0))
         free, best = _coasting(model, free, best)
         if weighed:
             free, best = _with_weight(model, free, best)
@@ -609,8 +589,9 @@ def fit_transmission(
         slope *= float(scale) if scaled else 1.0
     # A load that goes its own way is tried last: it would follow any other skew and ratio too.
     model.see(best)
+    freely = next(i for i, how in enumerate(model.courses) if how.free)
     for _ in range(2):
-        fitted, own = model.fitted(*_searched(model, free, freely=True))
+        fitted, own = model.fitted(*_searched(model, free, freely))
         if own.log_evidence > best.log_evidence:
             free, best = fitted, own
             model.see(best)
@@ -646,30 +627,25 @@ def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
     return np.geomspace(least, most, int(per_decade * np.log10(most / least)) + 2)
 
 
-def _searched(model: Model, noise: Noise, *, freely: bool = False) -> tuple[int, float, Noise]:
+def _searched(model: Model, noise: Noise, course: int) -> tuple[int, float, Noise]:
     """Course, h and noise to begin with: over a grid, then between its points.
 
     A peak of h is as narrow as the noise is small, so the noise is sized anew for every h.
     """
-    courses = [i for i, how in enumerate(model.courses) if how.free == freely]
-    found: list[tuple[float, int, float]] = []
-    for course in courses:
-        halves = _halves(model, 3e-5, 8 if len(courses) == 1 or not course else 4)
-        logs = [model.profiled(course, float(h), noise)[1].log_evidence for h in halves]
-        at = int(np.argmax(logs))
-        found.append((logs[at], course, float(halves[at])))
-    found.sort(reverse=True)
-    refined = []
-    for _, course, half in found[:2]:
-        step = np.log(10.0) / (8 if not course else 4)
-        result = minimize_scalar(
-            lambda log, c=course: -model.profiled(c, float(np.exp(log)), noise)[1].log_evidence,
-            bounds=(np.log(half) - step, np.log(half) + step),
-            method="bounded",
-            options={"maxiter": 16, "xatol": 1e-4},
-        )
-        refined.append((-float(result.fun), course, float(np.exp(result.x))))
-    _, course, half = max(refined)
+
+    def cost(log: float) -> float:
+        return -model.profiled(course, float(np.exp(log)), noise)[1].log_evidence
+
+    logs = np.log(_halves(model, 3e-5, 2 * PER_DECADE))
+    first = float(logs[int(np.argmin([cost(log) for log in logs]))])
+    step = float(logs[1] - logs[0])
+    result = minimize_scalar(
+        cost,
+        bounds=(first - step, first + step),
+        method="bounded",
+        options={"maxiter": 16, "xatol": 1e-4},
+    )
+    half = float(np.exp(result.x))
     return course, half, model.profiled(course, half, noise)[0]
 
 

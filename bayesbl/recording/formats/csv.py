@@ -442,7 +442,7 @@ def header_of(
     Names are a row of as many cells as the samples have (``widths``) without a number; a row of
     units may follow them.
     """
-    from bayesbl.recording.clocked_columns import numbered
+    from bayesbl.recording.array_table import numbered
 
     named: list[int] = []
     for i, cells in enumerate(above):

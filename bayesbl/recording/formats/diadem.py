@@ -32,8 +32,7 @@ def read_dat(file: Path, data: bytes) -> Table:
     """
     import numpy as np
 
-    from bayesbl.recording.array_table import AnyArray, ArrayTable
-    from bayesbl.recording.clocked_columns import numbered
+    from bayesbl.recording.array_table import AnyArray, ArrayTable, numbered
 
     if _BEGIN not in data:
         return read_csv(file, data)

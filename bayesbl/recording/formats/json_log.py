@@ -64,13 +64,10 @@ def read_json(file: Path, data: bytes) -> ArrayTable:
                 expected="a list for each channel, or a list of records",
             )
         arrays = {
-            name: np.array(values, dtype=object)
+            name: np.array([np.nan if v is None else v for v in values])
             for name, values in columns.items()
             if len(values) == longest
         }
-        for name, values in arrays.items():
-            if all(v is None or isinstance(v, int | float) for v in values):
-                arrays[name] = np.array([np.nan if v is None else float(v) for v in values])
     return ArrayTable(str(file), arrays)
 
 
