@@ -209,7 +209,7 @@ class TwoEncoderMeasurer(Measurer):
         sound = sure and not _misfit_lasts(found)
         outcome: Outcome = "withheld" if withheld else "converged" if sound else "usable"
         reasons += [Reason.told("recording", text) for text in recording.notes]
-        groups = groups_of(found, recording)
+        groups = groups_of(found, recording, at_output=self._is_at_output(found))
         upper = upper_bound_rad(found)
         return Answer(
             recording.name,
@@ -219,6 +219,11 @@ class TwoEncoderMeasurer(Measurer):
             _numbers(found, groups, recording, self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if sure or withheld else upper,
         )
+
+    def _is_at_output(self, found: Transmission) -> bool:
+        """Whether the motor's position was divided by the ratio already; its torque may not be."""
+        stated, seen = self.config.joint.gear_ratio, float(np.median(found.draws["gear_ratio"]))
+        return stated is not None and abs(np.log(abs(seen))) < 0.1 < abs(np.log(stated))
 
     def _findings(self, found: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
@@ -248,7 +253,7 @@ class TwoEncoderMeasurer(Measurer):
         if stated is not None:
             seen = np.abs(found.draws["gear_ratio"])
             middle = float(np.median(seen))
-            if abs(np.log(middle)) < 0.1 < abs(np.log(stated)):
+            if self._is_at_output(found):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):
                 yield Reason("ratio_differs", {"stated": stated, "seen": middle})
@@ -295,12 +300,14 @@ def channels_of(recording: Recording) -> Channels:
     )
 
 
-def groups_of(found: Transmission, recording: Recording) -> dict[str, xr.Dataset]:
+def groups_of(
+    found: Transmission, recording: Recording, *, at_output: bool = False
+) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension."""
     draws = dict(found.draws)
     shape = draws["delta_rad"].shape
     # What one ampere makes is not known, so a current's compliance is no compliance.
-    of_torque = MOTOR_TORQUE in recording.channels
+    of_torque = MOTOR_TORQUE in recording.channels and not at_output
     compliance = draws.pop("compliance_rad_per_nm", np.full(shape, np.nan))
     draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
     amplitudes = list(found.harmonics.values())

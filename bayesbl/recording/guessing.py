@@ -244,9 +244,11 @@ def _pair_of_positions(
     """
     sides = (MOTOR_POSITION, LOAD_POSITION)
     there = [chosen[side] for side in sides if side in chosen]
+    kinds = [*sides] if there else [None]  # motor, axis: names of the sides alone
+    there = there or [c for c in named if c.is_called(_MOTOR) and _channel(c) is None][:1]
     if len(there) != 1:
         return {}
-    others = [c for c in named if c is not there[0] and _channel(c) in sides]
+    others = [c for c in named if c is not there[0] and _channel(c) in kinds]
     first = _numbers(table, there[0])
     follows: dict[float, _Named] = {}
     for column in others:

@@ -646,6 +646,7 @@ def test_a_stamp_that_comes_twice_is_spread_where_no_even_samples_are_needed(
         "time,q_motor,q_link",
         "time,enc1_angle,enc2_angle",
         "time,joint_rel_pos,joint_abs_pos",
+        "time,motor,axis",
     ],
 )
 def test_positions_of_motor_and_load_are_told_apart(names: str, tmp_path: Path) -> None:
