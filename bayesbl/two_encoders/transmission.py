@@ -5,21 +5,21 @@ With x the motor's position at the load and θ_l the load's,
     θ_l = x − s(x; h) + H β + e,        s within ±h
 
 where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, what the
-ratio is off by (x), the skew of the channels (ẋ), inertia that winds the joint up (ẍ), torque, and
-the transmission error: harmonics of motor and load angle (one curve of the angle, the same both
-ways, where the load makes less than a turn). β is normal and integrated out. The noise e is white
+ratio is off by (x), the skew of the channels (ẋ), inertia that winds the joint up (ẍ), and the
+transmission error: harmonics of motor and load angle (one curve of the angle, the same both ways,
+where the load makes less than a turn). β is normal and integrated out. The noise e is white
 beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
 drift from stroke to stroke so counts once a stroke, not once a sample. In the gap the load is
 where it likes, so the noise is as wide as the gap there.
 
-Every course of the flanks (a load that stays, or coasts on by some deceleration) is tried over a
-grid of h, and their probabilities are added. h, half of what lies between both directions, is δ
+Every course of the flanks (a load that stays, coasts on by some deceleration, or is moved by its
+weight) is tried over a grid of h, and their probabilities are added. h, half of what lies between both directions, is δ
 and half of what friction of the load winds up:
 
     h = δ + w/2
 
-w is c T u with a torque that tells the compliance c and the friction T, of which an unknown share u
-is the load's; else what makers' sheets let expect. δ has a mass at zero. Skew, eccentricity and a
+w is what makers' sheets let expect, and, where there is a torque, what it does on the way between
+the flanks (:func:`of_windup`). δ has a mass at zero. Skew, eccentricity and a
 wrong ratio make no lag that keeps its size from slow to fast and turns with the direction: they are
 told from play by their evidence, here and not before.
 """
