@@ -13,8 +13,8 @@ drift from stroke to stroke so counts once a stroke, not once a sample. In the g
 where it likes, so the noise is as wide as the gap there.
 
 Every course of the flanks (a load that stays, coasts on by some deceleration, or is moved by its
-weight) is tried over a grid of h, and their probabilities are added. h, half of what lies between both directions, is δ
-and half of what friction of the load winds up:
+weight) is tried over a grid of h, and their probabilities are added. h, half of what lies between
+both directions, is δ and half of what friction of the load winds up:
 
     h = δ + w/2
 
