@@ -357,18 +357,9 @@ class Model:
             return np.zeros(self.paths.motor_rad.size)
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
-        return np.asarray(
-            load_lag(
-                path.motor_rad,
-                path.speed,
-                path.time_s,
-                half_rad,
-                how.drag,
-                start,
-                how.weight_cos,
-                how.weight_sin,
-            )
-        )
+        motion = path.motor_rad, path.speed, path.time_s
+        weight = how.weight_cos, how.weight_sin
+        return np.asarray(load_lag(*motion, half_rad, how.drag, start, *weight))
 
     def cell(self, course: int, half_rad: float, noise: Noise) -> Cell:
         """The evidence there, and β."""
