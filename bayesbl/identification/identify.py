@@ -19,7 +19,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import EFFECTS
-from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.identification.problem import Problem, is_explained
 from bayesbl.identification.wrong_by_far import explanations_from_afar, freed, may_be_far_off
