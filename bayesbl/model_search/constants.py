@@ -30,8 +30,13 @@ BEAM = 48
 KEPT_BELOW = 12.0
 """ln of odds against the best set, beyond which a set is dropped: 6e-6."""
 
+MOST_KEPT = 300
+"""Sets kept of those, the best: the rest has no weight where one is named."""
+
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
 
-NONLINEAR_BEST = 10
-"""Sets that are refitted with their full shapes."""
+
+LEARNED_SHARE = 0.01
+"""Of the excess chi-square that a discrepancy must hold to be told: less than a hundredth of what
+the names explain is the form of their laws."""

@@ -35,6 +35,7 @@ from bayesbl.model_search.constants import (
     DISCREPANCY_SPACING,
     EXPECTED_HYPOTHESES,
     KEPT_BELOW,
+    MOST_KEPT,
     NAMED_AT,
     PAIRS,
 )
@@ -419,18 +420,21 @@ def search(
     levels = list(dict.fromkeys([nowhere, _climb(grams, (), nowhere)]))
     pool: dict[tuple[int, ...], float] = {}
     done = 0
-    while done < len(levels) and done < 8:
+    while done < len(levels) and done < 5:
         for terms, value in _enumerate(grams, levels[done], max_terms).items():
             pool[terms] = max(value, pool.get(terms, -math.inf))
         done += 1
-        best = sorted(pool, key=lambda s: -pool[s])[:4]
-        for terms in best if groups else ():
-            level = _climb(grams, terms, levels[done - 1])
-            if level not in levels:
-                levels.append(level)
-    every = dict.fromkeys(n for level in levels for n in (level, *_neighbours(grams, level)))
+        best = max(pool, key=lambda terms: pool[terms])
+        level = _climb(grams, best, levels[done - 1])
+        if level not in levels:
+            levels.append(level)
     top = max(pool.values())
-    sets = [terms for terms, value in pool.items() if value > top - 2.0 * KEPT_BELOW]
+    sets = [terms for terms in pool if pool[terms] > top - KEPT_BELOW]
+    sets = sorted(sets, key=lambda terms: -pool[terms])[:MOST_KEPT]
+    best_set = np.array([sets[0]], dtype=int).reshape(1, -1)
+    suits = {level: float(grams.log_posterior(best_set, level)[0]) for level in levels}
+    suiting = [level for level in levels if suits[level] > max(suits.values()) - KEPT_BELOW]
+    every = dict.fromkeys(n for level in suiting for n in (level, *_neighbours(grams, level)))
     by_size: dict[int, list[tuple[int, ...]]] = {}
     for terms in sets:
         by_size.setdefault(len(terms), []).append(terms)
@@ -493,12 +497,12 @@ def _climb(grams: _Grams, terms: tuple[int, ...], start: tuple[int, ...]) -> tup
         trial = (*level[:group], index, *level[group + 1 :])
         return float(grams.log_posterior(array, trial, sweeps=2)[0])
 
-    for _ in range(3):
+    for _ in range(2):
         before = tuple(level)
         for group in range(len(level)):
-            tried = {i: value(group, i) for i in (0, *range(1, grams.lattice.size, 4))}
+            tried = {i: value(group, i) for i in (0, *range(1, grams.lattice.size, 6))}
             best = max(tried, key=lambda i: tried[i])
-            near = range(max(1, best - 3), min(grams.lattice.size, best + 4)) if best else ()
+            near = range(max(1, best - 4), min(grams.lattice.size, best + 5), 2) if best else ()
             tried |= {i: value(group, i) for i in near}
             level[group] = max(tried, key=lambda i: tried[i])
         if tuple(level) == before:
@@ -709,7 +713,7 @@ def _truncated(
     positive: np.ndarray,
     n: int,
     generator: np.random.Generator,
-    sweeps: int = 60,
+    sweeps: int = 25,
 ) -> FloatArray:
     """(n, k) draws of a normal with some amplitudes positive: n chains of Gibbs side by side."""
     result = np.zeros((n, mean.size))

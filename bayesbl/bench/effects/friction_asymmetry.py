@@ -34,6 +34,7 @@ EFFECT = Effect(
             given["coefficient_nm_s_per_rad"] * motion.speed * direction(motion)
         ),
         amplitude="coefficient_nm_s_per_rad",
+        usual=0.1,
     ),
     free_motion=True,
 )

@@ -63,6 +63,7 @@ EFFECT = Effect(
     torque=RigidLaw(
         signal=torque_nm,
         amplitude="torque_nm",
+        usual=0.2,
         scanned="speed_rad_per_s",
         grid=tuple(np.geomspace(0.01, 2.0, 21)),
         grid_unit="speed",

@@ -1,498 +1,783 @@
-"""Inverse comparison on a rigid bench: measured motion in, what it should have needed out.
+"""Inverse view of a rigid bench: measured motion in, what it should have needed out.
 
     J dω_m/dt + (m g l/N) sin θ_l + effects + known torques = K_t i          (torque, current)
     θ_l = θ_m/N + offset + effects                                          (load position)
 
-Every effect is linear in its amplitude, so a fit is linear least squares around a scan of the few
-parameters that are not (orders, fading speeds, a gap, a skew, the speed over which dry friction
-changes its sign). All of them are scanned in units of the recordings' own, so that a machine of any
-size has the same answer. Nothing is weighted: the fit minimises the RMSE that is reported, and
-coloured noise widens its covariance instead.
+All is linear in its amplitudes but a skew between the channels and the width of dry friction's
+sign, which move every column: these two are sought first, the skew linearised around. Shapes
+(orders, fading speeds, gaps) are alternatives on grids, made finer around those that suit, in units
+of the recordings' own, so that a machine of any size has the same answer.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
-from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
-from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
-from bayesbl.diagnosis.rigid.order_rivals import Line, OrderScan, of_angle
-from bayesbl.diagnosis.rigid.order_scan import OrderedRest
-from bayesbl.diagnosis.rigid.staying_columns import Staying, least_squares, stacked
-from bayesbl.diagnosis.rigid.terms import SKEW
+from bayesbl.bench.kernel import LEARNED_HARMONICS
+from bayesbl.bench.learned import LearnedTorque, Variable, variable_of
+from bayesbl.diagnosis.comparison import (
+    AffineModel,
+    Candidate,
+    Discrepancy,
+    Look,
+    Piece,
+    least_squares,
+)
+from bayesbl.diagnosis.diagnosis import CURVE_POINTS, Diagnosis, LearnedAnswer, LearnedCurve
+from bayesbl.diagnosis.inference import Inference
+from bayesbl.diagnosis.rigid.motion import Motion
+from bayesbl.diagnosis.rigid.order_scan import OrderedRest, peaks
+from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS
+from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
+from bayesbl.diagnosis.rigid.view import Window, noise_of
 from bayesbl.recording.types import FloatArray
 
-ROUNDING = 1e-12
-"""What two predictions may differ by, as a share of the larger, and still be the same."""
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 """In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
 
-SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 21))
+SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 11))
 """In periods of the cut-off: beyond half of one a delay has no sign."""
 
-NO_ORDER = 0.0
-"""Where no line of the residual is of the motor's angle."""
+QUIET = 0.5
+"""Of the torque's noise: so much in the motion makes a standard deviation an eighth too small."""
+
+MOST_ORDERS, MOST_LINES = 8, 4
+"""Lines that are tried, of the motor's angle and of time: the strongest."""
+
+FINER = 5
+"""Shapes tried between the neighbours of one that suits."""
+
+DRIFT_ORDERS = 6
+"""Cosines over the time of a recording: slower than friction that warms up in it."""
+
+WRONG_VALUE = 0.3
+"""Usual share of a wrong value of the data sheet in what is compared."""
 
 
 @dataclass(frozen=True, slots=True)
-class InverseComparison(ComparedColumns):
-    """Motion of every piece against what was measured of torque, current or load position.
+class Series:
+    """A smooth torque over a variable, its amplitudes falling as 1/k.
 
-    ``lines``: those that stand out of what the last fit leaves.
+    ``means``: of the cosines and sines over what was recorded, which are taken off, (2 orders,):
+    the mean is an effect's.
     """
 
-    lines: dict[int, tuple[EffectsFit, list[Line]]] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    variable: Variable
+    period: float
+    reverses: bool
+    means: FloatArray
 
-    @property
-    def candidates(self) -> tuple[TestedEffect, ...]:
-        """All effects that may take part."""
-        return tuple(term.candidate for term in self.terms.values())
+    def waves(self, x: FloatArray) -> FloatArray:
+        """Cosines, then sines, (n, 2 orders)."""
+        k = np.arange(1, LEARNED_HARMONICS + 1)
+        phase = 2.0 * math.pi * x[:, None] * k / self.period
+        return np.hstack([np.cos(phase) / k, np.sin(phase) / k])
 
-    def folds(self) -> list[InverseComparison]:
-        """The used pieces twice, one half of them to fit on and the other to predict."""
-        used = self._used
-        names = list(dict.fromkeys(self.pieces[i].name for i in used))
-        if len(names) > 1:
-            turn = {name: k % 2 for k, name in enumerate(names)}
-            return [
-                self._of([(i, None, turn[self.pieces[i].name] == first) for i in used])
-                for first in (0, 1)
-            ]
-        halves = [(i, second) for i in used for second in (False, True)]
-        return [self._of([(*half, half[1] == first) for half in halves]) for first in (0, 1)]
 
-    def _of(self, chosen: Sequence[tuple[int, bool | None, bool]]) -> InverseComparison:
-        """Some pieces, or their first or second halves, and whether each is fitted."""
-        pieces, views, seen = [], [], []
-        for i, half, is_used in chosen:
-            piece, view = self.pieces[i], self.views[i]
-            if half is not None:
-                piece, view = piece.half(half), view.half(half)
-            pieces.append(replace(piece, use="used" if is_used else "held_out"))
-            views.append(view)
-            seen.append(self.seen[i] if half is None else {})
-        return replace(
-            self,
-            pieces=tuple(pieces),
-            motions=tuple(self.motions[i] for i, *_ in chosen),
-            known=tuple(self.known[i] for i, *_ in chosen),
-            views=tuple(views),
-            seen=tuple(seen),
+@dataclass(frozen=True)
+class InverseView:
+    """Motion of every piece against what was measured of torque, current or load position.
+
+    Attributes
+    ----------
+    motions, known
+        For every piece, over its whole recording: motion, and known torques at the motor, N m.
+    windows
+        For every piece: what is compared of a signal over its recording.
+    terms
+        Effects that may take part.
+    unknown
+        Bench parameters that are fitted: inertias and the gravity torque.
+    unit
+        N m or rad in one unit of the channel: K_t where current is compared.
+    load
+        The load's position is compared; its zero is fitted for each recording.
+    gravity_free
+        Gravity's size and direction are fitted in each recording.
+    load_angle_known, phases_shared
+        The motor position tells the load's angle, so gravity's direction; it is absolute, so one
+        phase holds for all recordings. Without either, sine and cosine are free per recording.
+    skew_s, width
+        Around which all is linear: lag of the current or position, s; of dry friction, rad/s.
+    slope
+        For every piece the change of the prediction by one second of skew, in the channel's unit.
+    shapes
+        Of each effect with a shape, the values tried.
+    orders, lines
+        Of the motor's turning with their prior weight, and frequencies in Hz with theirs.
+    columns_bench, cache
+        The bench as fitted, that columns are made of; signals that were computed.
+    """
+
+    pieces: tuple[Piece, ...]
+    motions: tuple[Motion, ...]
+    known: tuple[FloatArray, ...]
+    windows: tuple[Window, ...]
+    bench: Bench
+    terms: Mapping[str, Term]
+    unknown: tuple[str, ...] = ()
+    unit: float = 1.0
+    load: bool = False
+    gravity_free: bool = False
+    load_angle_known: bool = False
+    phases_shared: bool = False
+    skew_s: float = 0.0
+    width: float = 0.0
+    slope: tuple[FloatArray, ...] = ()
+    shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    orders: tuple[tuple[tuple[float, ...], float], ...] = ()
+    lines: tuple[tuple[tuple[float, ...], float], ...] = ()
+    columns_bench: Bench | None = None
+    cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    # Signals
+
+    @cached_property
+    def used(self) -> list[int]:
+        """Pieces that are fitted."""
+        return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+
+    @cached_property
+    def _moved(self) -> list[Motion]:
+        """Motion as the compared channel shows it: a channel that lags shows what was."""
+        key = ("motions", self.skew_s)
+        if key not in self.cache:
+            late = -self.skew_s if self.load else self.skew_s
+            self.cache[key] = [m.shifted(late) if late else m for m in self.motions]
+        return [replace(m, friction_width=self.width) for m in self.cache[key]]
+
+    def _seen(
+        self, i: int, key: Hashable, make: Callable[[Motion], FloatArray], width: float = 0.0
+    ) -> FloatArray:
+        """A signal along a motion, in the unit of the channel, as compared; computed once."""
+        whole = (i, key, self.skew_s, width)
+        if whole not in self.cache:
+            signal = self.windows[i](make(self._moved[i]))
+            self.cache[whole] = signal / (1.0 if self.load else self.unit)
+        found: FloatArray = self.cache[whole]
+        return found
+
+    def _signal(self, i: int, name: str, given: Mapping[str, float]) -> FloatArray:
+        law, bench = self.terms[name].law, self.columns_bench or self.bench
+        width = self.width if "direction" in effect_named(name).depends_on else 0.0
+        key = (name, *given.items(), id(bench))
+        return self._seen(i, key, lambda m: law.signal(m, bench, given), width)
+
+    def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> FloatArray:
+        """Sine and cosine of an effect's, of unit size, (n, 2)."""
+        amplitude = self.terms[name].law.amplitude
+        phases = ({amplitude: 1.0, PHASE: phase, **shapes} for phase in (0.0, 0.5 * math.pi))
+        return np.column_stack([self._signal(i, name, given) for given in phases])
+
+    def base(self, i: int) -> FloatArray:
+        """The nominal bench, in units of the channel, at the skew."""
+        if self.load:
+            ratio = self.bench.value("gear_ratio")
+            return self._seen(i, "base", lambda motion: motion.angle / ratio)
+        known = {} if self.load_angle_known else {GRAVITY: 0.0}
+        bench = self.bench.with_parameters(**known)
+        rubs = any("direction" in effect_named(e.name).depends_on for e in bench.effects)
+        return self._seen(
+            i,
+            "base",
+            lambda motion: required_torque(motion, bench) + self.known[i],
+            self.width if rubs else 0.0,
         )
 
-    def fit(self, effects: tuple[str, ...], start: EffectsFit | None = None) -> EffectsFit:
-        """Least squares with these effects; shapes that ``start`` holds are kept."""
-        shapes: Values = dict(start.shared) if start is not None else {}
-        trials: dict[str, float] = {}
-        fresh = [name for name in effects if start is None or name not in start.effects]
-        for name in effects:
-            if start is not None and name in start.effects:
-                shapes |= {
-                    f"{name}.{shape}": start.effects[name][shape] for shape in self._scanned(name)
-                }
-                trials[name] = start.trials.get(name, 1.0)
-        directional = self._directional(effects)
-        if directional and WIDTH not in shapes:
-            plain = tuple(e for e in effects if e not in fresh or not self._scanned(e))
-            self._scan_width(plain, shapes)
-        for name in fresh:
-            trials[name] = self._scan(name, effects, shapes, start)
-        if directional and any(self._scanned(name) for name in fresh):
-            self._scan_width(effects, shapes)
-        linear = self._linear(effects, shapes)
-        found = {name: self._catalogue(name, linear, shapes) for name in effects}
-        self._share_amplitudes(found, linear)
-        predictions = tuple(
-            self._prediction(i, effects, shapes, self._own(i, effects, shapes, linear, found))
-            for i in range(len(self.pieces))
-        )
-        names = self._names(effects, shapes, linear)
-        columns = tuple(
-            self.pieces[i].kept(self._jacobian(i, effects, shapes, linear, names))
-            for i in self._used
-        )
-        bench = {name: self.bench.value(name) + linear[name] for name in self.unknown}
-        edges = frozenset(
-            name
-            for name in effects
-            if self._at_edge(name, shapes) or self._is_rather_a_torque(name, effects, shapes)
-        )
-        shared = {WIDTH: shapes[WIDTH]} if directional else {}
-        besides = {name: value for name, value in linear.items() if "." not in name.split("@")[0]}
-        return EffectsFit(found, bench, predictions, columns, names, trials, edges, shared, besides)
+    def _base_above(self, i: int) -> FloatArray:
+        """Above the cut-off: the bench's own ripples, and the part of the inertia's torque along
+        the orders that are tried.
 
-    def scan_orders(self, fit: EffectsFit) -> OrderScan:
-        """Residuals of a fit on the used pieces, order by order of the motor's turning."""
-        rests = [
-            OrderedRest(
-                piece.name,
-                piece.kept(piece.time_s),
-                piece.kept(motion.angle[view.rows]),
-                piece.kept(np.abs(motion.speed[view.rows])),
-                piece.kept(piece.measured - fit.predictions[i]),
-                view.low_pass.cutoff_hz,
-                view.above,
-                view.low_pass.period_s,
-                view.step_rad,
-            )
-            for i, piece, motion, view in zip(
-                range(len(self.pieces)), self.pieces, self.motions, self.views, strict=True
-            )
-            if piece.use == "used"
+        A ripple that the loop is too slow for is in the motion, not in the current. Of the
+        acceleration up there little but noise is known, yet along one order little of that is left.
+        """
+        own = [
+            (TORQUE_TERMS[e.name].law, e.complete())
+            for e in self.bench.effects
+            if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
         ]
-        return OrderScan(tuple(rests), self.phases_shared)
+        total = self._seen(
+            i,
+            "own waves",
+            lambda m: np.asarray(
+                sum(
+                    (law.signal(m, self.bench, given) for law, given in own), np.zeros_like(m.angle)
+                )
+            ),
+        )
+        quiet = [grid[len(grid) // 2] for grid, _ in self.orders if self._is_quiet(i, grid[0])]
+        name = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
+        if not quiet or name is None:
+            return total
+        matrix = np.hstack([self._waves(i, name, {ORDER: order}) for order in quiet])
+        kept = self.pieces[i].kept
+        return np.asarray(total + matrix @ least_squares(kept(matrix), kept(self.base(i))))
 
-    # Shapes
+    def _is_quiet(self, i: int, order: float) -> bool:
+        """Whether J (n ω)² σ, by noise σ of the position, is a small part of the torque's noise."""
+        ratio, piece, window = self.bench.value("gear_ratio"), self.pieces[i], self.windows[i]
+        inertia = self.bench.value("motor_inertia_kg_m2")
+        inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
+        frequency = order * np.abs(piece.kept(self.motions[i].speed[window.rows]))
+        shown = frequency[frequency > 2.0 * math.pi * window.low_pass.cutoff_hz]
+        if not shown.size:
+            return True
+        made = inertia * math.sqrt(float(np.mean(shown**4))) * window.position_noise_rad
+        return made < QUIET * self.unit * noise_of(piece.kept(piece.measured))
+
+    def _nuisances(self, i: int) -> dict[str, FloatArray]:
+        """What is fitted of the bench itself."""
+        where = self.pieces[i].name
+        if self.load:
+            return {f"offset@{where}": self._seen(i, "one", lambda m: np.ones_like(m.angle))}
+        if self.windows[i].above:
+            return {}
+        made = {name: self._parameter(i, name) for name in self.unknown}
+        if self.gravity_free:
+            sine, cosine = self._gravity(i).T
+            made |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}
+        return made
+
+    def _parameter(self, i: int, name: str) -> FloatArray:
+        ratio = self.bench.value("gear_ratio")
+        laws: dict[str, Callable[[Motion], FloatArray]] = {
+            INERTIAS[0]: lambda m: m.acceleration,
+            INERTIAS[1]: lambda m: m.acceleration / ratio**2,
+            GRAVITY: lambda m: np.sin(m.angle / ratio) / ratio,
+        }
+        return self._seen(i, name, laws[name])
+
+    def _gravity(self, i: int) -> FloatArray:
+        """Of one N m, down and across, (n, 2)."""
+        ratio = self.bench.value("gear_ratio")
+        waves = ((np.sin, "down"), (np.cos, "across"))
+        made = [self._seen(i, key, lambda m, f=f: f(m.angle / ratio) / ratio) for f, key in waves]
+        return np.column_stack(made)
+
+    # The model
+
+    @cached_property
+    def model(self) -> AffineModel:
+        """Around the skew and the width."""
+        base = []
+        for i in range(len(self.pieces)):
+            if self.windows[i].above:
+                base.append(self._base_above(i))
+                continue
+            at = self.base(i)
+            base.append(at - self.skew_s * self.slope[i] if self.slope else at)
+        return AffineModel(
+            self.pieces,
+            tuple(base),
+            tuple(self._nuisances(i) for i in range(len(self.pieces))),
+            tuple(self._candidates()),
+            tuple(d for d, _ in self._series) + self._drift(),
+        )
+
+    def _every(
+        self, make: Callable[[int], FloatArray], *, above: bool = False
+    ) -> tuple[FloatArray, ...]:
+        """Columns of every piece; zero above the cut-off, where little but waves is known."""
+        made = [
+            None if self.windows[i].above and not above else make(i)
+            for i in range(len(self.pieces))
+        ]
+        width = next(part.shape[1] for part in made if part is not None)
+        return tuple(
+            np.zeros((piece.measured.size, width)) if part is None else part
+            for piece, part in zip(self.pieces, made, strict=True)
+        )
+
+    def _candidates(self) -> Iterator[Candidate]:
+        for name, term in self.terms.items():
+            law, amplitude = term.law, term.law.amplitude
+            excludes = frozenset({law.contains} if law.contains else ())
+            make = _CandidateOf(name, law.usual, term.not_negative, excludes, law.same_as)
+            if name == SKEW:
+                if self.slope:
+                    yield make(
+                        (amplitude,), (Look({}, self._every(lambda i: self.slope[i][:, None])),)
+                    )
+            elif law.scanned == ORDER:
+                for grid, weight in self.orders:
+                    looks = tuple(
+                        Look(
+                            {ORDER: order},
+                            self._every(
+                                lambda i, name=name, order=order: self._waves(
+                                    i, name, {ORDER: order}
+                                ),
+                                above=True,
+                            ),
+                            weight / len(grid),
+                        )
+                        for order in grid
+                    )
+                    label = f"{name} {grid[len(grid) // 2]:.6g}"
+                    yield make((amplitude,), looks, label, True, not self.phases_shared)
+            elif term.periodic:
+                look = Look({}, self._every(lambda i, name=name: self._waves(i, name, {})))
+                yield make((amplitude,), (look,), name, True, not self.phases_shared)
+            else:
+                parameters = (amplitude, *law.linear)
+                yield make(parameters, tuple(self._looks(name, parameters)))
+        if not self.load:
+            yield from self._wrong_values()
+        for grid, weight in self.lines:
+            looks = tuple(
+                Look(
+                    {"frequency_hz": hertz},
+                    self._every(lambda i, f=hertz: self._hum(i, f)),
+                    weight / len(grid),
+                )
+                for hertz in grid
+            )
+            label = f"line {grid[len(grid) // 2]:.6g} Hz"
+            yield Candidate(label, "line", label, ("amplitude",), looks, 0.1, False, True, True)
+
+    def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
+        law = self.terms[name].law
+        grid: tuple[float | None, ...] = self.shapes.get(name, (None,))
+        for value in grid:
+            shape = {} if law.scanned is None or value is None else {law.scanned: value}
+
+            def columns(i: int, shape: dict[str, float] = shape) -> FloatArray:
+                if law.scanned == law.amplitude:  # not linear in it: around this size
+                    return (self._signal(i, name, shape) / shape[law.amplitude])[:, None]
+                off = dict.fromkeys(parameters, 0.0)
+                given = [{**off, parameter: 1.0, **shape} for parameter in parameters]
+                return np.column_stack([self._signal(i, name, one) for one in given])
+
+            kept = {} if law.scanned == law.amplitude else shape
+            yield Look(kept, self._every(columns), 1.0 / len(grid))
+
+    def _wrong_values(self) -> Iterator[Candidate]:
+        """Inertia and gravity that the bench states without a tolerance, as they might be wrong."""
+        names = [] if set(self.unknown) & set(INERTIAS) else [INERTIAS[0]]
+        if self.load_angle_known and GRAVITY not in self.unknown:
+            names.append(GRAVITY)
+        for name in names:
+            look = Look({}, self._every(lambda i, name=name: self._parameter(i, name)[:, None]))
+            yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
+        if not self.load_angle_known and not self.gravity_free:
+            look = Look({}, self._every(self._gravity))
+            yield Candidate(
+                "gravity", "gravity", GRAVITY, (GRAVITY,), (look,), WRONG_VALUE, False, True, True
+            )
+
+    def _hum(self, i: int, hertz: float) -> FloatArray:
+        """Sine and cosine of a line in time, as compared, (n, 2)."""
+        made = []
+        for wave in (np.sin, np.cos):
+            key = ("line", hertz, wave.__name__)
+            law = lambda m, wave=wave: wave(2.0 * math.pi * hertz * m.time_s) * self.unit  # noqa: E731
+            made.append(
+                self._seen(i, key, law)
+                if not self.load
+                else self._seen(i, key, lambda m, wave=wave: wave(2.0 * math.pi * hertz * m.time_s))
+            )
+        return np.column_stack(made)
+
+    # What nothing explains
+
+    @cached_property
+    def _series(self) -> list[tuple[Discrepancy, Series]]:
+        made = []
+        for variable, period, reverses in self._kinds():
+            ratio = self.bench.value("gear_ratio")
+
+            def over(i: int, variable: Variable = variable, ratio: float = ratio) -> FloatArray:
+                x = variable_of(variable, self._moved[i], ratio)
+                kept = self.pieces[i].kept(x[self.windows[i].rows])
+                return np.asarray(kept)
+
+            every = np.concatenate([over(i) for i in self.used if not self.windows[i].above])
+            low, high = float(every.min()), float(every.max())
+            x = np.linspace(low, min(high, low + period), 1000)
+            series = Series(variable, period, reverses, np.zeros(2 * LEARNED_HARMONICS))
+            series = replace(series, means=series.waves(x).mean(axis=0))
+
+            def columns(i: int, series: Series = series, ratio: float = ratio) -> FloatArray:
+                motion = self._moved[i]
+                waves = series.waves(variable_of(series.variable, motion, ratio)) - series.means
+                if series.reverses:
+                    waves = waves * np.sign(motion.speed)[:, None]
+                window, unit = self.windows[i], 1.0 if self.load else self.unit
+                return np.column_stack([window(wave) / unit for wave in waves.T])
+
+            kind = f"{variable}{' reversing' if reverses else ''} {period:.3g}"
+            made.append((Discrepancy(kind, self._every(columns)), series))
+        return made
+
+    def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
+        ratio, motions = self.bench.value("gear_ratio"), [self.motions[i] for i in self.used]
+        ends = [(float(m.angle.min()), float(m.angle.max())) for m in motions]
+        way = (max(high for _, high in ends) - min(low for low, _ in ends)) / ratio
+        longest = max(high - low for low, high in ends)
+        turn = 2.0 * math.pi
+        for reverses in (False, True):
+            # Where the way is longer, what repeats with the load is over its turn.
+            yield "load_angle", turn if way >= 2.0 * turn else 2.0 * way, reverses
+        if longest >= turn and (
+            self.phases_shared or len({self.pieces[i].name for i in self.used}) == 1
+        ):
+            yield "motor_angle", turn, False
+        if not self.load:
+            yield "motor_speed", 4.0 * max(float(np.abs(m.speed).max()) for m in motions), False
+
+    def _drift(self) -> tuple[Discrepancy, ...]:
+        """A torque that drifts in each recording."""
+        names = tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
+
+        def columns(i: int) -> FloatArray:
+            motion, name = self.motions[i], self.pieces[i].name
+            x = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
+            k = np.arange(1, DRIFT_ORDERS + 1)
+            waves = np.cos(math.pi * x[:, None] * k) / k
+            made = np.zeros((self.pieces[i].measured.size, DRIFT_ORDERS * len(names)))
+            if name in names:
+                at = DRIFT_ORDERS * names.index(name)
+                made[:, at : at + DRIFT_ORDERS] = np.column_stack(
+                    [self.windows[i](wave) for wave in waves.T]
+                )
+            return made
+
+        return (Discrepancy("time", self._every(columns), own=True),)
+
+    # Towards the fit
+
+    def coarse(self) -> InverseView:
+        """With width and orders."""
+        return self._with_width()._with_lines()
+
+    def prepared(self) -> InverseView:
+        """With width, skew, orders and first shapes."""
+        shapes = {name: self._grid(name) for name in self.terms if self._grid(name)}
+        view = replace(self, shapes=shapes).coarse()
+        if SKEW in view.terms:
+            view = view._with_skew()
+            view = view.coarse()
+            view = replace(view, slope=view._slopes())
+        return view
+
+    def refined(self, inference: Inference) -> InverseView:
+        """Around the posterior's skew, inertia and shapes."""
+        values = {
+            label: inference.values(label)
+            for label, p in inference.posterior.inclusion.items()
+            if p > 0.5 and label in inference.labels
+        }
+        shapes = dict(self.shapes)
+        for name, grid in self.shapes.items():
+            if name in values:
+                shapes[name] = self._finer(inference, name, grid)
+        orders = tuple(self._finer_line(inference, g, w, ORDER) for g, w in self.orders)
+        lines = tuple(self._finer_line(inference, g, w, "frequency_hz") for g, w in self.lines)
+        fitted = {
+            name: self.bench.value(name) + inference.nuisance(name).value for name in self.unknown
+        }
+        for name in (*INERTIAS, GRAVITY):
+            if name in values:
+                fitted[name] = self.bench.value(name) + values[name][name].value
+        bench = self.bench.with_parameters(**{k: v for k, v in fitted.items() if v > 0.0})
+        view = replace(self, shapes=shapes, orders=orders, lines=lines, columns_bench=bench)
+        if SKEW in values:
+            amplitude = self.terms[SKEW].law.amplitude
+            skew = values[SKEW][amplitude].value
+            view = replace(view, skew_s=skew)
+        return replace(view, slope=view._slopes()) if SKEW in self.terms else view
+
+    def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
+        law = self.terms[name].law
+        if law.scanned == law.amplitude:
+            best = max(inference.values(name)[law.amplitude].value, 1e-3 * grid[0])
+        else:
+            assert law.scanned is not None
+            best = inference.values(name)[law.scanned].value
+        near = np.searchsorted(grid, best)
+        low, high = grid[max(0, near - 1)], grid[min(len(grid) - 1, near + 1)]
+        if not low < high:
+            return grid
+        return tuple(np.geomspace(low, high, FINER + 2).tolist())
+
+    def _finer_line(
+        self, inference: Inference, grid: tuple[float, ...], weight: float, shape: str
+    ) -> tuple[tuple[float, ...], float]:
+        for label, candidate in inference.labels.items():
+            mine = candidate.looks[0].shapes.get(shape) == grid[0]
+            if mine and inference.posterior.inclusion[label] > 0.5:
+                found = inference.values(label)[shape]
+                step = max(found.sd, 0.25 * (grid[1] - grid[0]))
+                whole = float(round(found.value))
+                middle = (
+                    whole if shape == ORDER and abs(found.value - whole) < step else found.value
+                )
+                return tuple((middle + step * np.linspace(-2.0, 2.0, FINER)).tolist()), weight
+        return grid, weight
 
     def _grid(self, name: str) -> tuple[float, ...]:
-        """Values of an effect's shape to try, in its own unit."""
-        if name == SKEW:
-            period = 1.0 / self.views[0].low_pass.cutoff_hz
-            return tuple(period * share for share in SKEW_GRID)
         law = self.terms[name].law
+        if law.scanned is None or law.scanned == ORDER or name == SKEW:
+            return ()
         unit = self.speed_rad_per_s if law.grid_unit == "speed" else self._travel_rad
         return tuple(unit * share for share in law.grid)
 
-    @property
+    @cached_property
     def speed_rad_per_s(self) -> float:
         """RMS speed of the motor over what is fitted."""
-        speeds = np.concatenate(
-            [
-                self.pieces[i].kept(self.motions[i].speed[self.views[i].rows])
-                for i in self._used
-                if not self.views[i].above
-            ]
-        )
-        return math.sqrt(float(np.mean(speeds**2)))
+        speeds = [
+            self.pieces[i].kept(self.motions[i].speed[self.windows[i].rows])
+            for i in self.used
+            if not self.windows[i].above
+        ]
+        return math.sqrt(float(np.mean(np.concatenate(speeds) ** 2)))
 
-    @property
+    @cached_property
     def _travel_rad(self) -> float:
         """Way of the load over what is fitted."""
-        angles = [self.motions[i].angle for i in self._used]
-        way = max(float(np.ptp(angle)) for angle in angles)
+        way = max(float(np.ptp(self.motions[i].angle)) for i in self.used)
         return way / self.bench.value("gear_ratio")
 
-    @property
-    def _period_s(self) -> float:
-        """Sampling period of the recordings."""
-        times = self.motions[0].time_s
-        return float(times[-1] - times[0]) / (times.size - 1)
+    def _linear_columns(self, i: int) -> dict[str, FloatArray]:
+        """Nuisances, effects linear in one amplitude, waves of the orders found, each (n,)."""
+        columns = dict(self._nuisances(i))
+        where = self.pieces[i].name
+        for name, term in self.terms.items():
+            law = term.law
+            if name == SKEW or term.periodic or self.windows[i].above:
+                continue
+            if law.scanned is None and not law.linear:
+                columns[name] = self._signal(i, name, {law.amplitude: 1.0})
+        wave = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
+        if wave is not None:
+            for grid, _ in self.orders:
+                sine, cosine = self._waves(i, wave, {ORDER: grid[len(grid) // 2]}).T
+                columns |= {f"sine {grid[0]}@{where}": sine, f"cosine {grid[0]}@{where}": cosine}
+        return columns
 
-    def _at_edge(self, name: str, shapes: Values) -> bool:
-        """Whether the scan of an effect's shape ended where it ends or shows nothing."""
-        widest = 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s
-        if "direction" in effect_named(name).depends_on and shapes.get(WIDTH, 0.0) > widest:
-            return True
-        scanned = self._scanned(name)
-        if not scanned:
-            return False
-        value = shapes[f"{name}.{scanned[0]}"]
-        if name == SKEW and abs(value) < 0.5 * self._period_s:
-            return True  # so far apart are samples and what a controller holds between them
-        if scanned[0] == ORDER:
-            return value == NO_ORDER
-        grid = self._grid(name)
-        near = 1e-2 * (grid[1] - grid[0])
-        return not grid[0] + near < value < grid[-1] - near or self._extrapolates(name, shapes)
-
-    def _extrapolates(self, name: str, shapes: Values) -> bool:
-        """Whether no sample shows half of an effect's size: it would be an extrapolation."""
-        term = self.terms[name]
-        if name == SKEW or self.load or term.periodic or term.law.scanned is None:
-            return False
-        given = {
-            term.candidate.amplitude: 1.0,
-            term.law.scanned: shapes[f"{name}.{term.law.scanned}"],
-        }
-        largest = 0.0
-        for i in self._used:
-            signal = term.law.signal(self._motion(i, shapes), self.bench, given)
-            window = self.views[i].window
-            largest = max(
-                largest, float(np.abs(signal if window is None else window * signal).max())
-            )
-        return largest < 0.5
-
-    def _is_rather_a_torque(self, name: str, effects: tuple[str, ...], shapes: Values) -> bool:
-        """Whether what an error of the encoder makes is explained better by a torque that turns.
-
-        The one grows with the square of the speed, the other is the same at all. A ripple may be
-        named already, of another order: then nothing else would speak for the torque.
-        """
-        term = self.terms[name]
-        if self.load or not term.periodic or term.law.scanned is not None:
-            return False
-        others = tuple(e for e in effects if e != name)
-        left = []
-        for held, turning in ((effects, False), (others, True)):
-            tables = [
-                {
-                    **self._kept_columns(i, held, shapes),
-                    **(self._kept_turning(i, shapes) if turning else {}),
-                }
-                for i in self._used
-            ]
-            rests = [self._rest(i, held, shapes) for i in self._used]
-            along = Staying([{} for _ in tables])
-            explained = along.explained(tables, rests, along.along(rests))
-            left.append(sum(float(rest @ rest) for rest in rests) - explained)
-        return left[1] <= left[0]
-
-    def _kept_turning(self, i: int, shapes: Values) -> Columns:
-        """Sine and cosine of the motor's angle, with one phase for whatever shares it."""
-        where = "" if self.phases_shared else f"@{self.pieces[i].name}"
-        waves = replace(self, waves=(1.0,))._allowed_for(i, shapes)
-        return {
-            f"turning {k}{where}": self.pieces[i].kept(wave)
-            for k, wave in enumerate(waves.values())
-        }
-
-    def _scan_width(self, effects: tuple[str, ...], shapes: Values) -> None:
-        unit = self.speed_rad_per_s
-        self._search(WIDTH, [unit * share for share in WIDTH_GRID], effects, shapes)
-
-    def _scan(
-        self, name: str, effects: tuple[str, ...], shapes: Values, start: EffectsFit | None
-    ) -> float:
-        """Put the best shape of an effect into ``shapes``; the number of independent trials."""
-        scanned = self._scanned(name)
-        if not scanned:
-            return 1.0
-        key, trials = f"{name}.{scanned[0]}", 3.0
-        if scanned[0] == ORDER:
-            without = start or self.fit(tuple(e for e in effects if e != name), None)
-            line = of_angle(self._clearest(without))
-            if line is None:
-                shapes[key] = NO_ORDER
-                return trials
-            step = self.scan_orders(without).step
-            grid = (line.order - step, line.order, line.order + step)
-            self._search(key, grid, effects, shapes)
-            trials = line.trials
-        elif name == SKEW and not self.load:
-            # A ripple of a motor that yields to it is in the torque and in the motion out of step:
-            # without it a delay would take its place.
-            without = start or self.fit(tuple(e for e in effects if e != name), None)
-            orders = tuple(line.order for line in self._clearest(without))
-            replace(self, waves=orders)._search(key, self._grid(name), effects, shapes)
-        else:
-            self._search(key, self._grid(name), effects, shapes)
-        return trials
-
-    def _clearest(self, fit: EffectsFit) -> list[Line]:
-        """Lines that stand out of what a fit leaves; those of the last fit are kept."""
-        if id(fit) not in self.lines:
-            self.lines.clear()
-            self.lines[id(fit)] = fit, self.scan_orders(fit).clearest()
-        return self.lines[id(fit)][1]
-
-    def _search(
-        self, key: str, grid: Sequence[float], effects: tuple[str, ...], shapes: Values
-    ) -> None:
-        """Put the value of least squares into ``shapes``: a grid, then a search around its best."""
-        cost = self._cost(key, effects, shapes)
-        costs = [cost(value) for value in grid]
-        best = int(np.argmin(costs))
-        low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
-        found = minimize_scalar(
-            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
-        )
-        shapes[key] = float(found.x) if found.fun <= costs[best] else float(grid[best])
-
-    # Least squares
-
-    def _cost(self, key: str, effects: tuple[str, ...], shapes: Values) -> Callable[[float], float]:
-        """Sum of squares of the fit over a shape; what does not depend on it is fitted once."""
-        used, all_move = self._used, key.startswith(SKEW)
-        moving = tuple(e for e in effects if all_move or self._depends(e, key))
-        others = tuple(e for e in effects if e not in moving)
-        stay: list[Columns] = [{} for _ in used]
-        if not all_move:
-            stay = [self._kept_columns(i, others, shapes) for i in used]
-        staying = Staying(stay)
-
-        def cost(value: float) -> float:
-            tried = {**shapes, key: value}
-            rests = [self._rest(i, effects, tried) for i in used]
-            along = staying.along(rests)
-            tables = [
-                {n: c for n, c in self._kept_columns(i, moving, tried).items() if n not in table}
-                for i, table in zip(used, stay, strict=True)
-            ]
-            left = sum(float(rest @ rest) for rest in rests) - float(along @ along)
-            return left - staying.explained(tables, rests, along)
-
-        return cost
-
-    def _depends(self, name: str, key: str) -> bool:
-        """Whether an effect's columns change with a shape."""
-        if key == WIDTH:
-            return "direction" in effect_named(name).depends_on
-        return key.startswith(f"{name}.")
-
-    def _rest(self, i: int, effects: tuple[str, ...], shapes: Values) -> FloatArray:
-        """What the bench leaves of a piece, at the samples that count, shape (k,)."""
-        piece = self.pieces[i]
-        return piece.kept(piece.measured - self._base(i, effects, shapes))
-
-    def _kept_columns(self, i: int, effects: tuple[str, ...], shapes: Values) -> Columns:
-        columns = self._columns(i, effects, shapes)
-        return {name: self.pieces[i].kept(column) for name, column in columns.items()}
-
-    def _linear(self, effects: tuple[str, ...], shapes: Values) -> Values:
-        """Linear coefficients by name, fitted on all used pieces."""
-        used = self._used
-        tables = [self._kept_columns(i, effects, shapes) for i in used]
+    def _linear_fit(self) -> tuple[list[int], dict[str, float]]:
+        """Used pieces below the cut-off, and coefficients of all that is linear, fitted on them."""
+        chosen = [i for i in self.used if not self.windows[i].above]
+        tables = [self._linear_columns(i) for i in chosen]
         names = list(dict.fromkeys(name for table in tables for name in table))
-        if not names:
-            return {}
-        # A piece of which nothing is modelled says nothing of the coefficients.
-        chosen = [(i, table) for i, table in zip(used, tables, strict=True) if table]
-        matrix = np.vstack([stacked(table, names) for _, table in chosen])
-        rest = np.concatenate([self._rest(i, effects, shapes) for i, _ in chosen])
-        return dict(zip(names, least_squares(matrix, rest).tolist(), strict=True))
+        blocks, targets = [], []
+        for i, table in zip(chosen, tables, strict=True):
+            piece = self.pieces[i]
+            nothing = np.zeros(piece.measured.size)
+            columns = [table.get(name, nothing) for name in names]
+            blocks.append(piece.kept(np.column_stack([*columns, nothing])))
+            targets.append(piece.kept(piece.measured - self.base(i)))
+        values = least_squares(np.vstack(blocks), np.concatenate(targets))[:-1]
+        return chosen, dict(zip(names, values.tolist(), strict=True))
 
-    def _prediction(
-        self,
-        i: int,
-        effects: tuple[str, ...],
-        shapes: Mapping[str, float],
-        linear: Mapping[str, float],
-    ) -> FloatArray:
-        """All that is modelled of a piece, in units of its channel."""
-        prediction = self._base(i, effects, shapes).copy()
-        for name, column in self._columns(i, effects, shapes).items():
-            prediction += linear[name] * column
-        return prediction
+    def _linear_prediction(self, i: int, values: Mapping[str, float]) -> FloatArray:
+        columns = self._linear_columns(i)
+        parts = (values[name] * column for name, column in columns.items() if name in values)
+        return np.asarray(self.base(i) + sum(parts))
 
-    def _own(
-        self,
-        i: int,
-        effects: tuple[str, ...],
-        shapes: Values,
-        linear: Values,
-        found: Mapping[str, Mapping[str, float]],
-    ) -> Values:
-        """Coefficients of a piece; what belongs to a held-out recording alone is fitted on it."""
-        columns = self._columns(i, effects, shapes)
-        own = [name for name in columns if name not in linear]
-        if not own:
-            return linear
-        piece = self.pieces[i]
-        rest = piece.measured - self._base(i, effects, shapes)
-        for name, column in columns.items():
-            if name in linear:
-                rest = rest - linear[name] * column
-        matrix = np.column_stack([columns[name] for name in own])
-        fitted = least_squares(piece.kept(matrix), piece.kept(rest)).tolist()
-        complete = {**linear, **dict(zip(own, fitted, strict=True))}
-        self._share_amplitudes(found, complete)
-        return complete
+    def fitted(self) -> tuple[FloatArray, ...]:
+        """Prediction of every used piece below the cut-off by all that is linear, (n,); of others
+        an empty one."""
+        chosen, values = self._linear_fit()
+        return tuple(
+            self._linear_prediction(i, values) if i in chosen else np.zeros(0)
+            for i in range(len(self.pieces))
+        )
 
-    def _share_amplitudes(self, found: Mapping[str, Mapping[str, float]], linear: Values) -> None:
-        """Waves with a phase for each recording have one amplitude."""
-        for name, parameters in found.items():
-            amplitude = abs(parameters[self.terms[name].candidate.amplitude])
-            for sine in [key for key in linear if key.startswith(f"{name}.sine@")]:
-                cosine = sine.replace(".sine@", ".cosine@")
-                size = math.hypot(linear[sine], linear[cosine])
-                if size > 0.0:
-                    linear[sine] *= amplitude / size
-                    linear[cosine] *= amplitude / size
+    def least_left(self) -> float:
+        """Sum of squares that these leave."""
+        made = self.fitted()
+        return sum(
+            float(np.sum(self.pieces[i].kept(self.pieces[i].measured - made[i]) ** 2))
+            for i in self.used
+            if not self.windows[i].above
+        )
 
-    def _catalogue(self, name: str, linear: Values, shapes: Values) -> Values:
-        """An effect's parameters as the catalogue has them; phases of all recordings or none."""
-        term, start = self.terms[name], f"{name}."
-        given = {k.removeprefix(start): v for k, v in shapes.items() if k.startswith(start)}
-        if not term.periodic:
-            given |= {k.removeprefix(start): v for k, v in linear.items() if k.startswith(start)}
-            return given
-        amplitude = 0.0
-        for sine in [key for key in linear if key.startswith(f"{name}.sine")]:
-            cosine = linear[sine.replace(".sine", ".cosine")]
-            where = sine.partition(".sine")[2]
-            amplitude += math.hypot(linear[sine], cosine) * self._share(where)
-            if not where:
-                given[PHASE] = math.atan2(cosine, linear[sine])
-        return {term.candidate.amplitude: amplitude, **given}
+    def _with_width(self) -> InverseView:
+        names = (*self.terms, *(e.name for e in self.bench.effects))
+        if self.load or not any("direction" in effect_named(n).depends_on for n in names):
+            return self
+        unit = self.speed_rad_per_s
+        width = _minimum(
+            lambda w: replace(self, width=w).least_left(), [unit * w for w in WIDTH_GRID]
+        )
+        return replace(self, width=width)
 
-    def _share(self, where: str) -> float:
-        """Weight of a recording in an amplitude common to all: its share of the samples."""
-        if not where:
-            return 1.0
-        sizes: Values = {}
-        for i in self._used:
-            key = f"@{self.pieces[i].name}"
-            sizes[key] = sizes.get(key, 0.0) + self.pieces[i].measured.size
-        return sizes[where] / sum(sizes.values())
+    def _with_skew(self) -> InverseView:
+        period = 1.0 / self.windows[0].low_pass.cutoff_hz
+        grid = [period * share for share in SKEW_GRID]
+        costs = [replace(self, skew_s=skew).least_left() for skew in grid]
+        return replace(self, skew_s=grid[int(np.argmin(costs))])
 
-    # Derivatives
-
-    def _names(self, effects: tuple[str, ...], shapes: Values, linear: Values) -> tuple[str, ...]:
-        """Everything fitted, sines and cosines as one amplitude and phases."""
-        names: list[str] = []
-        for name in linear:
-            effect, sine, where = name.partition(".sine")
-            if sine:
-                names += [f"{effect}.{self.terms[effect].candidate.amplitude}"]
-                names += [f"{effect}.{PHASE}{where}"]
-            elif ".cosine" not in name:
-                names.append(name)
-        names += [key for key in shapes if key != WIDTH or self._directional(effects)]
-        return tuple(dict.fromkeys(names))
-
-    def _jacobian(
-        self,
-        i: int,
-        effects: tuple[str, ...],
-        shapes: Values,
-        linear: Values,
-        names: Sequence[str],
-    ) -> FloatArray:
-        """∂prediction/∂value, shape (n, p): columns, and differences for what is scanned."""
-        columns = self._columns(i, effects, shapes)
-        nothing = np.zeros(self.pieces[i].measured.size)
+    def _slopes(self) -> tuple[FloatArray, ...]:
+        """Change of the prediction by a second of skew, with all that is linear as it fits."""
+        _, values = self._linear_fit()
+        step = 1e-2 / self.windows[0].low_pass.cutoff_hz
+        ahead, behind = (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
         made = []
-        for name in names:
-            if name in shapes:
-                step = self._step(name, shapes[name])
-                up, down = (
-                    self._prediction(i, effects, {**shapes, name: shapes[name] + s}, linear)
-                    for s in (step, -step)
-                )
-                # What is rounding alone must be no column: scaled, it would blur the others.
-                is_seen = np.abs(up - down).max() > ROUNDING * np.abs(up).max()
-                made.append((up - down) / (2.0 * step) if is_seen else nothing)
+        for i, piece in enumerate(self.pieces):
+            if self.windows[i].above:
+                made.append(np.zeros(piece.measured.size))
                 continue
-            effect, _, parameter = name.partition("@")[0].partition(".")
-            waves = [k for k in columns if k.startswith(f"{effect}.sine")] if parameter else []
-            if not waves:
-                made.append(columns.get(name, nothing))
-                continue
-            (wave,) = waves
-            where = wave.partition(".sine")[2]
-            sine, cosine = columns[wave], columns[f"{effect}.cosine{where}"]
-            a, b = linear[wave], linear[f"{effect}.cosine{where}"]
-            size = math.hypot(a, b) or 1.0
-            if parameter != PHASE:
-                made.append((a * sine + b * cosine) / size)
-            elif name.partition("@")[1] and f"@{name.partition('@')[2]}" != where:
-                made.append(nothing)
-            else:
-                made.append(a * cosine - b * sine)
-        return np.column_stack(made) if made else np.zeros((nothing.size, 0))
+            two = (view._linear_prediction(i, values) for view in (ahead, behind))
+            first, other = two
+            made.append((first - other) / (2.0 * step))
+        return tuple(made)
 
-    def _step(self, name: str, value: float) -> float:
-        effect, _, parameter = name.partition(".")
-        if effect == SKEW:
-            return 1e-3 / self.views[0].low_pass.cutoff_hz
-        return 1e-5 * value if parameter == ORDER else 1e-2 * value
+    def _rests(self) -> list[OrderedRest]:
+        """What all that is linear leaves, over the motor's angle."""
+        below = replace(self, orders=()).fitted()
+        made = []
+        for i in self.used:
+            piece, motion, window = self.pieces[i], self.motions[i], self.windows[i]
+            rest = piece.measured - (self._base_above(i) if window.above else below[i])
+            made.append(
+                OrderedRest(
+                    piece.name,
+                    piece.kept(piece.time_s),
+                    piece.kept(motion.angle[window.rows]),
+                    piece.kept(np.abs(motion.speed[window.rows])),
+                    piece.kept(rest),
+                    window.low_pass.cutoff_hz,
+                    window.above,
+                    window.low_pass.period_s,
+                    window.step_rad,
+                )
+            )
+        return made
+
+    def _with_lines(self) -> InverseView:
+        """With the orders and frequencies that stand out most."""
+        rests = self._rests()
+        turning = peaks(rests, self.phases_shared, MOST_ORDERS)
+        clock = [
+            replace(
+                r,
+                angle=2.0 * math.pi * (r.time_s - r.time_s[0]),
+                speed=np.full(r.time_s.size, 2.0 * math.pi),
+                step_rad=0.0,
+            )
+            for r in rests
+            if not r.above
+        ]
+        passing = peaks(clock, False, MOST_LINES)
+        return replace(self, orders=tuple(turning), lines=tuple(passing))
+
+    # What is told
+
+    def reportable(self, inference: Inference, label: str) -> bool:
+        """A skew below half a sample is what a controller holds between samples; a shape at an end
+        of its range is another law in disguise, and what no sample shows is an extrapolation."""
+        if label == SKEW:
+            time = self.motions[0].time_s
+            (skew,) = inference.values(label).values()
+            return abs(skew.value) > 0.5 * float(time[1] - time[0])
+        whole = self._grid(label) if label in self.terms else ()
+        scanned = self.terms[label].law.scanned if whole else None
+        if scanned is None:
+            return True
+        value = inference.values(label)[scanned].value
+        return whole[0] < value < whole[-1]
+
+    def learned(self, inference: Inference, group: int) -> LearnedAnswer | None:
+        """A group as a torque over its variable."""
+        if self.load or group >= len(self._series):
+            return None
+        series = self._series[group][1]
+        draws = inference.discrepancy_draws[:, inference.groups[group]]
+        decay = np.tile(1.0 / np.arange(1, LEARNED_HARMONICS + 1), 2)
+        waves = draws * decay
+        constant = -draws @ series.means
+        mean = waves.mean(axis=0)
+        term = LearnedTorque(
+            "motor",
+            series.variable,
+            series.period,
+            float(constant.mean()),
+            tuple(mean[:LEARNED_HARMONICS].tolist()),
+            tuple(mean[LEARNED_HARMONICS:].tolist()),
+            series.reverses,
+            (float(constant.std()), *waves.std(axis=0).tolist()),
+        )
+        ratio = self.bench.value("gear_ratio")
+        seen = [variable_of(term.variable, motion, ratio) for motion in self.motions]
+        low, high = min(float(x.min()) for x in seen), max(float(x.max()) for x in seen)
+        if high - low > term.period:
+            low, high = -0.5 * term.period, 0.5 * term.period
+        x = np.linspace(low, high, CURVE_POINTS)
+        values = (series.waves(x) - series.means) @ draws.T
+        curve = LearnedCurve(x, values.mean(axis=1), values.std(axis=1))
+        size = float(
+            np.abs(curve.value if term.reverses else curve.value - curve.value.mean()).max()
+        )
+        return LearnedAnswer(term, size, (), curve)
+
+    def augmented(
+        self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
+    ) -> Bench | None:
+        """With what was named and learned; ``None`` if a phase of it belongs to a recording."""
+        effects = [
+            BenchEffect(name, {k: EffectParameterValue(v) for k, v in parameters.items()})
+            for name, parameters in named.items()
+        ]
+        if any(effect_named(e.name).is_periodic and PHASE not in e.parameters for e in effects):
+            return None
+        assert answer.learned is not None
+        assert isinstance(answer.learned.term, LearnedTorque)
+        bench = replace(self.bench, learned_torque=answer.learned.term)
+        fitted = {k: v.value for k, v in answer.bench_parameters.items()}
+        return bench.with_parameters(**fitted).with_effects(*bench.effects, *effects)
+
+
+@dataclass(frozen=True, slots=True)
+class _CandidateOf:
+    """Makes candidates of one effect."""
+
+    name: str
+    usual: float
+    not_negative: bool
+    excludes: frozenset[str]
+    same_as: tuple[str, ...]
+
+    def __call__(
+        self,
+        parameters: tuple[str, ...],
+        looks: tuple[Look, ...],
+        label: str = "",
+        is_wave: bool = False,
+        own_phase: bool = False,
+    ) -> Candidate:
+        return Candidate(
+            label or self.name,
+            "effect",
+            self.name,
+            parameters,
+            looks,
+            self.usual,
+            self.not_negative,
+            is_wave,
+            own_phase,
+            self.excludes,
+            self.same_as,
+        )
+
+
+def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
+    """The value of the least cost: a grid, then a search around its best."""
+    costs = [cost(value) for value in grid]
+    best = int(np.argmin(costs))
+    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    found = minimize_scalar(
+        cost, bounds=(low, high), method="bounded", options={"xatol": 1e-2 * (high - low)}
+    )
+    return float(found.x) if found.fun <= costs[best] else float(grid[best])

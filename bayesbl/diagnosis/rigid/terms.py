@@ -10,7 +10,6 @@ An effect takes part by the laws that its module under ``bench/effects`` declare
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -43,32 +42,15 @@ class Term:
     candidate: TestedEffect
     law: RigidLaw
     periodic: bool
+    not_negative: bool
 
 
 def _term(effect: Effect, law: RigidLaw) -> Term:
-    candidate = TestedEffect(
-        effect.name,
-        law.amplitude,
-        freedom=2 if effect.is_periodic else 1,
-        same_as=law.same_as,
-        contains=law.contains,
-        not_negative=law.not_negative
-        or any(item.not_negative for item in effect.amplitudes if item.name == law.amplitude),
-        at_most=min(
-            (a.high for a in effect.amplitudes if a.name == law.amplitude and not a.unit),
-            default=math.inf,
-        ),
-        acts_above=law.scanned == ORDER,
-        is_plain=not (
-            effect.is_periodic
-            or law.scanned
-            or law.linear
-            or law.contains
-            or law.beside
-            or effect.name == SKEW
-        ),
+    not_negative = law.not_negative or any(
+        item.not_negative for item in effect.amplitudes if item.name == law.amplitude
     )
-    return Term(candidate, law, effect.is_periodic)
+    candidate = TestedEffect(effect.name, law.same_as, law.contains)
+    return Term(candidate, law, effect.is_periodic, not_negative)
 
 
 TORQUE_TERMS: Mapping[str, Term] = MappingProxyType(
