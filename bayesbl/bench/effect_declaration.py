@@ -194,6 +194,8 @@ class RigidLaw:
     usual
         Share that it usually has in the root mean square of what is compared: the scale of its
         size before anything is seen.
+    requires
+        An effect without which it makes no sense: it is a departure from it.
     """
 
     signal: Law
@@ -207,6 +209,7 @@ class RigidLaw:
     not_negative: bool = False
     bench_parameters: tuple[str, ...] = ()
     usual: float = 0.3
+    requires: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

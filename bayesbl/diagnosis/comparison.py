@@ -134,6 +134,7 @@ class Candidate:
     is_wave: bool = False
     own_phase: bool = False
     excludes: frozenset[str] = frozenset()
+    requires: frozenset[str] = frozenset()
     same_as: tuple[str, ...] = ()
 
 

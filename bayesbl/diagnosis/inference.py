@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from scipy.signal import lfilter
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE
@@ -40,6 +41,9 @@ from bayesbl.units import unit_of
 DRAWS = 1000
 """Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
 
+MOST_EFFECTS = 6
+"""Named where a configuration does not say how many."""
+
 MOST_TERMS = 8
 """Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
 
@@ -62,7 +66,12 @@ class View(Protocol):
     def refined(self, inference: Inference) -> View:
         """Around the fit that an inference gives, with finer shapes."""
 
-    def learned(self, inference: Inference, group: int) -> LearnedAnswer | None:
+    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
+        """Predictions of every piece without any effect, (n,)."""
+
+    def learned(
+        self, inference: Inference, fitted: Coefficients, group: int
+    ) -> LearnedAnswer | None:
         """What a group of the discrepancy holds, if it can be told as a torque."""
 
     def augmented(
@@ -84,14 +93,28 @@ class _Placed:
     columns: slice
 
 
-def counted(noise: ResidualNoise, values: FloatArray) -> FloatArray:
-    """Values in units of the noise where its spectrum is strongest, (n, …).
+def counted(noise: ResidualNoise, values: FloatArray, *, shown: bool) -> FloatArray:
+    """Values in units of the noise, (n, …).
 
-    p'Σp ≤ s² p'p for every prediction p, so that no evidence is counted that is not there. Whitened,
-    a recording would be fitted where its noise is weakest, which of a real joint is where the bench
-    knows least; and what is fitted is no longer what is reported.
+    Of a piece that is shown, of the noise where its spectrum is strongest: p'Σp ≤ s² p'p for every
+    prediction p, so that no evidence is counted that is not there. Whitened, a recording would be
+    fitted where its noise is weakest, which of a real joint is where the bench knows least. Of one
+    that holds lines alone, whitened: each line is judged by the noise around it.
     """
-    return np.asarray(values / max(noise.strongest, float(np.finfo(float).tiny)))
+    if shown:
+        return np.asarray(values / max(noise.strongest, float(np.finfo(float).tiny)))
+    phi = noise.coefficients
+    made = lfilter(np.concatenate(([1.0], -phi)), [1.0], values, axis=0)
+    return np.asarray(made[phi.size :] / max(noise.innovation, float(np.finfo(float).tiny)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coefficients:
+    """Of the nuisances (d,), of every term in the catalogue's units, of every group."""
+
+    nuisances: FloatArray
+    sizes: list[FloatArray]
+    discrepancy: list[FloatArray]
 
 
 class Inference:
@@ -188,8 +211,12 @@ class Inference:
         noises = self.noises
 
         def rows(parts: Sequence[FloatArray]) -> FloatArray:
-            pairs = zip(noises, parts, strict=True)
-            return np.concatenate([counted(noise, part) for noise, part in pairs])
+            return np.concatenate(
+                [
+                    counted(noise, part, shown=self.model.pieces[i].shown)
+                    for i, noise, part in zip(self.model.used, noises, parts, strict=True)
+                ]
+            )
 
         jacobian = rows(self._nuisances)
         d = jacobian.shape[1]
@@ -206,6 +233,7 @@ class Inference:
                 placed.candidate.not_negative and placed.unit.size == 1,
                 prior_weight=placed.look.weight,
                 excludes=placed.candidate.excludes,
+                requires=placed.candidate.requires,
             )
             for placed, block in zip(self.terms, blocks, strict=True)
         ]
@@ -277,40 +305,111 @@ class Inference:
         draws = self.nuisance_draws[:, self.model.nuisance_names.index(name)]
         return Estimate(float(draws.mean()), float(draws.std()))
 
-    def predicted(
-        self, labels: Sequence[str], groups: Sequence[int] = ()
-    ) -> tuple[FloatArray, ...]:
-        """Of every piece (n,): base, nuisances, these candidates and groups, averaged."""
-        return tuple(self._predicted(i, labels, groups) for i in range(len(self.model.pieces)))
+    @property
+    def average(self) -> Coefficients:
+        """Of everything, over the posterior."""
+        return Coefficients(
+            self.nuisance_draws.mean(axis=0),
+            [
+                self.size_draws[:, placed.columns].mean(axis=0) * placed.unit
+                for placed in self.terms
+            ],
+            [self.discrepancy_draws[:, group].mean(axis=0) for group in self.groups],
+        )
 
-    def _predicted(self, i: int, labels: Sequence[str], groups: Sequence[int]) -> FloatArray:
+    def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
+        """Of what is named, as it fits best with what is learned and nothing else.
+
+        What no name holds is told apart from the names only if the names take all they can: the
+        discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274).
+        """
+        view = self.posterior.linearised
+        chosen = [self._likeliest(label) for label in labels]
+        sds = np.concatenate(
+            [
+                np.full(view.jacobian.shape[1], np.inf),
+                *(np.full(self.terms[k].unit.size, np.inf) for k in chosen),
+                *(
+                    np.full(
+                        self.groups[g].stop - self.groups[g].start, self.posterior.discrepancy_sd(g)
+                    )
+                    for g in groups
+                ),
+            ]
+        )
+        matrix = np.hstack(
+            [
+                view.jacobian,
+                *(view.terms[k].columns for k in chosen),
+                *(view.discrepancy[:, self.groups[g]] for g in groups),
+            ]
+        )
+        held = np.isfinite(sds)
+        prior = np.zeros((int(held.sum()), sds.size))
+        prior[np.arange(len(prior)), np.flatnonzero(held)] = 1.0 / np.maximum(sds[held], 1e-300)
+        values = least_squares(
+            np.vstack([matrix, prior]), np.concatenate([view.residual, np.zeros(len(prior))])
+        )
+        sizes = [np.zeros(placed.unit.size) for placed in self.terms]
+        at = view.jacobian.shape[1]
+        nuisances = values[:at]
+        for k in chosen:
+            unit = self.terms[k].unit
+            sizes[k] = values[at : at + unit.size] * unit
+            at += unit.size
+        discrepancy = [np.zeros(group.stop - group.start) for group in self.groups]
+        for g in groups:
+            discrepancy[g] = values[at : at + discrepancy[g].size]
+            at += discrepancy[g].size
+        return Coefficients(nuisances, sizes, discrepancy)
+
+    def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
+        """Linear parameters of a candidate."""
+        candidate = self.labels[label]
+        size = fitted.sizes[self._likeliest(label)]
+        if not candidate.is_wave:
+            return dict(zip(candidate.parameters, size.tolist(), strict=True))
+        pairs = size.reshape(-1, 2)
+        made = {candidate.parameters[0]: float(np.hypot(*pairs.T).mean())}
+        if not candidate.own_phase:
+            made[PHASE] = math.atan2(pairs[0, 1], pairs[0, 0])
+        return made
+
+    def _likeliest(self, label: str) -> int:
+        """The term of a candidate that most draws have."""
+        places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
+        counts = [
+            np.any(self.size_draws[:, self.terms[k].columns] != 0.0, axis=1).sum() for k in places
+        ]
+        return places[int(np.argmax(counts))]
+
+    def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
+        """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
+        return tuple(self._predicted(i, coefficients) for i in range(len(self.model.pieces)))
+
+    def _predicted(self, i: int, found: Coefficients) -> FloatArray:
         model, piece = self.model, self.model.pieces[i]
-        total = model.base[i] + model.nuisance_columns(i) @ self.nuisance_draws.mean(axis=0)
+        total = model.base[i] + model.nuisance_columns(i) @ found.nuisances
         own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
         waves: list[tuple[float, FloatArray]] = []
-        for label in labels:
-            candidate = self.labels[label]
-            strangers = candidate.own_phase and piece.name not in model.recordings
-            for placed in self.of(label):
-                mean = self.size_draws[:, placed.columns].mean(axis=0) * placed.unit
-                if not mean.any():
-                    continue
-                if strangers:
-                    size = float(np.hypot(*mean.reshape(-1, 2).T).mean())
-                    waves.append((size, placed.look.columns[i]))
-                else:
-                    total = total + model.candidate_columns(candidate, placed.look, i) @ mean
-        for group in groups:
-            if not (model.discrepancies[group].own and piece.use != "used"):
-                mean = self.discrepancy_draws[:, self.groups[group]].mean(axis=0)
-                total = total + model.discrepancies[group].columns[i] @ mean
+        for placed, size in zip(self.terms, found.sizes, strict=True):
+            if not size.any():
+                continue
+            if placed.candidate.own_phase and piece.name not in model.recordings:
+                pair_size = float(np.hypot(*size.reshape(-1, 2).T).mean())
+                waves.append((pair_size, placed.look.columns[i]))
+            else:
+                total = total + model.candidate_columns(placed.candidate, placed.look, i) @ size
+        for discrepancy, size in zip(model.discrepancies, found.discrepancy, strict=True):
+            if not (discrepancy.own and piece.use != "used"):
+                total = total + discrepancy.columns[i] @ size
         if own or waves:
             matrix = np.column_stack([*own, *(columns for _, columns in waves)])
-            found = least_squares(piece.kept(matrix), piece.kept(piece.measured - total))
-            for k, (size, _) in enumerate(waves):
-                pair = found[len(own) + 2 * k : len(own) + 2 * k + 2]
-                pair *= size / max(float(np.hypot(*pair)), np.finfo(float).tiny)
-            total = total + matrix @ found
+            values = least_squares(piece.kept(matrix), piece.kept(piece.measured - total))
+            for k, (pair_size, _) in enumerate(waves):
+                pair = values[len(own) + 2 * k : len(own) + 2 * k + 2]
+                pair *= pair_size / max(float(np.hypot(*pair)), 1e-12 * pair_size)
+            total = total + matrix @ values
         return np.asarray(total)
 
     def nominal(self) -> tuple[FloatArray, ...]:
@@ -333,7 +432,7 @@ class Inference:
 
     def noise_left(self) -> list[ResidualNoise]:
         """Of what the average over the posterior leaves of every used piece."""
-        every = self.predicted(list(self.labels), range(len(self.groups)))
+        every = self.predicted(self.average)
         pieces = self.model.pieces
         return [
             ResidualNoise.of(pieces[i].kept(pieces[i].measured - every[i])) for i in self.model.used
@@ -386,28 +485,26 @@ def diagnose(
     """
     view, inference = inferred(view, progress)
     told, remaining = _told(view, inference, most)
-    named = [(label, alike) for label, alike in told if inference.labels[label].kind == "effect"]
+    group = _learned_group(inference)
+    labels = [*(label for label, _ in told), *(label for label, _ in remaining)]
+    fitted = inference.projection(labels, [] if group is None else [group])
+    learned = None if group is None else view.learned(inference, fitted, group)
+    kinds = {label: inference.labels[label].kind for label in labels}
     estimates = {
-        name: _shifted(inference.nuisance(name), bench.value(name))
-        for name in inference.model.nuisance_names
+        name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
+        for name, value in zip(inference.model.nuisance_names, fitted.nuisances, strict=True)
         if name in PARAMETER_INFO
     }
-    wrong = [label for label, _ in told if inference.labels[label].kind == "parameter"]
-    for label in wrong:
-        (size,) = inference.values(label).values()
-        estimates[label] = _shifted(size, bench.value(label))
+    for label in (label for label, kind in kinds.items() if kind == "parameter"):
+        (size,) = inference.of_projection(fitted, label).values()
+        estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
+    before, after = view.nominal(inference), inference.predicted(fitted)
     denied = tuple(_impossible(estimates))
-    group = None if denied else _learned_group(inference)
-    learned = None if group is None else view.learned(inference, group)
     if denied:
-        told, named, estimates = [], [], {}
-    groups = [] if learned is None or group is None else [group]
-    labels = [label for label, _ in told] + [label for label, *_ in remaining]
-    before, after = inference.nominal(), inference.predicted(labels, groups)
-    if denied:
-        after = before
+        told, remaining, estimates, learned, after = [], [], {}, None, before
+    named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
     estimates = dict(scaled_parameters(estimates, scale_sd))
-    effects = [_effect(inference, label, alike, scale_sd) for label, alike in named]
+    effects = [_effect(inference, fitted, label, alike, scale_sd) for label, alike in named]
     errors = _errors(bench, estimates)
     table = disagreement_table(_residuals(inference.model, before, after), in_units_of_noise=False)
     lines = tuple(_line(inference, *item) for item in remaining)
@@ -487,10 +584,16 @@ def _learned_group(inference: Inference) -> int | None:
 
 
 def _effect(
-    inference: Inference, label: str, alike: tuple[str, ...], scale_sd: float
+    inference: Inference,
+    fitted: Coefficients,
+    label: str,
+    alike: tuple[str, ...],
+    scale_sd: float,
 ) -> NamedEffect:
     candidate = inference.labels[label]
     parameters = inference.values(label)
+    for name, value in inference.of_projection(fitted, label).items():
+        parameters[name] = Estimate(value, parameters[name].sd)
     size = parameters[candidate.parameters[0]]
     sure = inference.posterior.inclusion[label]
     z = abs(size.value) / max(size.sd, np.finfo(float).tiny)
@@ -520,10 +623,6 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
         inference.model.recordings,
         _share(inference, label),
     )
-
-
-def _shifted(estimate: Estimate, by: float) -> Estimate:
-    return Estimate(estimate.value + by, estimate.sd)
 
 
 def _impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:

@@ -21,10 +21,10 @@ DISCREPANCY_LARGEST = 1.0e4
 """Largest scale of a discrepancy, in standard deviations of a sample's noise. Wider than any real
 joint leaves: the prior is flat in the logarithm, so a decade more costs 0.1 in ln(evidence)."""
 
-PAIRS = 100_000
-"""Pairs of terms up to which all are tried; beyond, those with one of the BEAM best terms."""
+FAR = 60.0
+"""ln of the odds against a term beside a set, beyond which it is not carried on."""
 
-BEAM = 48
+BEAM = 24
 """Sets carried on to the next larger size; each in turn is tried with every other term."""
 
 KEPT_BELOW = 12.0

@@ -34,15 +34,14 @@ from bayesbl.model_search.constants import (
     DISCREPANCY_LARGEST,
     DISCREPANCY_SPACING,
     EXPECTED_HYPOTHESES,
+    FAR,
     KEPT_BELOW,
     MOST_KEPT,
     NAMED_AT,
-    PAIRS,
 )
 from bayesbl.recording.types import FloatArray
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
-_LARGEST_BATCH = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +63,9 @@ class Term:
         Share of the hypothesis' prior probability.
     excludes
         Labels of hypotheses that it cannot stand beside.
+    requires
+        Labels of hypotheses without which it makes no sense (strong heredity; Chipman 1996, Can. J.
+        Stat. 24, 17); those that are not among the terms are taken to hold.
     """
 
     hypothesis: str
@@ -72,6 +74,7 @@ class Term:
     always: bool = False
     prior_weight: float = 1.0
     excludes: frozenset[str] = frozenset()
+    requires: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if self.columns.ndim != 2 or (self.positive and self.columns.shape[1] != 1):
@@ -287,15 +290,12 @@ class _Grams:
         )
         effective = float(np.sum(self.inverse_u * (gram_u - view.prior_precision)))
         self.freedom = self.size - effective
-        # A padded column of zeros lets terms of several widths stand in one batch.
-        self.width = max((widths[i] for i in self.selected), default=1)
+        self.widths = np.array([widths[i] for i in range(len(terms))], dtype=int)
         places = itertools.accumulate((widths[i] for i in own), initial=0)
         starts = dict(zip(own, places, strict=False))
-        self.columns_of = np.full((len(terms), self.width), self.k)
-        for i in self.selected:
-            self.columns_of[i, : widths[i]] = starts[i] + np.arange(widths[i])
+        self.columns_of = {i: starts[i] + np.arange(widths[i]) for i in self.selected}
         self.bound_columns = np.array([starts[i] for i in self.bound], dtype=int)
-        self.is_positive = np.zeros(self.k + 1, dtype=bool)
+        self.is_positive = np.zeros(self.k, dtype=bool)
         for i in own:
             self.is_positive[starts[i]] = terms[i].positive
         odds = priors.log_odds(dict.fromkeys(terms[i].hypothesis for i in self.selected))
@@ -303,6 +303,8 @@ class _Grams:
         for i in self.selected:
             self.log_prior[i] = odds[terms[i].hypothesis] + math.log(terms[i].prior_weight)
         self.apart = self._apart()
+        there = {terms[i].hypothesis for i in range(len(terms))}
+        self.requires = [term.requires & there for term in terms]
         lowest = 1.0 / math.sqrt(max(1, self.size))
         steps = math.ceil(math.log(DISCREPANCY_LARGEST / lowest) / math.log(DISCREPANCY_SPACING))
         self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
@@ -338,12 +340,11 @@ class _Grams:
         return np.concatenate(there), np.concatenate(precision)
 
     def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float, float]:
-        """Padded Gram and right side of the terms with h marginalised, its ln evidence, and χ²
+        """Gram and right side of the terms with h marginalised, its ln evidence, and χ²
         that it takes."""
         if level not in self._cache:
             k = self.k
-            gram, right = np.zeros((k + 1, k + 1)), np.zeros(k + 1)
-            gram[:k, :k], right[:k] = self.gram[:k, :k], self.right[:k]
+            gram, right = self.gram[:k, :k], self.right[:k]
             log_evidence = taken = 0.0
             there, precision = self.precision_of_h(level)
             if there.size:
@@ -354,8 +355,8 @@ class _Grams:
                 lower = np.linalg.cholesky(inside)
                 cross = np.linalg.solve(lower, self.gram[np.ix_(at, np.arange(k))] / root[:, None])
                 own = np.linalg.solve(lower, self.right[at] / root)
-                gram[:k, :k] -= cross.T @ cross
-                right[:k] -= cross.T @ own
+                gram = gram - cross.T @ cross
+                right = right - cross.T @ own
                 taken = float(own @ own)
                 log_evidence = 0.5 * taken - float(np.log(np.diag(lower)).sum())
             absent = self.priors.discrepancy_absent
@@ -366,41 +367,78 @@ class _Grams:
             self._cache[level] = gram, right, log_evidence, taken
         return self._cache[level]
 
-    def columns(self, sets: np.ndarray) -> np.ndarray:
-        """(B, n) of the terms in each set, and those always there."""
-        chosen = self.columns_of[sets].reshape(len(sets), -1)
-        every = np.broadcast_to(self.bound_columns, (len(sets), self.bound_columns.size))
-        return np.concatenate([chosen, every], axis=1)
+    def columns(self, terms: tuple[int, ...]) -> np.ndarray:
+        """Of the terms of a set, and of those always there, (n,)."""
+        return np.concatenate([*(self.columns_of[i] for i in terms), self.bound_columns])
+
+    def is_complete(self, terms: tuple[int, ...]) -> bool:
+        """Whether every term has what it requires."""
+        labels = {self.view.terms[i].hypothesis for i in terms}
+        return all(self.requires[i] <= labels for i in terms)
 
     def log_posterior(
-        self, sets: np.ndarray, level: tuple[int, ...], *, sweeps: int = 12
+        self, sets: Sequence[tuple[int, ...]], level: tuple[int, ...], *, sweeps: int = 12
     ) -> FloatArray:
-        """ln of prior times evidence of sets of one size, (B, l) indices, at one level."""
-        if len(sets) > _LARGEST_BATCH:
-            parts = np.array_split(sets, math.ceil(len(sets) / _LARGEST_BATCH))
-            return np.concatenate([self.log_posterior(p, level, sweeps=sweeps) for p in parts])
+        """ln of prior times evidence of sets at one level, (B,)."""
         gram, right, base, _ = self.at(level)
-        columns = self.columns(sets)
-        result = np.asarray(base + self.log_prior[sets].sum(axis=1))
-        if columns.shape[1] == 0:
-            return result
-        precision = gram[columns[:, :, None], columns[:, None, :]] + np.eye(columns.shape[1])
-        b = right[columns]
-        mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
-        result = result + 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
-        positive = self.is_positive[columns]
-        if positive.any():
-            log_inside = orthant(mean, precision, positive, sweeps)[0]
-            result = result + math.log(2.0) * positive.sum(1) + log_inside
-        return np.asarray(result)
+        result = np.array([base + sum(self.log_prior[i] for i in terms) for terms in sets])
+        by_size: dict[int, list[int]] = {}
+        every = [self.columns(terms) for terms in sets]
+        for k, columns in enumerate(every):
+            by_size.setdefault(columns.size, []).append(k)
+        for size, places in by_size.items():
+            if size == 0:
+                continue
+            columns = np.stack([every[k] for k in places])
+            precision = gram[columns[:, :, None], columns[:, None, :]] + np.eye(size)
+            b = right[columns]
+            mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
+            values = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
+            positive = self.is_positive[columns]
+            if positive.any():
+                inside = orthant(mean, precision, positive, sweeps)[0]
+                values = values + math.log(2.0) * positive.sum(1) + inside
+            result[places] += values
+        return result
+
+    def extensions(self, terms: tuple[int, ...], level: tuple[int, ...]) -> FloatArray:
+        """What each selected term adds to ln of prior times evidence beside a set; −∞ where it
+        cannot stand there. Signs of the set are left as they are: a first estimate."""
+        gram, right, _, _ = self.at(level)
+        columns = self.columns(terms)
+        if columns.size:
+            block = gram[np.ix_(columns, columns)] + np.eye(columns.size)
+            through = np.linalg.solve(block, gram[columns])
+            gram = gram - gram[:, columns] @ through
+            right = right - through.T @ right[columns]
+        selected = np.array(self.selected, dtype=int)
+        added = np.full(selected.size, -np.inf)
+        possible = (
+            ~self.apart[list(terms)][:, selected].any(axis=0)
+            if terms
+            else np.ones(selected.size, dtype=bool)
+        )
+        for width in np.unique(self.widths[selected]):
+            rows = np.flatnonzero(possible & (self.widths[selected] == width))
+            if not rows.size:
+                continue
+            at = np.stack([self.columns_of[i] for i in selected[rows]])
+            precision = gram[at[:, :, None], at[:, None, :]] + np.eye(width)
+            b = right[at]
+            mean = np.linalg.solve(precision, b[:, :, None])[:, :, 0]
+            value = 0.5 * (b * mean).sum(1) - 0.5 * np.linalg.slogdet(precision)[1]
+            if width == 1:
+                z = mean[:, 0] * np.sqrt(precision[:, 0, 0])
+                value += np.where(self.is_positive[at[:, 0]], math.log(2.0) + log_ndtr(z), 0.0)
+            added[rows] = value + self.log_prior[selected[rows]]
+        return added
 
     def normal(
         self, terms: tuple[int, ...], level: tuple[int, ...]
     ) -> tuple[np.ndarray, FloatArray, FloatArray]:
         """Columns of a set (those always there last), mean and precision before the signs."""
         gram, right, _, _ = self.at(level)
-        columns = self.columns(np.array([terms], dtype=int).reshape(1, len(terms)))[0]
-        columns = columns[columns < self.k]
+        columns = self.columns(terms)
         precision = gram[np.ix_(columns, columns)] + np.eye(columns.size)
         return columns, np.linalg.solve(precision, right[columns]), precision
 
@@ -411,8 +449,7 @@ def search(
     """The posterior over sets of hypotheses, their sizes and what they move.
 
     Scales of the discrepancy are taken on a lattice: those that suit the best sets and their
-    neighbours. Sets of up to two terms are all tried (:data:`PAIRS`), larger ones continued from
-    the best.
+    neighbours. All pairs are tried, larger sets continued from the best.
     """
     grams = _Grams(linearised, priors or Priors())
     groups = len(linearised.groups)
@@ -431,19 +468,13 @@ def search(
     top = max(pool.values())
     sets = [terms for terms in pool if pool[terms] > top - KEPT_BELOW]
     sets = sorted(sets, key=lambda terms: -pool[terms])[:MOST_KEPT]
-    best_set = np.array([sets[0]], dtype=int).reshape(1, -1)
-    suits = {level: float(grams.log_posterior(best_set, level)[0]) for level in levels}
+    suits = {level: float(grams.log_posterior(sets[:1], level)[0]) for level in levels}
     suiting = [level for level in levels if suits[level] > max(suits.values()) - KEPT_BELOW]
     every = dict.fromkeys(n for level in suiting for n in (level, *_neighbours(grams, level)))
-    by_size: dict[int, list[tuple[int, ...]]] = {}
-    for terms in sets:
-        by_size.setdefault(len(terms), []).append(terms)
     scored: list[tuple[float, tuple[int, ...], tuple[int, ...]]] = []
     for level in every:
-        for length, some in by_size.items():
-            array = np.array(some, dtype=int).reshape(len(some), length)
-            values = grams.log_posterior(array, level)
-            scored += zip(values.tolist(), some, itertools.repeat(level))
+        values = grams.log_posterior(sets, level)
+        scored += zip(values.tolist(), sets, itertools.repeat(level))
     top = max(score for score, _, _ in scored)
     scored = [item for item in scored if item[0] > top - KEPT_BELOW]
     total = top + math.log(sum(math.exp(score - top) for score, _, _ in scored))
@@ -458,44 +489,31 @@ def _enumerate(
     grams: _Grams, level: tuple[int, ...], max_terms: int
 ) -> dict[tuple[int, ...], float]:
     """ln prior times evidence of the sets worth keeping at one level."""
-    nothing = np.zeros((1, 0), dtype=int)
-    result: dict[tuple[int, ...], float] = {(): float(grams.log_posterior(nothing, level)[0])}
-    selected = np.array(grams.selected, dtype=int)
-    if not selected.size or max_terms < 1:
-        return result
-    last = selected[:, None]
-    values = grams.log_posterior(last, level, sweeps=1)
+    start = float(grams.log_posterior([()], level)[0])
+    result: dict[tuple[int, ...], float] = {(): start}
+    last: dict[tuple[int, ...], float] = {(): start}
     for size in range(1, max_terms + 1):
-        order = np.argsort(-values, kind="stable")
-        top = max(values[order[0]], max(result.values()))
-        for i in order[:2000]:
-            if values[i] < top - 3.0 * KEPT_BELOW and i != order[0]:
-                break
-            result[tuple(sorted(last[i].tolist()))] = float(values[i])
-        if size == max_terms:
+        wider: dict[tuple[int, ...], float] = {}
+        most = len(last) if size <= 2 else BEAM
+        for terms in sorted(last, key=lambda some: -last[some])[:most]:
+            added = grams.extensions(terms, level)
+            for k in np.flatnonzero(added > -FAR):
+                more = tuple(sorted((*terms, grams.selected[k])))
+                wider[more] = max(last[terms] + float(added[k]), wider.get(more, -np.inf))
+        if not wider:
             break
-        whole = size == 1 and selected.size**2 <= 2 * PAIRS
-        base = last if whole else last[order[:BEAM]]
-        wider = np.concatenate(
-            [np.repeat(base, selected.size, axis=0), np.tile(selected, len(base))[:, None]], axis=1
-        )
-        forbidden = grams.apart[wider[:, :-1], wider[:, -1:]].any(axis=1)
-        wider = np.sort(wider[~forbidden], axis=1)
-        if not len(wider):
-            break
-        last = np.unique(wider, axis=0)
-        values = grams.log_posterior(last, level, sweeps=1)
+        result |= {terms: value for terms, value in wider.items() if grams.is_complete(terms)}
+        last = wider
     return result
 
 
 def _climb(grams: _Grams, terms: tuple[int, ...], start: tuple[int, ...]) -> tuple[int, ...]:
     """The level that suits a set best, one group after the other."""
-    array = np.array([terms], dtype=int).reshape(1, len(terms))
     level = list(start)
 
     def value(group: int, index: int) -> float:
         trial = (*level[:group], index, *level[group + 1 :])
-        return float(grams.log_posterior(array, trial, sweeps=2)[0])
+        return float(grams.log_posterior([terms], trial, sweeps=2)[0])
 
     for _ in range(2):
         before = tuple(level)
@@ -622,6 +640,13 @@ class ModelPosterior:
         """Of the excess chi-square at the fit, what the discrepancy takes beyond its freedom."""
         d = self.disagreement
         return max(0.0, d.beside_terms - d.beside_all) / d.before if d.before > 0.0 else 0.0
+
+    def discrepancy_sd(self, group: int) -> float:
+        """Prior standard deviation of a group's coefficients, as the caller scaled its columns, in
+        the most probable model that has it; 0 where none has."""
+        scales = (m.scales[group] for m in self.models if m.scales[group] > 0.0)
+        columns = self.linearised.groups[group].columns
+        return next(scales, 0.0) * float(self._grams.scale_of_column[columns].max(initial=0.0))
 
     def corrected(self, ln_ratio: Mapping[tuple[int, ...], float]) -> ModelPosterior:
         """With the evidence of sets multiplied: of a nonlinear refit over the linear one."""

@@ -35,6 +35,7 @@ EFFECT = Effect(
         ),
         amplitude="coefficient_nm_s_per_rad",
         usual=0.1,
+        requires="motor_viscous_friction",
     ),
     free_motion=True,
 )

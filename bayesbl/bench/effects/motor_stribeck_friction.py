@@ -64,6 +64,7 @@ EFFECT = Effect(
         signal=torque_nm,
         amplitude="torque_nm",
         usual=0.2,
+        requires="motor_coulomb_friction",
         scanned="speed_rad_per_s",
         grid=tuple(np.geomspace(0.01, 2.0, 21)),
         grid_unit="speed",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.free_motion.trajectory import (
-    FreeMotionComparison,
-    free_motion_candidates,
+    FreeMotionView,
+    free_motion_effects,
     start_of,
 )
+from bayesbl.diagnosis.inference import MOST_EFFECTS, diagnose
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -16,15 +18,15 @@ from bayesbl.diagnosis.rigid.preparation import (
     require_rigid,
     unknown_parameters,
 )
-from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
+from bayesbl.progress import StageProgress
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED
 
 CHANNELS = (MOTOR_POSITION, MOTOR_SPEED)
 
 
-def free_motion_problem(task: Task) -> Problem:
-    """The comparison that a configuration asks for.
+def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
+    """The view that a configuration asks for, and what these recordings cannot show.
 
     Raises
     ------
@@ -48,11 +50,12 @@ def free_motion_problem(task: Task) -> Problem:
     if GRAVITY not in unknown:
         unknown_parameters(task, (*INERTIAS, GRAVITY))
     pieces = pieces_of(task, recordings, channel)
-    comparison = FreeMotionComparison(
+    every = free_motion_effects(compared.load_angle_known and gravity)
+    view = FreeMotionView(
         pieces,
         tuple(start_of(piece) for piece in pieces),
         bench,
-        tuple(wanted(config, bench, free_motion_candidates(compared.load_angle_known and gravity))),
+        tuple(effect.name for effect in wanted(config, bench, every)),
         unknown,
         compared.load_angle_known or not gravity,
     )
@@ -64,7 +67,30 @@ def free_motion_problem(task: Task) -> Problem:
     ]
     if channel == MOTOR_SPEED:
         notes.append("Speed alone: the start angle is known only through what gravity does.")
-    return Problem(comparison, lambda fit: (), tuple(notes))
+    return view, notes
 
 
-METHOD = BySelection("free_motion", free_motion_problem)
+class FreeMotion:
+    """The method of diagnosis."""
+
+    name = "free_motion"
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        view, _ = view_of(task)
+        channel = view.pieces[0].channel
+        return f"{self.name}, {channel}; candidates {', '.join(view.effects)}"
+
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        view, notes = view_of(task)
+        return diagnose(
+            view.prepared(),
+            task.bench,
+            most=task.config.candidates.max_effects or MOST_EFFECTS,
+            notes=lambda inference: notes,
+            progress=progress,
+        )
+
+
+METHOD = FreeMotion()

@@ -33,13 +33,14 @@ from bayesbl.diagnosis.comparison import (
     Piece,
     least_squares,
 )
-from bayesbl.diagnosis.diagnosis import CURVE_POINTS, Diagnosis, LearnedAnswer, LearnedCurve
-from bayesbl.diagnosis.inference import Inference
+from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
+from bayesbl.diagnosis.inference import Coefficients, Inference
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest, peaks
 from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.view import Window, noise_of
+from bayesbl.diagnosis.smooth_torque import Series, learned_answer
 from bayesbl.recording.types import FloatArray
 
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
@@ -62,26 +63,6 @@ DRIFT_ORDERS = 6
 
 WRONG_VALUE = 0.3
 """Usual share of a wrong value of the data sheet in what is compared."""
-
-
-@dataclass(frozen=True, slots=True)
-class Series:
-    """A smooth torque over a variable, its amplitudes falling as 1/k.
-
-    ``means``: of the cosines and sines over what was recorded, which are taken off, (2 orders,):
-    the mean is an effect's.
-    """
-
-    variable: Variable
-    period: float
-    reverses: bool
-    means: FloatArray
-
-    def waves(self, x: FloatArray) -> FloatArray:
-        """Cosines, then sines, (n, 2 orders)."""
-        k = np.arange(1, LEARNED_HARMONICS + 1)
-        phase = 2.0 * math.pi * x[:, None] * k / self.period
-        return np.hstack([np.cos(phase) / k, np.sin(phase) / k])
 
 
 @dataclass(frozen=True)
@@ -302,7 +283,8 @@ class InverseView:
         for name, term in self.terms.items():
             law, amplitude = term.law, term.law.amplitude
             excludes = frozenset({law.contains} if law.contains else ())
-            make = _CandidateOf(name, law.usual, term.not_negative, excludes, law.same_as)
+            requires = frozenset({law.requires} if law.requires else ())
+            make = _CandidateOf(name, law.usual, term.not_negative, excludes, requires, law.same_as)
             if name == SKEW:
                 if self.slope:
                     yield make(
@@ -403,20 +385,21 @@ class InverseView:
 
             every = np.concatenate([over(i) for i in self.used if not self.windows[i].above])
             low, high = float(every.min()), float(every.max())
-            x = np.linspace(low, min(high, low + period), 1000)
-            series = Series(variable, period, reverses, np.zeros(2 * LEARNED_HARMONICS))
-            series = replace(series, means=series.waves(x).mean(axis=0))
+            series = Series.over(variable, period, reverses, low, high, LEARNED_HARMONICS)
+            if self.load:
+                series = replace(series, means=np.zeros(2 * LEARNED_HARMONICS))
 
             def columns(i: int, series: Series = series, ratio: float = ratio) -> FloatArray:
                 motion = self._moved[i]
-                waves = series.waves(variable_of(series.variable, motion, ratio)) - series.means
+                waves = series.waves(variable_of(series.variable, motion, ratio))
                 if series.reverses:
+                    if self.load:  # a twist by dry friction, which no effect of the position is
+                        waves = np.column_stack([np.ones(len(waves)), waves])
                     waves = waves * np.sign(motion.speed)[:, None]
                 window, unit = self.windows[i], 1.0 if self.load else self.unit
                 return np.column_stack([window(wave) / unit for wave in waves.T])
 
-            kind = f"{variable}{' reversing' if reverses else ''} {period:.3g}"
-            made.append((Discrepancy(kind, self._every(columns)), series))
+            made.append((Discrepancy(series.kind, self._every(columns)), series))
         return made
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
@@ -432,8 +415,7 @@ class InverseView:
             self.phases_shared or len({self.pieces[i].name for i in self.used}) == 1
         ):
             yield "motor_angle", turn, False
-        if not self.load:
-            yield "motor_speed", 4.0 * max(float(np.abs(m.speed).max()) for m in motions), False
+        yield "motor_speed", 4.0 * max(float(np.abs(m.speed).max()) for m in motions), False
 
     def _drift(self) -> tuple[Discrepancy, ...]:
         """A torque that drifts in each recording."""
@@ -491,10 +473,8 @@ class InverseView:
                 fitted[name] = self.bench.value(name) + values[name][name].value
         bench = self.bench.with_parameters(**{k: v for k, v in fitted.items() if v > 0.0})
         view = replace(self, shapes=shapes, orders=orders, lines=lines, columns_bench=bench)
-        if SKEW in values:
-            amplitude = self.terms[SKEW].law.amplitude
-            skew = values[SKEW][amplitude].value
-            view = replace(view, skew_s=skew)
+        skew = next(iter(values[SKEW].values())).value if SKEW in values else 0.0
+        view = replace(view, skew_s=skew)
         return replace(view, slope=view._slopes()) if SKEW in self.terms else view
 
     def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
@@ -617,7 +597,9 @@ class InverseView:
         period = 1.0 / self.windows[0].low_pass.cutoff_hz
         grid = [period * share for share in SKEW_GRID]
         costs = [replace(self, skew_s=skew).least_left() for skew in grid]
-        return replace(self, skew_s=grid[int(np.argmin(costs))])
+        best = int(np.argmin(costs))
+        inside = 0 < best < len(grid) - 1
+        return replace(self, skew_s=grid[best] if inside else 0.0)
 
     def _slopes(self) -> tuple[FloatArray, ...]:
         """Change of the prediction by a second of skew, with all that is linear as it fits."""
@@ -689,38 +671,17 @@ class InverseView:
         value = inference.values(label)[scanned].value
         return whole[0] < value < whole[-1]
 
-    def learned(self, inference: Inference, group: int) -> LearnedAnswer | None:
+    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
+        """Predictions without any effect."""
+        return inference.nominal()
+
+    def learned(
+        self, inference: Inference, fitted: Coefficients, group: int
+    ) -> LearnedAnswer | None:
         """A group as a torque over its variable."""
         if self.load or group >= len(self._series):
             return None
-        series = self._series[group][1]
-        draws = inference.discrepancy_draws[:, inference.groups[group]]
-        decay = np.tile(1.0 / np.arange(1, LEARNED_HARMONICS + 1), 2)
-        waves = draws * decay
-        constant = -draws @ series.means
-        mean = waves.mean(axis=0)
-        term = LearnedTorque(
-            "motor",
-            series.variable,
-            series.period,
-            float(constant.mean()),
-            tuple(mean[:LEARNED_HARMONICS].tolist()),
-            tuple(mean[LEARNED_HARMONICS:].tolist()),
-            series.reverses,
-            (float(constant.std()), *waves.std(axis=0).tolist()),
-        )
-        ratio = self.bench.value("gear_ratio")
-        seen = [variable_of(term.variable, motion, ratio) for motion in self.motions]
-        low, high = min(float(x.min()) for x in seen), max(float(x.max()) for x in seen)
-        if high - low > term.period:
-            low, high = -0.5 * term.period, 0.5 * term.period
-        x = np.linspace(low, high, CURVE_POINTS)
-        values = (series.waves(x) - series.means) @ draws.T
-        curve = LearnedCurve(x, values.mean(axis=1), values.std(axis=1))
-        size = float(
-            np.abs(curve.value if term.reverses else curve.value - curve.value.mean()).max()
-        )
-        return LearnedAnswer(term, size, (), curve)
+        return learned_answer(self._series[group][1], inference, fitted, group)
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
@@ -747,6 +708,7 @@ class _CandidateOf:
     usual: float
     not_negative: bool
     excludes: frozenset[str]
+    requires: frozenset[str]
     same_as: tuple[str, ...]
 
     def __call__(
@@ -768,6 +730,7 @@ class _CandidateOf:
             is_wave,
             own_phase,
             self.excludes,
+            self.requires,
             self.same_as,
         )
 

@@ -13,7 +13,7 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.inference import Inference, diagnose
+from bayesbl.diagnosis.inference import MOST_EFFECTS, Inference, diagnose
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseView
 from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
@@ -72,8 +72,6 @@ USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
     {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
 )
 """How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
-
-MOST_EFFECTS = 6
 
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
