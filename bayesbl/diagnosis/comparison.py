@@ -7,7 +7,7 @@ of probabilities; what :mod:`bayesbl.diagnosis.inference` makes of it knows noth
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -153,7 +153,8 @@ class AffineModel:
     """A view around a fit; tuples have an entry for every piece, in the channel's unit.
 
     ``nuisances``: columns that are fitted anyway, by name; what belongs to a recording has its name
-    behind ``@``.
+    behind ``@``. ``nuisance_sds``: of those of which something is known beforehand, around what
+    the base has.
     """
 
     pieces: tuple[Piece, ...]
@@ -161,6 +162,7 @@ class AffineModel:
     nuisances: tuple[Mapping[str, FloatArray], ...]
     candidates: tuple[Candidate, ...]
     discrepancies: tuple[Discrepancy, ...] = ()
+    nuisance_sds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def used(self) -> list[int]:

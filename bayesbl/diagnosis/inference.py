@@ -7,13 +7,12 @@ everything in it leaves it, then as the average over the posterior does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.signal import lfilter
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE
@@ -24,11 +23,11 @@ from bayesbl.diagnosis.diagnosis import (
     Estimate,
     LearnedAnswer,
     NamedEffect,
-    ParameterError,
     PieceSignals,
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
+from bayesbl.diagnosis.fitted_parameters import impossible, parameter_errors
 from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, What
 from bayesbl.diagnosis.shared_scale import scaled_parameters, with_shared_scale
@@ -41,6 +40,10 @@ from bayesbl.units import unit_of
 DRAWS = 1000
 """Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
 
+DISCREPANCY_SHARE = 0.1
+"""Of the root mean square of what is compared, that a smooth torque usually has which no law of the
+catalogue holds."""
+
 MOST_EFFECTS = 6
 """Named where a configuration does not say how many."""
 
@@ -49,9 +52,6 @@ MOST_TERMS = 8
 
 ROUNDS = 3
 """Of search, noise and finer shapes."""
-
-SURE = 3.0
-"""Standard deviations beyond which a parameter is wrong: three in a thousand by chance."""
 
 _RIDGE_ROUNDS = 4
 
@@ -99,13 +99,10 @@ def counted(noise: ResidualNoise, values: FloatArray, *, shown: bool) -> FloatAr
     Of a piece that is shown, of the noise where its spectrum is strongest: p'Σp ≤ s² p'p for every
     prediction p, so that no evidence is counted that is not there. Whitened, a recording would be
     fitted where its noise is weakest, which of a real joint is where the bench knows least. Of one
-    that holds lines alone, whitened: each line is judged by the noise around it.
+    that holds lines alone, of its root mean square: over changing speeds a line sweeps all of it.
     """
-    if shown:
-        return np.asarray(values / max(noise.strongest, float(np.finfo(float).tiny)))
-    phi = noise.coefficients
-    made = lfilter(np.concatenate(([1.0], -phi)), [1.0], values, axis=0)
-    return np.asarray(made[phi.size :] / max(noise.innovation, float(np.finfo(float).tiny)))
+    size = noise.strongest if shown else noise.sd
+    return np.asarray(values / max(size, float(np.finfo(float).tiny)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,17 +235,22 @@ class Inference:
             for placed, block in zip(self.terms, blocks, strict=True)
         ]
         kinds = [d.kind for d in self.model.discrepancies]
-        groups = [DiscrepancyGroup(k, s) for k, s in zip(kinds, self.groups, strict=True)]
+        shown = [
+            n for i, n in zip(self.model.used, noises, strict=True) if self.model.pieces[i].shown
+        ]
+        usual = DISCREPANCY_SHARE * self._level() / max(n.strongest for n in shown)
+        groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
+        sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
+        prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
         residual = rows(self._target)
-        linearised = Linearised(
-            residual, jacobian, np.zeros((d, d)), np.zeros(d), terms, discrepancy, groups
-        )
+        linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
         self.posterior = search(linearised, Priors(), MOST_TERMS)
         generator = np.random.default_rng(0)
         draws = self.posterior.draw(generator, DRAWS)
         scale = np.sqrt((jacobian**2).sum(axis=0))
         scale = np.where(scale > 0.0, scale, 1.0)
-        values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+        precision = (jacobian / scale).T @ (jacobian / scale) + prior / np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(precision)
         kept = values > 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
         root = vectors[:, kept] / np.sqrt(values[kept])
         centre = root @ (root.T @ ((jacobian / scale).T @ residual))
@@ -327,7 +329,7 @@ class Inference:
         chosen = [self._likeliest(label) for label in labels]
         sds = np.concatenate(
             [
-                np.full(view.jacobian.shape[1], np.inf),
+                [self.model.nuisance_sds.get(n, np.inf) for n in self.model.nuisance_names],
                 *(np.full(self.terms[k].unit.size, np.inf) for k in chosen),
                 *(
                     np.full(
@@ -499,16 +501,16 @@ def diagnose(
         (size,) = inference.of_projection(fitted, label).values()
         estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
     before, after = view.nominal(inference), inference.predicted(fitted)
-    denied = tuple(_impossible(estimates))
+    denied = tuple(impossible(estimates))
     if denied:
         told, remaining, estimates, learned, after = [], [], {}, None, before
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
     estimates = dict(scaled_parameters(estimates, scale_sd))
     effects = [_effect(inference, fitted, label, alike, scale_sd) for label, alike in named]
-    errors = _errors(bench, estimates)
+    errors = parameter_errors(bench, estimates)
     table = disagreement_table(_residuals(inference.model, before, after), in_units_of_noise=False)
     lines = tuple(_line(inference, *item) for item in remaining)
-    remains = bool(lines or denied or learned is not None)
+    remains = bool(lines or denied or learned is not None or "gravity" in kinds.values())
     answer = Diagnosis(
         verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
         tuple(effects),
@@ -522,8 +524,6 @@ def diagnose(
     )
     if learned is None:
         return answer
-    from dataclasses import replace
-
     sizes = {e.name: {k: v.value for k, v in e.parameters.items()} for e in effects}
     return replace(answer, augmented_bench=view.augmented(sizes, answer))
 
@@ -533,8 +533,7 @@ def _told(
 ) -> tuple[list[tuple[str, tuple[str, ...]]], list[tuple[str, What]]]:
     """Labels that are named, each with what it is confounded with; lines that remain."""
     posterior, labels = inference.posterior, inference.labels
-    sets = [(label,) for label in posterior.named]
-    sets += [group for group in posterior.confounded]
+    sets = [*((label,) for label in posterior.named), *posterior.confounded]
     told: list[tuple[str, tuple[str, ...]]] = []
     remaining: list[tuple[str, What]] = []
     waves: list[str] = []
@@ -623,29 +622,6 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
         inference.model.recordings,
         _share(inference, label),
     )
-
-
-def _impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
-    """A sentence for each fitted parameter that no joint can have: then nothing is believed."""
-    for name, found in estimates.items():
-        info = PARAMETER_INFO[name]
-        if info.positive and found.value + SURE * found.sd <= 0.0:
-            yield (
-                f"The best fit with {name} free has {found.value:.3g} {info.unit} there, which "
-                "nothing has: what the recordings show follows no law that was tried, so nothing "
-                "is named. Faster motion shows the inertia, slow motion in both directions the "
-                "friction."
-            )
-
-
-def _errors(bench: Bench, estimates: Mapping[str, Estimate]) -> tuple[ParameterError, ...]:
-    """Those that lie beyond their tolerance by more than their standard deviations explain."""
-    errors = []
-    for name, fitted in estimates.items():
-        believed = bench.parameters[name]
-        if abs(fitted.value - believed.value) - believed.tolerance > SURE * fitted.sd:
-            errors.append(ParameterError(name, believed.value, believed.tolerance, fitted))
-    return tuple(errors)
 
 
 def _residuals(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,12 +35,18 @@ class Series:
 
     @classmethod
     def over(
-        cls, variable: Variable, period: float, reverses: bool, low: float, high: float, orders: int
+        cls,
+        variable: Variable,
+        period: float,
+        *,
+        reverses: bool,
+        orders: int,
+        reach: tuple[float, float],
     ) -> Series:
         """With the means over this reach of its variable."""
-        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), (low, high))
-        x = np.linspace(low, min(high, low + period), 1000)
-        return cls(variable, period, reverses, orders, made.waves(x).mean(axis=0), (low, high))
+        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
+        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
+        return replace(made, means=made.waves(x).mean(axis=0))
 
     @property
     def kind(self) -> str:

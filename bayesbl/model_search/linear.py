@@ -91,10 +91,15 @@ class DiscrepancyGroup:
         What it is: ``"motor_torque_over_motor_angle"``, ``"motor_speed_error"``, …
     columns
         Which of :attr:`Linearised.discrepancy`.
+    usual
+        Size that its root mean square usually has, in standard deviations of a sample's noise: a
+        scale is half-normal with it where it is there, beside being flat in its logarithm. What
+        laws explain is so not left to a discrepancy of their size.
     """
 
     kind: str
     columns: slice
+    usual: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,10 +365,10 @@ class _Grams:
                 taken = float(own @ own)
                 log_evidence = 0.5 * taken - float(np.log(np.diag(lower)).sum())
             absent = self.priors.discrepancy_absent
-            for index in level:
-                log_evidence += math.log(
-                    absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
-                )
+            for index, group in zip(level, self.view.groups, strict=True):
+                weight = absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
+                log_evidence += math.log(weight)
+                log_evidence -= 0.5 * float(self.lattice[index] / group.usual) ** 2
             self._cache[level] = gram, right, log_evidence, taken
         return self._cache[level]
 

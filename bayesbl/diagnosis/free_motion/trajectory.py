@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -32,6 +32,7 @@ from bayesbl.diagnosis.comparison import (
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
 from bayesbl.diagnosis.inference import Coefficients, Inference
+from bayesbl.diagnosis.rigid.preparation import believed_sds
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS
 from bayesbl.diagnosis.smooth_torque import Series, learned_answer
 from bayesbl.errors import BenchError
@@ -257,7 +258,12 @@ class FreeMotionView:
             for series in self._series
         )
         return AffineModel(
-            self.pieces, tuple(base), tuple(nuisances), tuple(candidates), discrepancies
+            self.pieces,
+            tuple(base),
+            tuple(nuisances),
+            tuple(candidates),
+            discrepancies,
+            believed_sds(self.bench, self.unknown),
         )
 
     @cached_property
@@ -271,14 +277,12 @@ class FreeMotionView:
         ]
         angle = np.concatenate([s[MOTOR_ANGLE] for s in states]) / ratio
         speed = np.concatenate([s[MOTOR_SPEED] for s in states])
-        made = []
-        for variable, x, period in (
-            ("load_angle", angle, 2.0 * float(np.ptp(angle))),
-            ("motor_speed", speed, 4.0 * float(np.abs(speed).max())),
-        ):
-            low, high = float(x.min()), float(x.max())
-            made.append(Series.over(variable, period, False, low, high, ORDERS))
-        return made
+        over = partial(Series.over, reverses=False, orders=ORDERS)
+        ends = [(float(x.min()), float(x.max())) for x in (angle, speed)]
+        return [
+            over("load_angle", 2.0 * float(np.ptp(angle)), reach=ends[0]),
+            over("motor_speed", 4.0 * float(np.abs(speed).max()), reach=ends[1]),
+        ]
 
     def _waves(self, i: int, at: FloatArray, series: Series) -> FloatArray:
         """Change of a trajectory by each coefficient of a torque, (n, 2 orders)."""

@@ -12,9 +12,9 @@ of the recordings' own, so that a machine of any size has the same answer.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
 from bayesbl.diagnosis.inference import Coefficients, Inference
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.diagnosis.rigid.order_scan import OrderedRest, peaks
-from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS
+from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.view import Window, noise_of
 from bayesbl.diagnosis.smooth_torque import Series, learned_answer
@@ -60,6 +60,9 @@ FINER = 5
 
 DRIFT_ORDERS = 6
 """Cosines over the time of a recording: slower than friction that warms up in it."""
+
+LINE = 0.1
+"""Usual share of a line in time."""
 
 WRONG_VALUE = 0.3
 """Usual share of a wrong value of the data sheet in what is compared."""
@@ -241,9 +244,9 @@ class InverseView:
     def _gravity(self, i: int) -> FloatArray:
         """Of one N m, down and across, (n, 2)."""
         ratio = self.bench.value("gear_ratio")
-        waves = ((np.sin, "down"), (np.cos, "across"))
-        made = [self._seen(i, key, lambda m, f=f: f(m.angle / ratio) / ratio) for f, key in waves]
-        return np.column_stack(made)
+        down = self._seen(i, "down", lambda motion: np.sin(motion.angle / ratio) / ratio)
+        across = self._seen(i, "across", lambda motion: np.cos(motion.angle / ratio) / ratio)
+        return np.column_stack([down, across])
 
     # The model
 
@@ -263,6 +266,7 @@ class InverseView:
             tuple(self._nuisances(i) for i in range(len(self.pieces))),
             tuple(self._candidates()),
             tuple(d for d, _ in self._series) + self._drift(),
+            believed_sds(self.bench, self.unknown),
         )
 
     def _every(
@@ -280,52 +284,60 @@ class InverseView:
         )
 
     def _candidates(self) -> Iterator[Candidate]:
+        own_phase = not self.phases_shared
         for name, term in self.terms.items():
             law, amplitude = term.law, term.law.amplitude
-            excludes = frozenset({law.contains} if law.contains else ())
-            requires = frozenset({law.requires} if law.requires else ())
-            make = _CandidateOf(name, law.usual, term.not_negative, excludes, requires, law.same_as)
+            make = partial(
+                Candidate,
+                kind="effect",
+                name=name,
+                usual=law.usual,
+                not_negative=term.not_negative,
+                excludes=frozenset({law.contains} if law.contains else ()),
+                requires=frozenset({law.requires} if law.requires else ()),
+                same_as=law.same_as,
+            )
+            wave = partial(make, parameters=(amplitude,), is_wave=True, own_phase=own_phase)
             if name == SKEW:
                 if self.slope:
-                    yield make(
-                        (amplitude,), (Look({}, self._every(lambda i: self.slope[i][:, None])),)
-                    )
+                    look = Look({}, self._every(lambda i: self.slope[i][:, None]))
+                    yield make(name, parameters=(amplitude,), looks=(look,))
             elif law.scanned == ORDER:
                 for grid, weight in self.orders:
-                    looks = tuple(
-                        Look(
-                            {ORDER: order},
-                            self._every(
-                                lambda i, name=name, order=order: self._waves(
-                                    i, name, {ORDER: order}
-                                ),
-                                above=True,
-                            ),
-                            weight / len(grid),
-                        )
-                        for order in grid
-                    )
-                    label = f"{name} {grid[len(grid) // 2]:.6g}"
-                    yield make((amplitude,), looks, label, True, not self.phases_shared)
+                    columns = (partial(self._waves, name=name, shapes={ORDER: n}) for n in grid)
+                    looks = self._alternatives(ORDER, grid, weight, columns, above=True)
+                    yield wave(f"{name} {grid[len(grid) // 2]:.6g}", looks=looks)
             elif term.periodic:
-                look = Look({}, self._every(lambda i, name=name: self._waves(i, name, {})))
-                yield make((amplitude,), (look,), name, True, not self.phases_shared)
+                look = Look({}, self._every(partial(self._waves, name=name, shapes={})))
+                yield wave(name, looks=(look,))
             else:
                 parameters = (amplitude, *law.linear)
-                yield make(parameters, tuple(self._looks(name, parameters)))
+                yield make(name, parameters=parameters, looks=tuple(self._looks(name, parameters)))
         if not self.load:
             yield from self._wrong_values()
         for grid, weight in self.lines:
-            looks = tuple(
-                Look(
-                    {"frequency_hz": hertz},
-                    self._every(lambda i, f=hertz: self._hum(i, f)),
-                    weight / len(grid),
-                )
-                for hertz in grid
-            )
+            columns = (partial(self._hum, hertz=hertz) for hertz in grid)
+            looks = self._alternatives("frequency_hz", grid, weight, columns)
             label = f"line {grid[len(grid) // 2]:.6g} Hz"
-            yield Candidate(label, "line", label, ("amplitude",), looks, 0.1, False, True, True)
+            yield Candidate(
+                label, "line", label, ("amplitude",), looks, LINE, is_wave=True, own_phase=True
+            )
+
+    def _alternatives(
+        self,
+        shape: str,
+        grid: Sequence[float],
+        weight: float,
+        columns: Iterable[Callable[[int], FloatArray]],
+        *,
+        above: bool = False,
+    ) -> tuple[Look, ...]:
+        """Of a wave, each value of the shape as probable as another."""
+        pairs = zip(grid, columns, strict=True)
+        return tuple(
+            Look({shape: value}, self._every(make, above=above), weight / len(grid))
+            for value, make in pairs
+        )
 
     def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
         law = self.terms[name].law
@@ -349,26 +361,29 @@ class InverseView:
         if self.load_angle_known and GRAVITY not in self.unknown:
             names.append(GRAVITY)
         for name in names:
-            look = Look({}, self._every(lambda i, name=name: self._parameter(i, name)[:, None]))
+            look = Look({}, self._every(partial(self._columns_of_parameter, name=name)))
             yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
         if not self.load_angle_known and not self.gravity_free:
             look = Look({}, self._every(self._gravity))
             yield Candidate(
-                "gravity", "gravity", GRAVITY, (GRAVITY,), (look,), WRONG_VALUE, False, True, True
+                "gravity",
+                "gravity",
+                GRAVITY,
+                (GRAVITY,),
+                (look,),
+                WRONG_VALUE,
+                is_wave=True,
+                own_phase=True,
             )
+
+    def _columns_of_parameter(self, i: int, name: str) -> FloatArray:
+        return self._parameter(i, name)[:, None]
 
     def _hum(self, i: int, hertz: float) -> FloatArray:
         """Sine and cosine of a line in time, as compared, (n, 2)."""
-        made = []
-        for wave in (np.sin, np.cos):
-            key = ("line", hertz, wave.__name__)
-            law = lambda m, wave=wave: wave(2.0 * math.pi * hertz * m.time_s) * self.unit  # noqa: E731
-            made.append(
-                self._seen(i, key, law)
-                if not self.load
-                else self._seen(i, key, lambda m, wave=wave: wave(2.0 * math.pi * hertz * m.time_s))
-            )
-        return np.column_stack(made)
+        time = self.motions[i].time_s
+        waves = (wave(2.0 * math.pi * hertz * time) for wave in (np.sin, np.cos))
+        return np.column_stack([self.windows[i](wave) for wave in waves])
 
     # What nothing explains
 
@@ -385,7 +400,13 @@ class InverseView:
 
             every = np.concatenate([over(i) for i in self.used if not self.windows[i].above])
             low, high = float(every.min()), float(every.max())
-            series = Series.over(variable, period, reverses, low, high, LEARNED_HARMONICS)
+            series = Series.over(
+                variable,
+                period,
+                reverses=reverses,
+                orders=LEARNED_HARMONICS,
+                reach=(low, high),
+            )
             if self.load:
                 series = replace(series, means=np.zeros(2 * LEARNED_HARMONICS))
 
@@ -484,7 +505,7 @@ class InverseView:
         else:
             assert law.scanned is not None
             best = inference.values(name)[law.scanned].value
-        near = np.searchsorted(grid, best)
+        near = int(np.searchsorted(grid, best))
         low, high = grid[max(0, near - 1)], grid[min(len(grid) - 1, near + 1)]
         if not low < high:
             return grid
@@ -698,41 +719,6 @@ class InverseView:
         bench = replace(self.bench, learned_torque=answer.learned.term)
         fitted = {k: v.value for k, v in answer.bench_parameters.items()}
         return bench.with_parameters(**fitted).with_effects(*bench.effects, *effects)
-
-
-@dataclass(frozen=True, slots=True)
-class _CandidateOf:
-    """Makes candidates of one effect."""
-
-    name: str
-    usual: float
-    not_negative: bool
-    excludes: frozenset[str]
-    requires: frozenset[str]
-    same_as: tuple[str, ...]
-
-    def __call__(
-        self,
-        parameters: tuple[str, ...],
-        looks: tuple[Look, ...],
-        label: str = "",
-        is_wave: bool = False,
-        own_phase: bool = False,
-    ) -> Candidate:
-        return Candidate(
-            label or self.name,
-            "effect",
-            self.name,
-            parameters,
-            looks,
-            self.usual,
-            self.not_negative,
-            is_wave,
-            own_phase,
-            self.excludes,
-            self.requires,
-            self.same_as,
-        )
 
 
 def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
