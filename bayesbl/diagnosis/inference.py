@@ -93,18 +93,6 @@ class _Placed:
     columns: slice
 
 
-def counted(noise: ResidualNoise, values: FloatArray, *, shown: bool) -> FloatArray:
-    """Values in units of the noise, (n, …).
-
-    Of a piece that is shown, of the noise where its spectrum is strongest: p'Σp ≤ s² p'p for every
-    prediction p, so that no evidence is counted that is not there. Whitened, a recording would be
-    fitted where its noise is weakest, which of a real joint is where the bench knows least. Of one
-    that holds lines alone, of its root mean square: over changing speeds a line sweeps all of it.
-    """
-    size = noise.strongest if shown else noise.sd
-    return np.asarray(values / max(size, float(np.finfo(float).tiny)))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
     """Of the nuisances (d,), of every term in the catalogue's units, of every group."""
@@ -123,6 +111,13 @@ class Inference:
         What was inferred.
     noises
         Of every used piece.
+    sizes
+        What each used piece is counted in, the channel's unit: one size for all that are shown, of
+        the noise where its spectrum is strongest, p'Σp ≤ s² p'p for every prediction p, so that no
+        evidence is counted that is not there. Whitened, or each in its own, recordings would be
+        fitted where they are least noisy, which of a real joint is where the bench happens to be
+        best. Those that hold lines alone count in their root mean square: over changing speeds a
+        line sweeps all of it.
     posterior
         Over sets of candidates.
     """
@@ -168,7 +163,18 @@ class Inference:
         if noises is None:
             noises = self._noise_beside_everything(blocks)
         self.noises = tuple(noises)
+        shown = [self.model.pieces[i].shown for i in self.model.used]
+        pairs = list(zip(noises, shown, strict=True))
+        below = max(noise.strongest for noise, is_shown in pairs if is_shown)
+        above = max((noise.sd for noise, is_shown in pairs if not is_shown), default=1.0)
+        tiny = float(np.finfo(float).tiny)
+        self.sizes = [max(below if is_shown else above, tiny) for is_shown in shown]
         self._search(blocks)
+
+    @property
+    def _shown_size(self) -> float:
+        used = zip(self.model.used, self.sizes, strict=True)
+        return next(size for i, size in used if self.model.pieces[i].shown)
 
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
@@ -205,15 +211,8 @@ class Inference:
         return [ResidualNoise.of(part) for part in np.split(left, ends)]
 
     def _search(self, blocks: list[list[FloatArray]]) -> None:
-        noises = self.noises
-
         def rows(parts: Sequence[FloatArray]) -> FloatArray:
-            return np.concatenate(
-                [
-                    counted(noise, part, shown=self.model.pieces[i].shown)
-                    for i, noise, part in zip(self.model.used, noises, parts, strict=True)
-                ]
-            )
+            return np.concatenate([p / size for p, size in zip(parts, self.sizes, strict=True)])
 
         jacobian = rows(self._nuisances)
         d = jacobian.shape[1]
@@ -235,10 +234,7 @@ class Inference:
             for placed, block in zip(self.terms, blocks, strict=True)
         ]
         kinds = [d.kind for d in self.model.discrepancies]
-        shown = [
-            n for i, n in zip(self.model.used, noises, strict=True) if self.model.pieces[i].shown
-        ]
-        usual = DISCREPANCY_SHARE * self._level() / max(n.strongest for n in shown)
+        usual = DISCREPANCY_SHARE * self._level() / self._shown_size
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
         sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
