@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.recording.types import BoolArray, FloatArray
@@ -204,3 +205,14 @@ def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
     scale = np.sqrt((matrix**2).sum(axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
     return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=DEPENDENT)[0] / scale)
+
+
+def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArray) -> FloatArray:
+    """The same with every x at least as large as ``low``, (p,): zero, or minus infinity."""
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    free = least_squares(matrix, target)
+    if np.all(free >= low):
+        return free
+    root, turned = np.linalg.qr(np.column_stack([matrix / scale, target]), mode="r"), scale.size
+    return np.asarray(lsq_linear(root[:, :turned], root[:, turned], (low, np.inf)).x / scale)

@@ -17,7 +17,13 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.diagnosis.comparison import AffineModel, Candidate, Look, least_squares
+from bayesbl.diagnosis.comparison import (
+    AffineModel,
+    Candidate,
+    Look,
+    bounded_least_squares,
+    least_squares,
+)
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
@@ -345,8 +351,14 @@ class Inference:
         held = np.isfinite(sds)
         prior = np.zeros((int(held.sum()), sds.size))
         prior[np.arange(len(prior)), np.flatnonzero(held)] = 1.0 / np.maximum(sds[held], 1e-300)
-        values = least_squares(
-            np.vstack([matrix, prior]), np.concatenate([view.residual, np.zeros(len(prior))])
+        low = np.full(sds.size, -np.inf)
+        at = view.jacobian.shape[1]
+        for k in chosen:
+            if view.terms[k].positive:
+                low[at] = 0.0
+            at += self.terms[k].unit.size
+        values = bounded_least_squares(
+            np.vstack([matrix, prior]), np.concatenate([view.residual, np.zeros(len(prior))]), low
         )
         sizes = [np.zeros(placed.unit.size) for placed in self.terms]
         at = view.jacobian.shape[1]

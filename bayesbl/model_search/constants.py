@@ -33,6 +33,9 @@ KEPT_BELOW = 12.0
 MOST_KEPT = 300
 """Sets kept of those, the best: the rest has no weight where one is named."""
 
+MOST_WEIGHED = 1000
+"""Sets of each size that are weighed with their signs, the likeliest without."""
+
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
 

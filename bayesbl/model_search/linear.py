@@ -37,6 +37,7 @@ from bayesbl.model_search.constants import (
     FAR,
     KEPT_BELOW,
     MOST_KEPT,
+    MOST_WEIGHED,
     NAMED_AT,
 )
 from bayesbl.recording.types import FloatArray
@@ -507,8 +508,10 @@ def _enumerate(
                 wider[more] = max(last[terms] + float(added[k]), wider.get(more, -np.inf))
         if not wider:
             break
-        result |= {terms: value for terms, value in wider.items() if grams.is_complete(terms)}
-        last = wider
+        likely = sorted(wider, key=lambda some: -wider[some])[:MOST_WEIGHED]
+        weighed = grams.log_posterior(likely, level, sweeps=2).tolist()
+        last = dict(zip(likely, weighed, strict=True))
+        result |= {terms: value for terms, value in last.items() if grams.is_complete(terms)}
     return result
 
 

@@ -265,3 +265,47 @@ def test_draws_of_sizes_keep_their_signs_and_agree_with_expectation_propagation(
     assert (sizes[:, :2] >= 0.0).all()
     assert sizes.mean(axis=0) == pytest.approx(m[0], abs=0.03)
     assert sizes.std(axis=0) == pytest.approx(np.sqrt(np.diag(v[0])), rel=0.04)
+
+
+def test_a_departure_is_not_there_without_what_it_departs_from() -> None:
+    rng = np.random.default_rng(15)
+    whole, part = rng.standard_normal((2, 100, 1))
+    terms = [Term("whole", whole), Term("part", part, requires=frozenset({"whole"}))]
+    for size in ([0.0, 2.0], [2.0, 2.0]):
+        residual = np.hstack([whole, part]) @ size + rng.standard_normal(100)
+        sets = search(view(residual, terms)).sets
+        assert (1,) not in sets
+        assert sets[(0, 1)] > 0.99
+    alone = [replace(terms[1], requires=frozenset({"what no view has"}))]
+    assert search(view(2.0 * part[:, 0] + rng.standard_normal(100), alone)).named == ("part",)
+
+
+def test_a_law_is_not_left_to_a_discrepancy_of_its_size_that_holds_its_shape() -> None:
+    """Beside a misfit that the discrepancy must hold, it could hold the law too."""
+    rng = np.random.default_rng(16)
+    h = smooth(800, 12)
+    law = h @ np.array([20.0, *[0.0] * 11])
+    misfit = h @ np.array([0.0, *rng.standard_normal(11)]) * 1.5
+    residual = law + misfit + rng.standard_normal(800)
+    lin = view(residual, [Term("law", law[:, None] / 10.0)], discrepancy=h)
+    usual = replace(lin.groups[0], usual=1.0)
+    assert search(replace(lin, groups=[usual])).inclusion["law"] > 0.999
+    free = search(lin).inclusion["law"]
+    assert free < search(replace(lin, groups=[usual])).inclusion["law"]
+
+
+def test_sets_whose_signs_physics_forbids_do_not_crowd_out_the_others() -> None:
+    rng = np.random.default_rng(17)
+    column = rng.standard_normal((200, 1))
+    wrong = [Term(f"w{i}", -column + 0.1 * rng.standard_normal((200, 1)), True) for i in range(12)]
+    right = Term("right", column + 0.3 * rng.standard_normal((200, 1)), True)
+    residual = right.columns[:, 0] * 1.2 + rng.standard_normal(200)
+    assert search(view(residual, [*wrong, right]), max_terms=3).named == ("right",)
+
+
+def test_the_scale_of_a_discrepancy_is_told_in_the_callers_unit() -> None:
+    rng = np.random.default_rng(18)
+    h = smooth(1000, 20) * 1e-2
+    size = rng.standard_normal(20) * 50.0
+    posterior = search(view(h @ size + rng.standard_normal(1000), [], discrepancy=h))
+    assert posterior.discrepancy_sd(0) == pytest.approx(50.0, rel=0.6)

@@ -237,7 +237,8 @@ class FreeMotionView:
                         own.append(slope(i, step, effects, {**fixed, key: at_zero[key] + step}))
                         base[i] -= own[-1] * at_zero[key]
                     columns.append(np.column_stack(own))
-                looks.append(Look(shapes, tuple(columns), 1.0 / len(grid)))
+                weight = 1.0 if shape is None else 1.0 / len(SHAPES)
+                looks.append(Look(shapes, tuple(columns), weight))
             excludes = frozenset({term.law.contains} if term.law.contains else ())
             candidates.append(
                 Candidate(
