@@ -214,5 +214,6 @@ def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArra
     free = least_squares(matrix, target)
     if np.all(free >= low):
         return free
-    root, turned = np.linalg.qr(np.column_stack([matrix / scale, target]), mode="r"), scale.size
-    return np.asarray(lsq_linear(root[:, :turned], root[:, turned], (low, np.inf)).x / scale)
+    whole = np.column_stack([matrix / scale, target])
+    root = np.asarray(np.linalg.qr(whole, mode="r"), dtype=float)
+    return np.asarray(lsq_linear(root[:, :-1], root[:, -1], (low, np.inf)).x / scale)

@@ -118,12 +118,11 @@ class Inference:
     noises
         Of every used piece.
     sizes
-        What each used piece is counted in, the channel's unit: one size for all that are shown, of
-        the noise where its spectrum is strongest, p'Σp ≤ s² p'p for every prediction p, so that no
-        evidence is counted that is not there. Whitened, or each in its own, recordings would be
-        fitted where they are least noisy, which of a real joint is where the bench happens to be
-        best. Those that hold lines alone count in their root mean square: over changing speeds a
-        line sweeps all of it.
+        What each used piece is counted in, the channel's unit: one size for all that are shown, one
+        for those that hold lines alone, of the noise where its spectrum is strongest. There
+        p'Σp ≤ s² p'p for every prediction p, so that no evidence is counted that is not there.
+        Whitened, or each in its own, recordings would be fitted where they are least noisy, which
+        of a real joint is where the bench happens to be best.
     posterior
         Over sets of candidates.
     """
@@ -172,7 +171,7 @@ class Inference:
         shown = [self.model.pieces[i].shown for i in self.model.used]
         pairs = list(zip(noises, shown, strict=True))
         below = max(noise.strongest for noise, is_shown in pairs if is_shown)
-        above = max((noise.sd for noise, is_shown in pairs if not is_shown), default=1.0)
+        above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
         tiny = float(np.finfo(float).tiny)
         self.sizes = [max(below if is_shown else above, tiny) for is_shown in shown]
         self._search(blocks)
