@@ -7,25 +7,25 @@ from collections.abc import Iterator, Mapping
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.diagnosis.comparison import EffectsFit
 from bayesbl.diagnosis.diagnosis import Estimate, ParameterError
 
 SURE_PARAMETER = 3.0
 """Standard deviations beyond which a value is told: three in a thousand by chance."""
 
 
-def impossible(fit: EffectsFit, sds: Mapping[str, float]) -> Iterator[str]:
+def impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
     """A sentence for each fitted parameter that no joint can have: then nothing is believed.
 
-    ``sds``: standard deviations, by which noise alone may carry a value below zero.
+    Noise alone may carry a value below zero.
     """
-    for name, value in fit.bench.items():
+    for name, found in estimates.items():
         info = PARAMETER_INFO[name]
-        if info.positive and value + SURE_PARAMETER * sds.get(name, 0.0) <= 0.0:
+        if info.positive and found.value + SURE_PARAMETER * found.sd <= 0.0:
             yield (
-                f"The best fit with {name} free has {value:.3g} {info.unit} there, which nothing "
-                "has: what the recordings show follows no law that was tried, so nothing is named. "
-                "Faster motion shows the inertia, slow motion in both directions the friction."
+                f"The best fit with {name} free has {found.value:.3g} {info.unit} there, which "
+                "nothing has: what the recordings show follows no law that was tried, so nothing "
+                "is named. Faster motion shows the inertia, slow motion in both directions the "
+                "friction."
             )
 
 

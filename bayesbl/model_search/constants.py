@@ -38,3 +38,8 @@ MOST_WEIGHED = 1000
 
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
+
+
+LEARNED_SHARE = 0.01
+"""Of the excess chi-square that a discrepancy must hold to be told: less than a hundredth of what
+the names explain is the form of their laws."""

@@ -60,6 +60,7 @@ EFFECT = Effect(
     torque=RigidLaw(
         signal=torque_nm,
         amplitude="rate_nm_per_s",
+        usual=0.1,
         linear=("torque_nm",),
         contains="motor_coulomb_friction",
     ),

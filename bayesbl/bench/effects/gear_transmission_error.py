@@ -38,6 +38,7 @@ EFFECT = Effect(
             given["angle_rad"] * np.sin(given[ORDER] * motion.angle + given[PHASE])
         ),
         amplitude="angle_rad",
+        usual=0.1,
         scanned=ORDER,
     ),
 )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.free_motion.trajectory import (
-    FreeMotionComparison,
-    free_motion_candidates,
+    FreeMotionView,
+    free_motion_effects,
     start_of,
 )
+from bayesbl.diagnosis.inference import MOST_EFFECTS, diagnose
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -18,16 +20,16 @@ from bayesbl.diagnosis.rigid.preparation import (
     require_rigid,
     unknown_parameters,
 )
-from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
 from bayesbl.errors import RecordingError
+from bayesbl.progress import StageProgress
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED
 
 CHANNELS = (MOTOR_POSITION, MOTOR_SPEED)
 
 
-def free_motion_problem(task: Task) -> Problem:
-    """The comparison that a configuration asks for.
+def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
+    """The view that a configuration asks for, and what these recordings cannot show.
 
     Raises
     ------
@@ -51,24 +53,24 @@ def free_motion_problem(task: Task) -> Problem:
     if GRAVITY not in unknown:
         unknown_parameters(task, (*INERTIAS, GRAVITY))
     pieces = pieces_of(task, recordings, channel)
-    comparison = FreeMotionComparison(
+    every = free_motion_effects(compared.load_angle_known and gravity)
+    view = FreeMotionView(
         pieces,
         tuple(start_of(piece) for piece in pieces),
         bench,
-        tuple(wanted(config, bench, free_motion_candidates(compared.load_angle_known and gravity))),
+        tuple(effect.name for effect in wanted(config, bench, every)),
         unknown,
         compared.load_angle_known or not gravity,
     )
-    for made in (comparison, *comparison.folds()):
-        for piece in made.pieces:
-            if not np.ptp(piece.kept(piece.measured)) > 0.0:
-                raise RecordingError(
-                    "Nothing moves in a part that is to be fitted or predicted.",
-                    file=next(r.place for r in recordings if r.name == piece.name),
-                    where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
-                    found=f"{channel} that never changes",
-                    expected="a recording of a motion from its start to its end",
-                )
+    for piece in pieces:
+        if not np.ptp(piece.kept(piece.measured)) > 0.0:
+            raise RecordingError(
+                "Nothing moves in a part that is to be fitted or predicted.",
+                file=next(r.place for r in recordings if r.name == piece.name),
+                where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
+                found=f"{channel} that never changes",
+                expected="a recording of a motion from its start to its end",
+            )
     scale = "gravity" if gravity else "the inertia"
     notes = [
         *notes_of(recordings),
@@ -77,7 +79,30 @@ def free_motion_problem(task: Task) -> Problem:
     ]
     if channel == MOTOR_SPEED:
         notes.append("Speed alone: the start angle is known only through what gravity does.")
-    return Problem(comparison, lambda fit: (), tuple(notes))
+    return view, notes
 
 
-METHOD = BySelection("free_motion", free_motion_problem)
+class FreeMotion:
+    """The method of diagnosis."""
+
+    name = "free_motion"
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        view, _ = view_of(task)
+        channel = view.pieces[0].channel
+        return f"{self.name}, {channel}; candidates {', '.join(view.effects)}"
+
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        view, notes = view_of(task)
+        return diagnose(
+            view.prepared(),
+            task.bench,
+            most=task.config.candidates.max_effects or MOST_EFFECTS,
+            notes=lambda inference: notes,
+            progress=progress,
+        )
+
+
+METHOD = FreeMotion()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from bayesbl.diagnosis.rigid.inverse import InverseComparison
+from bayesbl.diagnosis.rigid.inverse import InverseView
 from bayesbl.diagnosis.rigid.motion import END_PERIODS
 from bayesbl.diagnosis.rigid.view import noise_of
 from bayesbl.recording.types import FloatArray
@@ -15,7 +14,6 @@ from bayesbl.recording.types import FloatArray
 LARGEST_SHARE = 0.01
 """Of noise in the power of the acceleration: so much too small an inertia comes out."""
 
-FALSE_ALARM = 0.01
 BANDS_PER_OCTAVE = 3
 FEWEST_LINES = 10
 """Of a spectrum in a band."""
@@ -45,43 +43,34 @@ def resolved_hz(positions: Sequence[FloatArray], period_s: float) -> float:
     return max(least, float(frequency[order][within[-1]]) if within.size else 0.0)
 
 
-def coherent_hz(resolved: InverseComparison) -> float | None:
+def coherent_hz(resolved: InverseView) -> float | None:
     """The end of the highest third of an octave that the prediction explains more than half of.
 
-    With T the spectrum of the measurement and R that of what a fit of all plain effects, and of the
-    motor orders that stand out, leaves of it: Σ|R|² < ½ Σ|T|². ``None`` if no band has that. If
-    these orders lie higher where they are strongest, it is a third of an octave above them: of a
-    ripple that mostly lies above the cut-off, what is left below looks like a delay.
+    With T the spectrum of the measurement and R that of what all that is linear, and the motor
+    orders that stand out, leave of it: Σ|R|² < ½ Σ|T|². ``None`` if no band has that.
 
     Parameters
     ----------
     resolved
-        The comparison behind the highest cut-off that resolves the motion.
+        The view behind the highest cut-off that resolves the motion.
     """
-    fit = resolved.fit(tuple(c.name for c in resolved.candidates if c.is_plain), None)
-    lines = resolved.scan_orders(fit).lines(FALSE_ALARM)
-    turning = [line for line in lines if line.dependence == "motor angle"]
-    orders = [line.order for line in turning]
+    view = resolved.coarse()
+    predicted = view.fitted()
     frequencies, measured, left = [], [], []
-    for i, piece in enumerate(resolved.pieces):
-        if piece.use != "used" or not piece.shown:
-            continue
-        angle = resolved.motions[i].angle[resolved.views[i].rows]
-        waves = [wave(order * angle) for order in orders for wave in (np.sin, np.cos)]
-        matrix = np.column_stack([np.ones(angle.size), *waves])
-        rest = piece.measured - fit.predictions[i]
-        rest = rest - matrix @ np.linalg.lstsq(matrix, rest, rcond=None)[0]
-        frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
-        measured.append(_power(piece.measured))
-        left.append(_power(rest))
+    for i in view.used:
+        piece = view.pieces[i]
+        if piece.shown:
+            rest = piece.measured - predicted[i]
+            frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
+            measured.append(_power(piece.measured))
+            left.append(_power(rest))
     frequency, total = np.concatenate(frequencies), np.concatenate(measured)
     rest = np.concatenate(left)
-    highest = top = resolved.views[0].low_pass.cutoff_hz
+    top = view.windows[0].low_pass.cutoff_hz
     ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
-    strongest = [ratio * line.order * line.fastest / (2.0 * math.pi) for line in turning]
     while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
         if 2.0 * rest[band].sum() < total[band].sum():
-            return max(top, min(highest, max(strongest, default=0.0)))
+            return top
         top /= ratio
     return None
 

@@ -20,6 +20,7 @@ from bayesbl.diagnosis.diagnosis import (
 )
 from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
 from bayesbl.diagnosis.fitted_parameters import parameter_errors
+from bayesbl.diagnosis.inference import MOST_EFFECTS
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.loop_setting import (
     ECCENTRICITY,
@@ -42,7 +43,6 @@ from bayesbl.diagnosis.rigid.order_laws import (
 )
 from bayesbl.diagnosis.rigid.order_lines import OrderLine, Turning, find_orders, noise_sd
 from bayesbl.diagnosis.rigid.speed_loop import LOOP_EFFECTS, torque_of_angle
-from bayesbl.diagnosis.selection import MOST_EFFECTS
 from bayesbl.diagnosis.task import Task
 from bayesbl.naming.criteria import ALIKE
 from bayesbl.progress import StageProgress

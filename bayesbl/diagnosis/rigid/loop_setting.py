@@ -25,9 +25,9 @@ from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
 GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
 CANDIDATES = (
-    TestedEffect(RIPPLE, "torque_nm"),
-    TestedEffect(ECCENTRICITY, "angle_rad"),
-    *(TestedEffect(name, amplitude) for name, amplitude in LOOP_EFFECTS.items()),
+    TestedEffect(RIPPLE),
+    TestedEffect(ECCENTRICITY),
+    *map(TestedEffect, LOOP_EFFECTS),
 )
 CONSTANT = ("motor_coulomb_friction", "load_coulomb_friction", "load_viscous_friction")
 """Effects of a bench that are no line at one speed, or are known to the loop."""

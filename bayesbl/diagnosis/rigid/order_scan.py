@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -16,6 +16,10 @@ from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
 FEWEST_CYCLES = 3.0
 FEWEST_SAMPLES = 20
 """That an order must pass in to be judged: below, its score is no χ²."""
+
+CHANCE = 0.5
+"""Probability of as strong a line where there is none, up to which it is tried: the search
+decides."""
 
 SLOW_SHARE = 0.1
 """Of the time: in the slowest part the highest order still has two samples in a period."""
@@ -209,3 +213,52 @@ def _transform(
         seen[here] += rest.size
         squares[here] += 0.5 * float(rest @ rest)
     return found, seen, squares
+
+
+def peaks(
+    rests: Sequence[OrderedRest], shared: bool, most: int
+) -> list[tuple[tuple[float, ...], float]]:
+    """Orders that stand out most, each beneath the stronger ones: values to try around it, and its
+    prior weight.
+
+    Beforehand one order is as probable as another as far as these recordings resolve them, but for
+    whole ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
+    """
+    found: list[tuple[tuple[float, ...], float]] = []
+    known: list[float] = []
+    while len(found) < most:
+        spectrum = spectrum_of(rests, shared)
+        if not spectrum.orders.size:
+            break
+        step = float(spectrum.orders[1] - spectrum.orders[0])
+        scores = spectrum.scores.copy()
+        for order in known:
+            scores[np.abs(spectrum.orders - order) <= 2.0 * STEPS_PER_CYCLE * step] = 0.0
+        k = int(np.argmax(scores))
+        score = float(scores[k])
+        if spectrum.trials(score) * chi2.sf(score, spectrum.freedom) > CHANCE:
+            break
+        order = float(spectrum.orders[k])
+        known.append(order)
+        whole = round(order)
+        near = whole > 0 and abs(order - whole) < step
+        if near:
+            order = float(whole)
+        top = max(1.0, float(spectrum.orders[-1]))
+        weight = 0.5 / spectrum.independent + (0.5 / top if near else 0.0)
+        around = order + 0.5 * step * np.arange(-2.0, 3.0)
+        found.append((tuple(around.tolist()), min(weight, 1.0)))
+        rests = [_without(item, order) for item in rests]
+    return found
+
+
+def _without(item: OrderedRest, order: float) -> OrderedRest:
+    """The residual less its wave of an order, where it shows it."""
+    rows = np.flatnonzero(item.shows(order))
+    if rows.size < FEWEST_SAMPLES:
+        return item
+    phase = order * item.angle[rows]
+    waves = np.column_stack([np.cos(phase), np.sin(phase)])
+    rest = item.rest.copy()
+    rest[rows] -= waves @ np.linalg.lstsq(waves, rest[rows])[0]
+    return replace(item, rest=rest)

@@ -10,9 +10,8 @@ An effect takes part by the laws that its module under ``bench/effects`` declare
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -43,110 +42,15 @@ class Term:
     candidate: TestedEffect
     law: RigidLaw
     periodic: bool
-
-    @property
-    def scanned(self) -> str | None:
-        """The parameter that the linear solution does not give; ``None`` if it gives all."""
-        return self.candidate.amplitude if self.candidate.name == SKEW else self.law.scanned
-
-    @property
-    def has_direction(self) -> bool:
-        """Whether it is dry friction."""
-        return "direction" in effect_named(self.candidate.name).depends_on
-
-
-@dataclass(frozen=True, slots=True)
-class ShapedEffect:
-    """A term with a value of what its signal is not linear in; there is none without.
-
-    Raises
-    ------
-    ValueError
-        If there is no value for a scanned parameter, or a value for none.
-    """
-
-    term: Term
-    value: float | None = None
-
-    def __post_init__(self) -> None:
-        if (self.value is None) != (self.term.scanned is None):
-            raise ValueError(f"{self.name}: {self.term.scanned} is {self.value}")
-
-    @property
-    def name(self) -> str:
-        """Of the catalogue."""
-        return self.term.candidate.name
-
-    @property
-    def shape(self) -> dict[str, float]:
-        """The scanned parameter and its value; empty if there is none."""
-        scanned = self.term.scanned
-        return {} if scanned is None or self.value is None else {scanned: self.value}
-
-
-@dataclass(frozen=True, slots=True)
-class ShapedEffects:
-    """Effects of a fit: with their linear coefficients all that a prediction needs.
-
-    ``width``: speed over which dry friction changes its sign, rad/s; 0 for a step.
-    """
-
-    effects: tuple[ShapedEffect, ...] = ()
-    width: float = 0.0
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the catalogue."""
-        return tuple(effect.name for effect in self.effects)
-
-    @property
-    def skew_s(self) -> tuple[float, float]:
-        """By which current and position lag."""
-        shape = next((effect.shape for effect in self.effects if effect.name == SKEW), {})
-        return shape.get("current_s", 0.0), shape.get("position_s", 0.0)
-
-    @property
-    def values(self) -> dict[str, float]:
-        """``effect.parameter`` of everything scanned, the width apart."""
-        return {f"{e.name}.{key}": value for e in self.effects for key, value in e.shape.items()}
-
-    def plus(self, term: Term, value: float | None = None) -> ShapedEffects:
-        """With a term, or with another value of one that is there."""
-        effect = ShapedEffect(term, value)
-        if effect.name in self.names:
-            changed = tuple(effect if e.name == effect.name else e for e in self.effects)
-            return replace(self, effects=changed)
-        return replace(self, effects=(*self.effects, effect))
-
-    def only(self, names: Collection[str]) -> ShapedEffects:
-        """Without all others."""
-        return replace(self, effects=tuple(e for e in self.effects if e.name in names))
+    not_negative: bool
 
 
 def _term(effect: Effect, law: RigidLaw) -> Term:
-    candidate = TestedEffect(
-        effect.name,
-        law.amplitude,
-        freedom=2 if effect.is_periodic else 1,
-        same_as=law.same_as,
-        contains=law.contains,
-        not_negative=law.not_negative
-        or any(item.not_negative for item in effect.amplitudes if item.name == law.amplitude),
-        at_most=min(
-            (a.high for a in effect.amplitudes if a.name == law.amplitude and not a.unit),
-            default=math.inf,
-        ),
-        acts_above=law.scanned == ORDER,
-        is_plain=not (
-            effect.is_periodic
-            or law.scanned
-            or law.linear
-            or law.contains
-            or law.beside
-            or effect.name == SKEW
-        ),
+    not_negative = law.not_negative or any(
+        item.not_negative for item in effect.amplitudes if item.name == law.amplitude
     )
-    return Term(candidate, law, effect.is_periodic)
+    candidate = TestedEffect(effect.name, law.same_as, law.contains)
+    return Term(candidate, law, effect.is_periodic, not_negative)
 
 
 TORQUE_TERMS: Mapping[str, Term] = MappingProxyType(

@@ -57,7 +57,7 @@ WHOLE_STEP = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class Window:
     """From a signal over a whole recording, shape (n,), to the samples of a piece, (k,).
 
     Attributes
@@ -87,7 +87,7 @@ class View:
         passed = self.low_pass(seen)
         return (seen - passed if self.above else passed)[self.rows]
 
-    def half(self, second: bool) -> View:
+    def half(self, second: bool) -> Window:
         """The first or the second half of what is compared."""
         first, end, step = self.rows.start, self.rows.stop, self.rows.step
         middle = first + step * (len(range(first, end, step)) // 2)

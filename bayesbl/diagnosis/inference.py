@@ -1,0 +1,663 @@
+"""From an affine model of recordings to names, sizes and disagreement: one posterior, one rule.
+
+The posterior is :mod:`bayesbl.model_search.linear`'s. Noise is autoregressive, as the model with
+everything in it leaves it, then as the average over the posterior does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.effect_declaration import ORDER, PHASE
+from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.diagnosis.comparison import (
+    AffineModel,
+    Candidate,
+    Look,
+    bounded_least_squares,
+    least_squares,
+)
+from bayesbl.diagnosis.diagnosis import (
+    Diagnosis,
+    Estimate,
+    LearnedAnswer,
+    NamedEffect,
+    PieceSignals,
+    verdict_of,
+)
+from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
+from bayesbl.diagnosis.fitted_parameters import impossible, parameter_errors
+from bayesbl.diagnosis.residual_noise import ResidualNoise
+from bayesbl.diagnosis.residuals.unexplained import Unexplained, What
+from bayesbl.diagnosis.shared_scale import scaled_parameters, with_shared_scale
+from bayesbl.model_search.constants import LEARNED_SHARE, NAMED_AT
+from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
+from bayesbl.progress import StageProgress
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import unit_of
+
+DRAWS = 1000
+"""Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
+
+DISCREPANCY_SHARE = 0.1
+"""Of the root mean square of what is compared, that a smooth torque usually has which no law of the
+catalogue holds."""
+
+MOST_EFFECTS = 6
+"""Named where a configuration does not say how many."""
+
+MOST_TERMS = 8
+"""Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
+
+ROUNDS = 3
+"""Of search, noise and finer shapes."""
+
+_RIDGE_ROUNDS = 4
+
+
+class View(Protocol):
+    """Recordings and a bench, linearised."""
+
+    @property
+    def model(self) -> AffineModel:
+        """Around the present fit."""
+
+    def refined(self, inference: Inference) -> View:
+        """Around the fit that an inference gives, with finer shapes."""
+
+    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
+        """Predictions of every piece without any effect, (n,)."""
+
+    def learned(
+        self, inference: Inference, fitted: Coefficients, group: int
+    ) -> LearnedAnswer | None:
+        """What a group of the discrepancy holds, if it can be told as a torque."""
+
+    def augmented(
+        self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
+    ) -> Bench | None:
+        """The bench with what was named and learned, if a bench file can hold it."""
+
+    def reportable(self, inference: Inference, label: str) -> bool:
+        """Whether a name says something of the joint."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """A term of the search: a look of a candidate; ``unit``: what one usual size is, (k,)."""
+
+    candidate: Candidate
+    look: Look
+    unit: FloatArray
+    columns: slice
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coefficients:
+    """Of the nuisances (d,), of every term in the catalogue's units, of every group."""
+
+    nuisances: FloatArray
+    sizes: list[FloatArray]
+    discrepancy: list[FloatArray]
+
+
+class Inference:
+    """The posterior of one affine model.
+
+    Attributes
+    ----------
+    model
+        What was inferred.
+    noises
+        Of every used piece.
+    sizes
+        What each used piece is counted in, the channel's unit: one size for all that are shown, one
+        for those that hold lines alone, of the noise where its spectrum is strongest. There
+        p'Σp ≤ s² p'p for every prediction p, so that no evidence is counted that is not there.
+        Whitened, or each in its own, recordings would be fitted where they are least noisy, which
+        of a real joint is where the bench happens to be best.
+    posterior
+        Over sets of candidates.
+    """
+
+    def __init__(self, model: AffineModel, noises: Sequence[ResidualNoise] | None = None) -> None:
+        self.model = model
+        used = model.used
+        pieces = [model.pieces[i] for i in used]
+        self._target = [
+            p.kept(p.measured - model.base[i]) for p, i in zip(pieces, used, strict=True)
+        ]
+        self._nuisances = [
+            p.kept(model.nuisance_columns(i)) for p, i in zip(pieces, used, strict=True)
+        ]
+        level = self._level()
+        self.terms: list[_Placed] = []
+        blocks: list[list[FloatArray]] = []
+        at = 0
+        for candidate in model.candidates:
+            for look in candidate.looks:
+                raw = [
+                    p.kept(model.candidate_columns(candidate, look, i))
+                    for p, i in zip(pieces, used, strict=True)
+                ]
+                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in raw], axis=0))
+                if not size.any():
+                    continue  # these recordings do not show it
+                unit = np.where(
+                    size > 0.0, candidate.usual * level / np.where(size > 0, size, 1.0), 0.0
+                )
+                self.terms.append(_Placed(candidate, look, unit, slice(at, at + unit.size)))
+                at += unit.size
+                blocks.append([part * unit for part in raw])
+        self._discrepancy = [
+            [p.kept(d.columns[i]) for d in model.discrepancies]
+            for p, i in zip(pieces, used, strict=True)
+        ]
+        self.groups: list[slice] = []
+        at = 0
+        for d in model.discrepancies:
+            self.groups.append(slice(at, at + d.columns[used[0]].shape[1]))
+            at = self.groups[-1].stop
+        if noises is None:
+            noises = self._noise_beside_everything(blocks)
+        self.noises = tuple(noises)
+        shown = [self.model.pieces[i].shown for i in self.model.used]
+        pairs = list(zip(noises, shown, strict=True))
+        below = max(noise.strongest for noise, is_shown in pairs if is_shown)
+        above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
+        tiny = float(np.finfo(float).tiny)
+        self.sizes = [max(below if is_shown else above, tiny) for is_shown in shown]
+        self._search(blocks)
+
+    @property
+    def _shown_size(self) -> float:
+        used = zip(self.model.used, self.sizes, strict=True)
+        return next(size for i, size in used if self.model.pieces[i].shown)
+
+    def _level(self) -> float:
+        """Root mean square of what the shown pieces show beside the nuisances."""
+        parts = [
+            (self._target[k], self._nuisances[k])
+            for k, i in enumerate(self.model.used)
+            if self.model.pieces[i].shown
+        ]
+        target = np.concatenate([t for t, _ in parts])
+        matrix = np.vstack([n for _, n in parts])
+        left = target - matrix @ least_squares(matrix, target) if matrix.shape[1] else target
+        return max(math.sqrt(float(np.mean(left**2))), float(np.finfo(float).tiny))
+
+    def _noise_beside_everything(self, blocks: list[list[FloatArray]]) -> list[ResidualNoise]:
+        """From what all candidates and the discrepancy together leave, by ridge regression."""
+        level = self._level()
+        n = np.vstack(self._nuisances)
+        scale = np.sqrt((n**2).mean(axis=0))
+        parts = [n / np.where(scale > 0.0, scale, 1.0)]
+        parts += [np.vstack(block) for block in blocks]
+        h = np.vstack([np.hstack(own) for own in self._discrepancy])
+        rms = np.sqrt((h**2).mean(axis=0).max(initial=0.0))
+        parts.append(h * (0.3 * level / rms if rms > 0.0 else 0.0))
+        matrix, target = np.hstack(parts), np.concatenate(self._target)
+        gram, right = matrix.T @ matrix, matrix.T @ target
+        free = np.concatenate([np.full(n.shape[1], 1e-12), np.ones(matrix.shape[1] - n.shape[1])])
+        variance = (0.1 * level) ** 2
+        for _ in range(_RIDGE_ROUNDS):
+            inverse = np.linalg.pinv(gram + np.diag(variance * free), 1e-13, True)
+            left = target - matrix @ (inverse @ right)
+            freedom = max(target.size - float(np.sum(inverse * gram)), 0.1 * target.size)
+            variance = float(left @ left) / freedom
+        ends = np.cumsum([t.size for t in self._target])[:-1]
+        return [ResidualNoise.of(part) for part in np.split(left, ends)]
+
+    def _search(self, blocks: list[list[FloatArray]]) -> None:
+        def rows(parts: Sequence[FloatArray]) -> FloatArray:
+            return np.concatenate([p / size for p, size in zip(parts, self.sizes, strict=True)])
+
+        jacobian = rows(self._nuisances)
+        d = jacobian.shape[1]
+        discrepancy = rows(
+            [
+                np.hstack([*own, part[:, :0]])
+                for own, part in zip(self._discrepancy, self._nuisances, strict=True)
+            ]
+        )
+        terms = [
+            Term(
+                placed.candidate.label,
+                rows(block),
+                placed.candidate.not_negative and placed.unit.size == 1,
+                prior_weight=placed.look.weight,
+                excludes=placed.candidate.excludes,
+                requires=placed.candidate.requires,
+            )
+            for placed, block in zip(self.terms, blocks, strict=True)
+        ]
+        kinds = [d.kind for d in self.model.discrepancies]
+        usual = DISCREPANCY_SHARE * self._level() / self._shown_size
+        groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
+        sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
+        prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
+        residual = rows(self._target)
+        linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
+        self.posterior = search(linearised, Priors(), MOST_TERMS)
+        generator = np.random.default_rng(0)
+        draws = self.posterior.draw(generator, DRAWS)
+        scale = np.sqrt((jacobian**2).sum(axis=0))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        precision = (jacobian / scale).T @ (jacobian / scale) + prior / np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(precision)
+        kept = values > 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
+        root = vectors[:, kept] / np.sqrt(values[kept])
+        centre = root @ (root.T @ ((jacobian / scale).T @ residual))
+        noise = generator.standard_normal((DRAWS, int(kept.sum()))) @ root.T
+        self.nuisance_draws = (centre + noise) / scale + draws.shift
+        self.size_draws = draws.sizes
+        self.discrepancy_draws = draws.discrepancy
+
+    # What is asked of it
+
+    def of(self, label: str) -> list[_Placed]:
+        """Terms of a candidate."""
+        return [placed for placed in self.terms if placed.candidate.label == label]
+
+    @cached_property
+    def labels(self) -> Mapping[str, Candidate]:
+        """Candidates that show."""
+        return {placed.candidate.label: placed.candidate for placed in self.terms}
+
+    def values(self, label: str) -> dict[str, Estimate]:
+        """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
+        candidate = self.labels[label]
+        parts: dict[str, list[FloatArray]] = {}
+        for placed in self.of(label):
+            sizes = self.size_draws[:, placed.columns]
+            there = np.any(sizes != 0.0, axis=1)
+            if not there.any():
+                continue
+            sizes = sizes[there] * placed.unit
+            own: dict[str, FloatArray]
+            if candidate.is_wave:
+                pairs = sizes.reshape(len(sizes), -1, 2)
+                own = {candidate.parameters[0]: np.hypot(pairs[..., 0], pairs[..., 1]).mean(axis=1)}
+                if not candidate.own_phase:
+                    own[PHASE] = np.arctan2(pairs[:, 0, 1], pairs[:, 0, 0])
+            else:
+                own = dict(zip(candidate.parameters, sizes.T, strict=True))
+            own |= {k: np.full(len(sizes), v) for k, v in placed.look.shapes.items()}
+            for name, draws in own.items():
+                parts.setdefault(name, []).append(draws)
+        found = {}
+        for name, pieces in parts.items():
+            draws = np.concatenate(pieces)
+            if name == PHASE:
+                middle = math.atan2(np.sin(draws).mean(), np.cos(draws).mean())
+                apart = np.angle(np.exp(1j * (draws - middle)))
+                found[name] = Estimate(middle, float(np.sqrt(np.mean(apart**2))))
+            else:
+                found[name] = Estimate(float(draws.mean()), float(draws.std()))
+        return found
+
+    def nuisance(self, name: str) -> Estimate:
+        """A nuisance by name."""
+        draws = self.nuisance_draws[:, self.model.nuisance_names.index(name)]
+        return Estimate(float(draws.mean()), float(draws.std()))
+
+    @property
+    def average(self) -> Coefficients:
+        """Of everything, over the posterior."""
+        return Coefficients(
+            self.nuisance_draws.mean(axis=0),
+            [
+                self.size_draws[:, placed.columns].mean(axis=0) * placed.unit
+                for placed in self.terms
+            ],
+            [self.discrepancy_draws[:, group].mean(axis=0) for group in self.groups],
+        )
+
+    def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
+        """Of what is named, as it fits best with what is learned and nothing else.
+
+        What no name holds is told apart from the names only if the names take all they can: the
+        discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274).
+        """
+        view = self.posterior.linearised
+        chosen = [self._likeliest(label) for label in labels]
+        sds = np.concatenate(
+            [
+                [self.model.nuisance_sds.get(n, np.inf) for n in self.model.nuisance_names],
+                *(np.full(self.terms[k].unit.size, np.inf) for k in chosen),
+                *(
+                    np.full(
+                        self.groups[g].stop - self.groups[g].start, self.posterior.discrepancy_sd(g)
+                    )
+                    for g in groups
+                ),
+            ]
+        )
+        matrix = np.hstack(
+            [
+                view.jacobian,
+                *(view.terms[k].columns for k in chosen),
+                *(view.discrepancy[:, self.groups[g]] for g in groups),
+            ]
+        )
+        held = np.isfinite(sds)
+        prior = np.zeros((int(held.sum()), sds.size))
+        prior[np.arange(len(prior)), np.flatnonzero(held)] = 1.0 / np.maximum(sds[held], 1e-300)
+        low = np.full(sds.size, -np.inf)
+        at = view.jacobian.shape[1]
+        for k in chosen:
+            if view.terms[k].positive:
+                low[at] = 0.0
+            at += self.terms[k].unit.size
+        values = bounded_least_squares(
+            np.vstack([matrix, prior]), np.concatenate([view.residual, np.zeros(len(prior))]), low
+        )
+        sizes = [np.zeros(placed.unit.size) for placed in self.terms]
+        at = view.jacobian.shape[1]
+        nuisances = values[:at]
+        for k in chosen:
+            unit = self.terms[k].unit
+            sizes[k] = values[at : at + unit.size] * unit
+            at += unit.size
+        discrepancy = [np.zeros(group.stop - group.start) for group in self.groups]
+        for g in groups:
+            discrepancy[g] = values[at : at + discrepancy[g].size]
+            at += discrepancy[g].size
+        return Coefficients(nuisances, sizes, discrepancy)
+
+    def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
+        """Linear parameters of a candidate."""
+        candidate = self.labels[label]
+        size = fitted.sizes[self._likeliest(label)]
+        if not candidate.is_wave:
+            return dict(zip(candidate.parameters, size.tolist(), strict=True))
+        pairs = size.reshape(-1, 2)
+        made = {candidate.parameters[0]: float(np.hypot(*pairs.T).mean())}
+        if not candidate.own_phase:
+            made[PHASE] = math.atan2(pairs[0, 1], pairs[0, 0])
+        return made
+
+    def _likeliest(self, label: str) -> int:
+        """The term of a candidate that most draws have."""
+        places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
+        counts = [
+            np.any(self.size_draws[:, self.terms[k].columns] != 0.0, axis=1).sum() for k in places
+        ]
+        return places[int(np.argmax(counts))]
+
+    def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
+        """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
+        return tuple(self._predicted(i, coefficients) for i in range(len(self.model.pieces)))
+
+    def _predicted(self, i: int, found: Coefficients) -> FloatArray:
+        model, piece = self.model, self.model.pieces[i]
+        total = model.base[i] + model.nuisance_columns(i) @ found.nuisances
+        own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
+        waves: list[tuple[float, FloatArray]] = []
+        for placed, size in zip(self.terms, found.sizes, strict=True):
+            if not size.any():
+                continue
+            if placed.candidate.own_phase and piece.name not in model.recordings:
+                pair_size = float(np.hypot(*size.reshape(-1, 2).T).mean())
+                waves.append((pair_size, placed.look.columns[i]))
+            else:
+                total = total + model.candidate_columns(placed.candidate, placed.look, i) @ size
+        for discrepancy, size in zip(model.discrepancies, found.discrepancy, strict=True):
+            if not (discrepancy.own and piece.use != "used"):
+                total = total + discrepancy.columns[i] @ size
+        if own or waves:
+            matrix = np.column_stack([*own, *(columns for _, columns in waves)])
+            values = least_squares(piece.kept(matrix), piece.kept(piece.measured - total))
+            for k, (pair_size, _) in enumerate(waves):
+                pair = values[len(own) + 2 * k : len(own) + 2 * k + 2]
+                pair *= pair_size / max(float(np.hypot(*pair)), 1e-12 * pair_size)
+            total = total + matrix @ values
+        return np.asarray(total)
+
+    def nominal(self) -> tuple[FloatArray, ...]:
+        """Of every piece (n,): base and nuisances alone, by least squares on the shown ones."""
+        model = self.model
+        shown = [k for k, i in enumerate(model.used) if model.pieces[i].shown]
+        matrix = np.vstack([self._nuisances[k] for k in shown])
+        target = np.concatenate([self._target[k] for k in shown])
+        values = least_squares(matrix, target) if matrix.shape[1] else np.zeros(0)
+        made = []
+        for i, piece in enumerate(model.pieces):
+            total = model.base[i] + model.nuisance_columns(i) @ values
+            own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
+            if own:
+                columns = np.column_stack(own)
+                rest = piece.kept(piece.measured - total)
+                total = total + columns @ least_squares(piece.kept(columns), rest)
+            made.append(np.asarray(total))
+        return tuple(made)
+
+    def noise_left(self) -> list[ResidualNoise]:
+        """Of what the average over the posterior leaves of every used piece."""
+        every = self.predicted(self.average)
+        pieces = self.model.pieces
+        return [
+            ResidualNoise.of(pieces[i].kept(pieces[i].measured - every[i])) for i in self.model.used
+        ]
+
+    def presence(self, group: int) -> float:
+        """Probability that a group of the discrepancy is there."""
+        return sum(
+            math.exp(m.log_posterior) for m in self.posterior.models if m.scales[group] > 0.0
+        )
+
+    def taken(self, group: int) -> float:
+        """χ² of a group's mean, as a share of the disagreement at the nominal fit."""
+        mean = self.discrepancy_draws[:, self.groups[group]].mean(axis=0)
+        signal = self.posterior.linearised.discrepancy[:, self.groups[group]] @ mean
+        return float(signal @ signal) / max(self.posterior.disagreement.before, 1.0)
+
+
+def inferred(view: View, progress: StageProgress | None = None) -> tuple[View, Inference]:
+    """A view around its best fit, and the posterior there."""
+    inference = Inference(view.model)
+    for done in range(1, ROUNDS):
+        if progress is not None:
+            progress("Comparing sets of effects", done, ROUNDS)
+        noises = inference.noise_left()
+        view = view.refined(inference)
+        inference = Inference(view.model, noises)
+    return view, inference
+
+
+def diagnose(
+    view: View,
+    bench: Bench,
+    *,
+    most: int,
+    notes: Callable[[Inference], Sequence[str]],
+    scale_sd: float = 0.0,
+    progress: StageProgress | None = None,
+) -> Diagnosis:
+    """Name what is missing; the disagreement before and after.
+
+    Parameters
+    ----------
+    bench
+        The one believed, for the tolerances of parameters that were fitted.
+    most
+        Effects named at most, the strongest.
+    scale_sd
+        Relative standard deviation of a factor that all torques and inertias have in common.
+    """
+    view, inference = inferred(view, progress)
+    told, remaining = _told(view, inference, most)
+    group = _learned_group(inference)
+    labels = [*(label for label, _ in told), *(label for label, _ in remaining)]
+    fitted = inference.projection(labels, [] if group is None else [group])
+    learned = None if group is None else view.learned(inference, fitted, group)
+    kinds = {label: inference.labels[label].kind for label in labels}
+    estimates = {
+        name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
+        for name, value in zip(inference.model.nuisance_names, fitted.nuisances, strict=True)
+        if name in PARAMETER_INFO
+    }
+    for label in (label for label, kind in kinds.items() if kind == "parameter"):
+        (size,) = inference.of_projection(fitted, label).values()
+        estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
+    before, after = view.nominal(inference), inference.predicted(fitted)
+    denied = tuple(impossible(estimates))
+    if denied:
+        told, remaining, estimates, learned, after = [], [], {}, None, before
+    named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
+    estimates = dict(scaled_parameters(estimates, scale_sd))
+    effects = [_effect(inference, fitted, label, alike, scale_sd) for label, alike in named]
+    errors = parameter_errors(bench, estimates)
+    table = disagreement_table(_residuals(inference.model, before, after), in_units_of_noise=False)
+    lines = tuple(_line(inference, *item) for item in remaining)
+    remains = bool(lines or denied or learned is not None or "gravity" in kinds.values())
+    answer = Diagnosis(
+        verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
+        tuple(effects),
+        errors,
+        lines,
+        table,
+        (*denied, *notes(inference)),
+        bench_parameters=estimates,
+        signals=_signals(inference.model, before, after),
+        learned=learned,
+    )
+    if learned is None:
+        return answer
+    sizes = {e.name: {k: v.value for k, v in e.parameters.items()} for e in effects}
+    return replace(answer, augmented_bench=view.augmented(sizes, answer))
+
+
+def _told(
+    view: View, inference: Inference, most: int
+) -> tuple[list[tuple[str, tuple[str, ...]]], list[tuple[str, What]]]:
+    """Labels that are named, each with what it is confounded with; lines that remain."""
+    posterior, labels = inference.posterior, inference.labels
+    sets = [*((label,) for label in posterior.named), *posterior.confounded]
+    told: list[tuple[str, tuple[str, ...]]] = []
+    remaining: list[tuple[str, What]] = []
+    waves: list[str] = []
+    for members in sets:
+        kinds = {labels[m].kind for m in members}
+        ripple = [m for m in members if labels[m].kind == "effect" and ORDER in _shapes(labels[m])]
+        if "line" in kinds:
+            remaining.append(
+                (ripple[0] if ripple else members[0], "angle or time" if ripple else "time")
+            )
+        elif ripple and len(ripple) == len(members):
+            waves.append(ripple[0])
+        elif all(view.reportable(inference, m) for m in members):
+            first, *others = sorted(members, key=lambda m: list(labels).index(m))
+            names = dict.fromkeys(labels[m].name for m in others)
+            told.append((first, tuple(n for n in names if n != labels[first].name)))
+    waves.sort(key=lambda m: -_share(inference, m))
+    told += [(m, ()) for m in waves[:1]]
+    remaining += [(m, "motor angle") for m in waves[1:]]
+    told.sort(key=lambda pair: -_share(inference, pair[0]))
+    effects = [p for p in told if labels[p[0]].kind == "effect"][most:]
+    return [p for p in told if p not in effects], remaining
+
+
+def _shapes(candidate: Candidate) -> Mapping[str, float]:
+    return candidate.looks[0].shapes
+
+
+def _share(inference: Inference, label: str) -> float:
+    """χ² of what a candidate makes, averaged."""
+    linearised = inference.posterior.linearised
+    total = np.zeros(linearised.residual.size)
+    for placed, term in zip(inference.terms, linearised.terms, strict=True):
+        if placed.candidate.label == label:
+            total += term.columns @ inference.size_draws[:, placed.columns].mean(axis=0)
+    return float(total @ total)
+
+
+def _learned_group(inference: Inference) -> int | None:
+    """The group of the discrepancy that is told: there almost surely, and no small share."""
+    sure = [
+        g
+        for g in range(len(inference.groups))
+        if inference.presence(g) >= NAMED_AT and inference.taken(g) > LEARNED_SHARE
+    ]
+    return max(sure, key=inference.taken, default=None)
+
+
+def _effect(
+    inference: Inference,
+    fitted: Coefficients,
+    label: str,
+    alike: tuple[str, ...],
+    scale_sd: float,
+) -> NamedEffect:
+    candidate = inference.labels[label]
+    parameters = inference.values(label)
+    for name, value in inference.of_projection(fitted, label).items():
+        parameters[name] = Estimate(value, parameters[name].sd)
+    size = parameters[candidate.parameters[0]]
+    sure = inference.posterior.inclusion[label]
+    z = abs(size.value) / max(size.sd, np.finfo(float).tiny)
+    effect = NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
+    return with_shared_scale(effect, scale_sd)
+
+
+def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
+    """A wave that is told and not named."""
+    candidate = inference.labels[label]
+    values = inference.values(label)
+    order = values[ORDER].value if ORDER in values and dependence != "time" else math.nan
+    hertz = values["frequency_hz"].value if "frequency_hz" in values else math.nan
+    channel = inference.model.pieces[0].channel
+    if dependence == "angle or time":
+        rival = [m for m in inference.labels if inference.labels[m].kind == "line"]
+        best = max(rival, key=lambda m: inference.posterior.inclusion[m])
+        hertz = _shapes(inference.labels[best])["frequency_hz"]
+    return Unexplained(
+        channel,
+        dependence,
+        values[candidate.parameters[0]].value,
+        unit_of(channel),
+        order,
+        order,
+        hertz if dependence != "motor angle" else math.nan,
+        inference.model.recordings,
+        _share(inference, label),
+    )
+
+
+def _residuals(
+    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
+) -> list[PieceResiduals]:
+    return [
+        piece_residuals(
+            piece.name,
+            piece.channel,
+            piece.use,
+            piece.kept(piece.measured - first),
+            piece.kept(piece.measured - last),
+            white=piece.white,
+        )
+        for piece, first, last in zip(model.pieces, before, after, strict=True)
+        if piece.shown
+    ]
+
+
+def _signals(
+    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
+) -> tuple[PieceSignals, ...]:
+    return tuple(
+        PieceSignals(
+            piece.name,
+            piece.channel,
+            piece.use,
+            *map(piece.kept, (piece.time_s, piece.measured, *made)),
+        )
+        for piece, *made in zip(model.pieces, before, after, strict=True)
+        if piece.shown
+    )
