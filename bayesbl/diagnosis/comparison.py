@@ -95,11 +95,13 @@ class Look:
 
     ``shapes``: parameters that are not linear, by name. ``columns``: for every piece, change of the
     prediction by one unit of each linear parameter, (n, k). ``weight``: share of its prior.
+    ``size``: that its parameter usually has, in its unit, where that is known whatever is compared.
     """
 
     shapes: Mapping[str, float]
     columns: tuple[FloatArray, ...]
     weight: float = 1.0
+    size: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -56,6 +56,9 @@ MOST_EFFECTS = 6
 MOST_TERMS = 8
 """Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
 
+NONE = 1e-6
+"""Of its usual size: so small a size is none."""
+
 ROUNDS = 3
 """Of search, noise and finer shapes."""
 
@@ -118,11 +121,12 @@ class Inference:
     noises
         Of every used piece.
     sizes
-        What each used piece is counted in, the channel's unit: one size for all that are shown, one
-        for those that hold lines alone, of the noise where its spectrum is strongest. There
-        p'Σp ≤ s² p'p for every prediction p, so that no evidence is counted that is not there.
-        Whitened, or each in its own, recordings would be fitted where they are least noisy, which
-        of a real joint is where the bench happens to be best.
+        What the samples of each used piece are counted in, the channel's unit, (n,): one size for
+        all that are shown, one for those that hold lines alone, of the noise where its spectrum is
+        strongest, and more where it is larger than on average. There p'Σp ≤ s² p'p for every
+        prediction p, so that no evidence is counted that is not there. Whitened, or each in its
+        own, recordings would be fitted where they are least noisy, which of a real joint is where
+        the bench happens to be best.
     posterior
         Over sets of candidates.
     """
@@ -150,9 +154,8 @@ class Inference:
                 size = np.sqrt(np.max([(part**2).mean(axis=0) for part in raw], axis=0))
                 if not size.any():
                     continue  # these recordings do not show it
-                unit = np.where(
-                    size > 0.0, candidate.usual * level / np.where(size > 0, size, 1.0), 0.0
-                )
+                usual = candidate.usual * level / np.where(size > 0.0, size, 1.0)
+                unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
                 self.terms.append(_Placed(candidate, look, unit, slice(at, at + unit.size)))
                 at += unit.size
                 blocks.append([part * unit for part in raw])
@@ -173,13 +176,12 @@ class Inference:
         below = max(noise.strongest for noise, is_shown in pairs if is_shown)
         above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
         tiny = float(np.finfo(float).tiny)
-        self.sizes = [max(below if is_shown else above, tiny) for is_shown in shown]
+        self._shown_size = max(below, tiny)
+        self.sizes = [
+            np.maximum(noise.local, self._shown_size if is_shown else max(above, tiny))
+            for noise, is_shown in pairs
+        ]
         self._search(blocks)
-
-    @property
-    def _shown_size(self) -> float:
-        used = zip(self.model.used, self.sizes, strict=True)
-        return next(size for i, size in used if self.model.pieces[i].shown)
 
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
@@ -217,7 +219,8 @@ class Inference:
 
     def _search(self, blocks: list[list[FloatArray]]) -> None:
         def rows(parts: Sequence[FloatArray]) -> FloatArray:
-            return np.concatenate([p / size for p, size in zip(parts, self.sizes, strict=True)])
+            pairs = zip(parts, self.sizes, strict=True)
+            return np.concatenate([(p.T / size).T for p, size in pairs])
 
         jacobian = rows(self._nuisances)
         d = jacobian.shape[1]
@@ -384,6 +387,12 @@ class Inference:
             made[PHASE] = math.atan2(pairs[0, 1], pairs[0, 0])
         return made
 
+    def is_none(self, fitted: Coefficients, label: str) -> bool:
+        """Whether a candidate whose sign is known would rather have the other one."""
+        place = self._likeliest(label)
+        size, unit = fitted.sizes[place], self.terms[place].unit
+        return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
+
     def _likeliest(self, label: str) -> int:
         """The term of a candidate that most draws have."""
         places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
@@ -447,6 +456,13 @@ class Inference:
             ResidualNoise.of(pieces[i].kept(pieces[i].measured - every[i])) for i in self.model.used
         ]
 
+    def probability(self, names: Sequence[str]) -> float:
+        """That one of some candidates is there, by their labels or their effects' names."""
+        labels = {n for n, c in self.labels.items() if {n, c.name} & set(names)}
+        posterior = self.posterior
+        held = (p for terms, p in posterior.sets.items() if labels & posterior.labels(terms))
+        return min(1.0, sum(held))
+
     def presence(self, group: int) -> float:
         """Probability that a group of the discrepancy is there."""
         return sum(
@@ -495,8 +511,8 @@ def diagnose(
     view, inference = inferred(view, progress)
     told, remaining = _told(view, inference, most)
     group = _learned_group(inference)
-    labels = [*(label for label, _ in told), *(label for label, _ in remaining)]
-    fitted = inference.projection(labels, [] if group is None else [group])
+    told, fitted = _fitted(inference, told, [] if group is None else [group])
+    labels = [label for label, _ in told]
     learned = None if group is None else view.learned(inference, fitted, group)
     kinds = {label: inference.labels[label].kind for label in labels}
     estimates = {
@@ -565,6 +581,19 @@ def _told(
     return [p for p in told if p not in effects], remaining
 
 
+def _fitted(
+    inference: Inference, told: list[tuple[str, tuple[str, ...]]], groups: Sequence[int]
+) -> tuple[list[tuple[str, tuple[str, ...]]], Coefficients]:
+    """What is told, as it fits best; without what is none then, and what requires that."""
+    while True:
+        fitted = inference.projection([label for label, _ in told], groups)
+        none = {label for label, _ in told if inference.is_none(fitted, label)}
+        none |= {label for label, _ in told if inference.labels[label].requires & none}
+        if not none:
+            return told, fitted
+        told = [pair for pair in told if pair[0] not in none]
+
+
 def _shapes(candidate: Candidate) -> Mapping[str, float]:
     return candidate.looks[0].shapes
 
@@ -601,7 +630,7 @@ def _effect(
     for name, value in inference.of_projection(fitted, label).items():
         parameters[name] = Estimate(value, parameters[name].sd)
     size = parameters[candidate.parameters[0]]
-    sure = inference.posterior.inclusion[label]
+    sure = inference.probability((label, *alike))
     z = abs(size.value) / max(size.sd, np.finfo(float).tiny)
     effect = NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
     return with_shared_scale(effect, scale_sd)

@@ -39,6 +39,7 @@ from bayesbl.model_search.constants import (
     MOST_KEPT,
     MOST_WEIGHED,
     NAMED_AT,
+    WEIGHED_SHARE,
 )
 from bayesbl.recording.types import FloatArray
 
@@ -617,8 +618,8 @@ class ModelPosterior:
         """Averaged over the models."""
         grams = self._grams
         beside_terms = beside_all = 0.0
-        for model in self.models:
-            weight = math.exp(model.log_posterior)
+        likely = self._likely()
+        for model, weight in likely.items():
             nowhere = (0,) * len(model._level)
             taken = []
             for level in (nowhere, model._level):
@@ -636,6 +637,12 @@ class ModelPosterior:
             beside_terms += weight * (left - taken[0])
             beside_all += weight * (left - taken[1] + freedom)
         return Disagreement(grams.chi_square_alone - grams.freedom, beside_terms, beside_all)
+
+    def _likely(self) -> dict[Model, float]:
+        """Models that hold nearly all of the probability, and what each has of theirs."""
+        held = np.cumsum(np.exp([m.log_posterior for m in self.models]))
+        count = 1 + int(np.searchsorted(held, WEIGHED_SHARE * held[-1]))
+        return {m: math.exp(m.log_posterior) / held[count - 1] for m in self.models[:count]}
 
     @cached_property
     def explained_share(self) -> float:
@@ -733,6 +740,9 @@ def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> F
         return right
     from scipy.optimize import lsq_linear
 
+    free = np.linalg.solve(precision, right)
+    if np.all(free[positive] >= 0.0):
+        return np.asarray(free)
     lower = np.where(positive, 0.0, -np.inf)
     root = np.linalg.cholesky(precision).T
     return np.asarray(

@@ -279,12 +279,14 @@ class FreeMotionView:
         ]
         angle = np.concatenate([s[MOTOR_ANGLE] for s in states]) / ratio
         speed = np.concatenate([s[MOTOR_SPEED] for s in states])
-        over = partial(Series.over, reverses=False, orders=ORDERS)
+        over = partial(Series.over, orders=ORDERS)
         ends = [(float(x.min()), float(x.max())) for x in (angle, speed)]
-        return [
-            over("load_angle", 2.0 * float(np.ptp(angle)), reach=ends[0]),
-            over("motor_speed", 4.0 * float(np.abs(speed).max()), reach=ends[1]),
-        ]
+        made = []
+        for reverses in (False, True):
+            way, fastest = 2.0 * float(np.ptp(angle)), 4.0 * float(np.abs(speed).max())
+            made.append(over("load_angle", way, reach=ends[0], reverses=reverses))
+            made.append(over("motor_speed", fastest, reach=ends[1], reverses=reverses))
+        return made
 
     def _waves(self, i: int, at: FloatArray, series: Series) -> FloatArray:
         """Change of a trajectory by each coefficient of a torque, (n, 2 orders)."""

@@ -36,7 +36,7 @@ from bayesbl.diagnosis.comparison import (
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
 from bayesbl.diagnosis.inference import Coefficients, Inference
 from bayesbl.diagnosis.rigid.motion import Motion
-from bayesbl.diagnosis.rigid.order_scan import OrderedRest, peaks
+from bayesbl.diagnosis.rigid.order_scan import Line, OrderedRest, peaks
 from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.view import Window, noise_of
@@ -48,6 +48,9 @@ WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 
 SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 11))
 """In periods of the cut-off: beyond half of one a delay has no sign."""
+
+DELAYS = (1.0, 4.0, 16.0)
+"""Usual skews, in sampling periods."""
 
 QUIET = 0.5
 """Of the torque's noise: so much in the motion makes a standard deviation an eighth too small."""
@@ -96,9 +99,9 @@ class InverseView:
     slope
         For every piece the change of the prediction by one second of skew, in the channel's unit.
     shapes
-        Of each effect with a shape, the values tried.
+        Of effects with a shape, values tried in place of the grid over all there may be.
     orders, lines
-        Of the motor's turning with their prior weight, and frequencies in Hz with theirs.
+        Of the motor's turning, and frequencies in Hz.
     columns_bench, cache
         The bench as fitted, that columns are made of; signals that were computed.
     """
@@ -119,8 +122,8 @@ class InverseView:
     width: float = 0.0
     slope: tuple[FloatArray, ...] = ()
     shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    orders: tuple[tuple[tuple[float, ...], float], ...] = ()
-    lines: tuple[tuple[tuple[float, ...], float], ...] = ()
+    orders: tuple[Line, ...] = ()
+    lines: tuple[Line, ...] = ()
     columns_bench: Bench | None = None
     cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
@@ -199,7 +202,7 @@ class InverseView:
                 )
             ),
         )
-        quiet = [grid[len(grid) // 2] for grid, _ in self.orders if self._is_quiet(i, grid[0])]
+        quiet = [line.middle for line in self.orders if self._is_quiet(i, line.middle)]
         name = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
         if not quiet or name is None:
             return total
@@ -265,7 +268,7 @@ class InverseView:
             tuple(base),
             tuple(self._nuisances(i) for i in range(len(self.pieces))),
             tuple(self._candidates()),
-            tuple(d for d, _ in self._series) + self._drift(),
+            tuple(d for d, _ in self._series) + self._drift() + self._twist(),
             believed_sds(self.bench, self.unknown),
         )
 
@@ -300,13 +303,13 @@ class InverseView:
             wave = partial(make, parameters=(amplitude,), is_wave=True, own_phase=own_phase)
             if name == SKEW:
                 if self.slope:
-                    look = Look({}, self._every(lambda i: self.slope[i][:, None]))
-                    yield make(name, parameters=(amplitude,), looks=(look,))
+                    yield make(name, parameters=(amplitude,), looks=tuple(self._delays()))
             elif law.scanned == ORDER:
-                for grid, weight in self.orders:
-                    columns = (partial(self._waves, name=name, shapes={ORDER: n}) for n in grid)
-                    looks = self._alternatives(ORDER, grid, weight, columns, above=True)
-                    yield wave(f"{name} {grid[len(grid) // 2]:.6g}", looks=looks)
+                for line in self.orders:
+                    make_waves = partial(self._waves, name=name)
+                    columns = (partial(make_waves, shapes={ORDER: n}) for n in line.values)
+                    looks = self._alternatives(ORDER, line, columns, above=True)
+                    yield wave(f"{name} {line.middle:.6g}", looks=looks)
             elif term.periodic:
                 look = Look({}, self._every(partial(self._waves, name=name, shapes={})))
                 yield wave(name, looks=(look,))
@@ -315,33 +318,41 @@ class InverseView:
                 yield make(name, parameters=parameters, looks=tuple(self._looks(name, parameters)))
         if not self.load:
             yield from self._wrong_values()
-        for grid, weight in self.lines:
-            columns = (partial(self._hum, hertz=hertz) for hertz in grid)
-            looks = self._alternatives("frequency_hz", grid, weight, columns)
-            label = f"line {grid[len(grid) // 2]:.6g} Hz"
+        for line in self.lines:
+            columns = (partial(self._hum, hertz=hertz) for hertz in line.values)
+            looks = self._alternatives("frequency_hz", line, columns)
+            label = f"line {line.middle:.6g} Hz"
             yield Candidate(
                 label, "line", label, ("amplitude",), looks, LINE, is_wave=True, own_phase=True
             )
 
+    def _delays(self) -> Iterator[Look]:
+        """A skew of some sampling periods is usual, longer ones ever rarer: normals whose mixture
+        falls off as 1/τ², as a Cauchy distribution does."""
+        columns = self._every(lambda i: self.slope[i][:, None])
+        period = self.windows[0].low_pass.period_s
+        total = sum(1.0 / times for times in DELAYS)
+        for times in DELAYS:
+            yield Look({}, columns, 1.0 / times / total, times * period)
+
     def _alternatives(
         self,
         shape: str,
-        grid: Sequence[float],
-        weight: float,
+        line: Line,
         columns: Iterable[Callable[[int], FloatArray]],
         *,
         above: bool = False,
     ) -> tuple[Look, ...]:
-        """Of a wave, each value of the shape as probable as another."""
-        pairs = zip(grid, columns, strict=True)
+        """Of a wave."""
+        every = zip(line.values, line.weights, columns, strict=True)
         return tuple(
-            Look({shape: value}, self._every(make, above=above), weight / len(grid))
-            for value, make in pairs
+            Look({shape: value}, self._every(make, above=above), weight)
+            for value, weight, make in every
         )
 
     def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
         law = self.terms[name].law
-        grid: tuple[float | None, ...] = self.shapes.get(name, (None,))
+        grid: tuple[float | None, ...] = self._values(name) or (None,)
         for value in grid:
             shape = {} if law.scanned is None or value is None else {law.scanned: value}
 
@@ -414,8 +425,6 @@ class InverseView:
                 motion = self._moved[i]
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 if series.reverses:
-                    if self.load:  # a twist by dry friction, which no effect of the position is
-                        waves = np.column_stack([np.ones(len(waves)), waves])
                     waves = waves * np.sign(motion.speed)[:, None]
                 window, unit = self.windows[i], 1.0 if self.load else self.unit
                 return np.column_stack([window(wave) / unit for wave in waves.T])
@@ -436,7 +445,26 @@ class InverseView:
             self.phases_shared or len({self.pieces[i].name for i in self.used}) == 1
         ):
             yield "motor_angle", turn, False
-        yield "motor_speed", 4.0 * max(float(np.abs(m.speed).max()) for m in motions), False
+        fastest = max(float(np.abs(m.speed).max()) for m in motions)
+        for reverses in (False, True):
+            yield "motor_speed", 4.0 * fastest, reverses
+
+    def _twist(self) -> tuple[Discrepancy, ...]:
+        """Of the shaft, by the load's inertia and dry friction; by viscous friction it is a skew.
+
+        How stiff a shaft is, and where in the gear it rubs, no data sheet says well enough.
+        """
+
+        def columns(i: int) -> FloatArray:
+            motion, window = self._moved[i], self.windows[i]
+            return np.column_stack([window(motion.acceleration), window(np.sign(motion.speed))])
+
+        if not self.load:
+            return ()
+        every = self._every(columns)
+        squares = sum((every[i] ** 2).sum(axis=0) for i in self.used)
+        scale = np.sqrt(np.where(squares > 0.0, squares, 1.0))
+        return (Discrepancy("load_position_over_torque", tuple(part / scale for part in every)),)
 
     def _drift(self) -> tuple[Discrepancy, ...]:
         """A torque that drifts in each recording."""
@@ -465,8 +493,7 @@ class InverseView:
 
     def prepared(self) -> InverseView:
         """With width, skew, orders and first shapes."""
-        shapes = {name: self._grid(name) for name in self.terms if self._grid(name)}
-        view = replace(self, shapes=shapes).coarse()
+        view = self.coarse()
         if SKEW in view.terms:
             view = view._with_skew()
             view = view.coarse()
@@ -481,11 +508,11 @@ class InverseView:
             if p > 0.5 and label in inference.labels
         }
         shapes = dict(self.shapes)
-        for name, grid in self.shapes.items():
-            if name in values:
-                shapes[name] = self._finer(inference, name, grid)
-        orders = tuple(self._finer_line(inference, g, w, ORDER) for g, w in self.orders)
-        lines = tuple(self._finer_line(inference, g, w, "frequency_hz") for g, w in self.lines)
+        for name in values:
+            if name in self.terms and self._values(name):
+                shapes[name] = self._finer(inference, name, self._values(name))
+        orders = tuple(self._finer_line(inference, line, ORDER) for line in self.orders)
+        lines = tuple(self._finer_line(inference, line, "frequency_hz") for line in self.lines)
         fitted = {
             name: self.bench.value(name) + inference.nuisance(name).value for name in self.unknown
         }
@@ -511,20 +538,17 @@ class InverseView:
             return grid
         return tuple(np.geomspace(low, high, FINER + 2).tolist())
 
-    def _finer_line(
-        self, inference: Inference, grid: tuple[float, ...], weight: float, shape: str
-    ) -> tuple[tuple[float, ...], float]:
+    def _finer_line(self, inference: Inference, line: Line, shape: str) -> Line:
         for label, candidate in inference.labels.items():
-            mine = candidate.looks[0].shapes.get(shape) == grid[0]
+            mine = candidate.looks[0].shapes.get(shape) == line.values[0]
             if mine and inference.posterior.inclusion[label] > 0.5:
-                found = inference.values(label)[shape]
-                step = max(found.sd, 0.25 * (grid[1] - grid[0]))
-                whole = float(round(found.value))
-                middle = (
-                    whole if shape == ORDER and abs(found.value - whole) < step else found.value
-                )
-                return tuple((middle + step * np.linspace(-2.0, 2.0, FINER)).tolist()), weight
-        return grid, weight
+                value = inference.values(label)[shape]
+                return line.finer(value.value, value.sd)
+        return line
+
+    def _values(self, name: str) -> tuple[float, ...]:
+        """Of the shape of an effect that has one, those that are tried."""
+        return self.shapes.get(name, self._grid(name))
 
     def _grid(self, name: str) -> tuple[float, ...]:
         law = self.terms[name].law
@@ -561,9 +585,10 @@ class InverseView:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
         wave = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
         if wave is not None:
-            for grid, _ in self.orders:
-                sine, cosine = self._waves(i, wave, {ORDER: grid[len(grid) // 2]}).T
-                columns |= {f"sine {grid[0]}@{where}": sine, f"cosine {grid[0]}@{where}": cosine}
+            for line in self.orders:
+                order = line.middle
+                sine, cosine = self._waves(i, wave, {ORDER: order}).T
+                columns |= {f"sine {order}@{where}": sine, f"cosine {order}@{where}": cosine}
         return columns
 
     def _linear_fit(self) -> tuple[list[int], dict[str, float]]:
@@ -673,7 +698,7 @@ class InverseView:
             for r in rests
             if not r.above
         ]
-        passing = peaks(clock, False, MOST_LINES)
+        passing = peaks(clock, False, MOST_LINES, whole=False)
         return replace(self, orders=tuple(turning), lines=tuple(passing))
 
     # What is told

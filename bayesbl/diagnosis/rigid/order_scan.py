@@ -215,16 +215,60 @@ def _transform(
     return found, seen, squares
 
 
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A wave that stands out.
+
+    Attributes
+    ----------
+    values
+        Orders, or frequencies, that are tried, evenly spaced but for a whole one.
+    anywhere, whole
+        Prior weight of all values together, and what a whole order has besides.
+    """
+
+    values: tuple[float, ...]
+    anywhere: float
+    whole: float
+
+    @classmethod
+    def around(cls, centre: float, step: float, anywhere: float, whole: float) -> Line:
+        """Values a step apart, and the whole order among them."""
+        values = set((centre + step * np.arange(-2.0, 3.0)).tolist())
+        nearest = float(round(centre))
+        if whole and nearest > 0.0 and abs(nearest - centre) <= 2.0 * step:
+            values.add(nearest)
+        return cls(tuple(sorted(values)), anywhere, whole)
+
+    @property
+    def middle(self) -> float:
+        """Of the values."""
+        return self.values[len(self.values) // 2]
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Of the values."""
+        even = self.anywhere / len(self.values)
+        return tuple(even + self.whole * float(v == round(v)) for v in self.values)
+
+    def finer(self, centre: float, sd: float) -> Line:
+        """Around what was found, as closely as it is known."""
+        step = max(sd, 0.25 * float(np.median(np.diff(self.values))))
+        whole = float(round(centre))
+        if whole in self.values and abs(centre - whole) < step:
+            centre = whole
+        return Line.around(centre, step, self.anywhere, self.whole)
+
+
 def peaks(
-    rests: Sequence[OrderedRest], shared: bool, most: int
-) -> list[tuple[tuple[float, ...], float]]:
-    """Orders that stand out most, each beneath the stronger ones: values to try around it, and its
-    prior weight.
+    rests: Sequence[OrderedRest], shared: bool, most: int, *, whole: bool = True
+) -> list[Line]:
+    """Orders that stand out most, each beneath the stronger ones.
 
     Beforehand one order is as probable as another as far as these recordings resolve them, but for
-    whole ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
+    ``whole`` ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
     """
-    found: list[tuple[tuple[float, ...], float]] = []
+    found: list[Line] = []
     known: list[float] = []
     while len(found) < most:
         spectrum = spectrum_of(rests, shared)
@@ -240,14 +284,12 @@ def peaks(
             break
         order = float(spectrum.orders[k])
         known.append(order)
-        whole = round(order)
-        near = whole > 0 and abs(order - whole) < step
-        if near:
-            order = float(whole)
-        top = max(1.0, float(spectrum.orders[-1]))
-        weight = 0.5 / spectrum.independent + (0.5 / top if near else 0.0)
-        around = order + 0.5 * step * np.arange(-2.0, 3.0)
-        found.append((tuple(around.tolist()), min(weight, 1.0)))
+        if whole and round(order) > 0 and abs(order - round(order)) < step:
+            order = float(round(order))
+        share = 0.5 if whole else 1.0
+        anywhere = min(1.0, share / spectrum.independent)
+        special = 0.5 / max(1.0, float(spectrum.orders[-1])) if whole else 0.0
+        found.append(Line.around(order, 0.5 * step, anywhere, special))
         rests = [_without(item, order) for item in rests]
     return found
 
