@@ -75,6 +75,9 @@ class View(Protocol):
     def refined(self, inference: Inference) -> View:
         """Around the fit that an inference gives, with finer shapes."""
 
+    def settled(self, labels: Sequence[str]) -> View:
+        """Around the fit with these candidates and no other; itself where that is linear."""
+
     def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
         """Predictions of every piece without any effect, (n,)."""
 
@@ -177,10 +180,13 @@ class Inference:
         above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
         tiny = float(np.finfo(float).tiny)
         self._shown_size = max(below, tiny)
+        even = [self._shown_size if is_shown else max(above, tiny) for is_shown in shown]
         self.sizes = [
-            np.maximum(noise.local, self._shown_size if is_shown else max(above, tiny))
-            for noise, is_shown in pairs
+            np.maximum(noise.local, size) for noise, size in zip(noises, even, strict=True)
         ]
+        self._burst = np.concatenate(
+            [own / size for own, size in zip(self.sizes, even, strict=True)]
+        )
         self._search(blocks)
 
     def _level(self) -> float:
@@ -274,6 +280,12 @@ class Inference:
         """Candidates that show."""
         return {placed.candidate.label: placed.candidate for placed in self.terms}
 
+    @cached_property
+    def sure(self) -> tuple[tuple[str, ...], ...]:
+        """Candidates that are there almost surely, alone or one of several, in catalogue order."""
+        sets = [*((label,) for label in self.posterior.named), *self.posterior.confounded]
+        return tuple(tuple(n for n in self.labels if n in members) for members in sets)
+
     def values(self, label: str) -> dict[str, Estimate]:
         """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
         candidate = self.labels[label]
@@ -327,7 +339,8 @@ class Inference:
         """Of what is named, as it fits best with what is learned and nothing else.
 
         What no name holds is told apart from the names only if the names take all they can: the
-        discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274).
+        discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
+        count alike: where a bench is worst is a part of what it has to predict.
         """
         view = self.posterior.linearised
         chosen = [self._likeliest(label) for label in labels]
@@ -360,7 +373,9 @@ class Inference:
                 low[at] = 0.0
             at += self.terms[k].unit.size
         values = bounded_least_squares(
-            np.vstack([matrix, prior]), np.concatenate([view.residual, np.zeros(len(prior))]), low
+            np.vstack([(matrix.T * self._burst).T, prior]),
+            np.concatenate([view.residual * self._burst, np.zeros(len(prior))]),
+            low,
         )
         sizes = [np.zeros(placed.unit.size) for placed in self.terms]
         at = view.jacobian.shape[1]
@@ -511,29 +526,36 @@ def diagnose(
     view, inference = inferred(view, progress)
     told, remaining = _told(view, inference, most)
     group = _learned_group(inference)
-    told, fitted = _fitted(inference, told, [] if group is None else [group])
+    view, at = view.settled([label for label, _ in told]), inference
+    if view.model is not inference.model:
+        at = Inference(view.model, inference.noises)
+    told, fitted = _fitted(at, told, [] if group is None else [group])
     labels = [label for label, _ in told]
-    learned = None if group is None else view.learned(inference, fitted, group)
+    learned = None if group is None else view.learned(at, fitted, group)
     kinds = {label: inference.labels[label].kind for label in labels}
     estimates = {
         name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
-        for name, value in zip(inference.model.nuisance_names, fitted.nuisances, strict=True)
+        for name, value in zip(at.model.nuisance_names, fitted.nuisances, strict=True)
         if name in PARAMETER_INFO
     }
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
-        (size,) = inference.of_projection(fitted, label).values()
+        (size,) = at.of_projection(fitted, label).values()
         estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
-    before, after = view.nominal(inference), inference.predicted(fitted)
+    before, after = view.nominal(at), at.predicted(fitted)
     denied = tuple(impossible(estimates))
     if denied:
         told, remaining, estimates, learned, after = [], [], {}, None, before
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
     estimates = dict(scaled_parameters(estimates, scale_sd))
-    effects = [_effect(inference, fitted, label, alike, scale_sd) for label, alike in named]
+    named.sort(key=lambda pair: -_squares_without(at, labels, pair[0]))
+    effects = [
+        _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
+        for label, alike in named
+    ]
     errors = parameter_errors(bench, estimates)
     table = disagreement_table(_residuals(inference.model, before, after), in_units_of_noise=False)
     lines = tuple(_line(inference, *item) for item in remaining)
-    remains = bool(lines or denied or learned is not None or "gravity" in kinds.values())
+    remains = bool(lines or denied or group is not None or "gravity" in kinds.values())
     answer = Diagnosis(
         verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
         tuple(effects),
@@ -555,12 +577,11 @@ def _told(
     view: View, inference: Inference, most: int
 ) -> tuple[list[tuple[str, tuple[str, ...]]], list[tuple[str, What]]]:
     """Labels that are named, each with what it is confounded with; lines that remain."""
-    posterior, labels = inference.posterior, inference.labels
-    sets = [*((label,) for label in posterior.named), *posterior.confounded]
+    labels = inference.labels
     told: list[tuple[str, tuple[str, ...]]] = []
     remaining: list[tuple[str, What]] = []
     waves: list[str] = []
-    for members in sets:
+    for members in inference.sure:
         kinds = {labels[m].kind for m in members}
         ripple = [m for m in members if labels[m].kind == "effect" and ORDER in _shapes(labels[m])]
         if "line" in kinds:
@@ -570,7 +591,7 @@ def _told(
         elif ripple and len(ripple) == len(members):
             waves.append(ripple[0])
         elif all(view.reportable(inference, m) for m in members):
-            first, *others = sorted(members, key=lambda m: list(labels).index(m))
+            first, *others = members
             names = dict.fromkeys(labels[m].name for m in others)
             told.append((first, tuple(n for n in names if n != labels[first].name)))
     waves.sort(key=lambda m: -_share(inference, m))
@@ -598,6 +619,14 @@ def _shapes(candidate: Candidate) -> Mapping[str, float]:
     return candidate.looks[0].shapes
 
 
+def _squares_without(inference: Inference, labels: Sequence[str], label: str) -> float:
+    """Sum of squares that all but one of what is told leaves of what is shown."""
+    model = inference.model
+    every = inference.predicted(inference.projection([n for n in labels if n != label]))
+    shown = ((model.pieces[i], every[i]) for i in model.used if model.pieces[i].shown)
+    return sum(float(np.sum(p.kept(p.measured - made) ** 2)) for p, made in shown)
+
+
 def _share(inference: Inference, label: str) -> float:
     """χ² of what a candidate makes, averaged."""
     linearised = inference.posterior.linearised
@@ -620,14 +649,14 @@ def _learned_group(inference: Inference) -> int | None:
 
 def _effect(
     inference: Inference,
-    fitted: Coefficients,
     label: str,
+    fitted: Mapping[str, float],
     alike: tuple[str, ...],
     scale_sd: float,
 ) -> NamedEffect:
     candidate = inference.labels[label]
     parameters = inference.values(label)
-    for name, value in inference.of_projection(fitted, label).items():
+    for name, value in fitted.items():
         parameters[name] = Estimate(value, parameters[name].sd)
     size = parameters[candidate.parameters[0]]
     sure = inference.probability((label, *alike))

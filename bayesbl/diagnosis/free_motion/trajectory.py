@@ -9,7 +9,7 @@ at the load are the same law.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -119,14 +119,21 @@ class FreeMotionView:
         return replace(view, fitted=first, values=self.fit(first, nothing))
 
     def refined(self, inference: Inference) -> FreeMotionView:
-        """Around a fit with what is more probable than not."""
-        inclusion = inference.posterior.inclusion
-        names = tuple(n for n in self.effects if inclusion.get(n, 0.0) > 0.5)
+        """Around a fit with what is there almost surely."""
+        sure = {members[0] for members in inference.sure}
+        names = tuple(name for name in self.effects if name in sure)
         start = dict(self.values)
         for name in names:
             found = inference.values(name)
             start |= {f"{name}.{key}": e.value for key, e in found.items()}
         return replace(self, fitted=names, values=self.fit(names, start))
+
+    def settled(self, labels: Sequence[str]) -> FreeMotionView:
+        """Around the fit with these effects."""
+        names = tuple(name for name in self.effects if name in labels)
+        if names == self.fitted:
+            return self
+        return replace(self, fitted=names, values=self.fit(names, self.values))
 
     def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
         """Predictions without any effect."""
