@@ -246,7 +246,7 @@ def write_rigid(
 
 def unit_of(term: Term, motion: Motion, shape: Mapping[str, float]) -> dict[str, float]:
     """Parameters of one unit of an effect."""
-    parameters = dict.fromkeys((term.candidate.amplitude, *term.law.linear), 1.0)
+    parameters = dict.fromkeys((term.law.amplitude, *term.law.linear), 1.0)
     if term.law.scanned == ORDER:
         parameters[ORDER] = shape[ORDER]
     elif term.law.scanned is not None:

@@ -7,7 +7,7 @@ everything in it leaves it, then as the average over the posterior does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -62,7 +62,11 @@ NONE = 1e-6
 ROUNDS = 3
 """Of search, noise and finer shapes."""
 
+COLLINEAR = 0.9999
+"""Cosine between what two candidates do, from which it is the same but for a hundredth."""
+
 _RIDGE_ROUNDS = 4
+_TINY = float(np.finfo(float).tiny)
 
 
 class View(Protocol):
@@ -178,9 +182,8 @@ class Inference:
         pairs = list(zip(noises, shown, strict=True))
         below = max(noise.strongest for noise, is_shown in pairs if is_shown)
         above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
-        tiny = float(np.finfo(float).tiny)
-        self._shown_size = max(below, tiny)
-        even = [self._shown_size if is_shown else max(above, tiny) for is_shown in shown]
+        self._shown_size = max(below, _TINY)
+        even = [self._shown_size if is_shown else max(above, _TINY) for is_shown in shown]
         self.sizes = [
             np.maximum(noise.local, size) for noise, size in zip(noises, even, strict=True)
         ]
@@ -199,7 +202,7 @@ class Inference:
         target = np.concatenate([t for t, _ in parts])
         matrix = np.vstack([n for _, n in parts])
         left = target - matrix @ least_squares(matrix, target) if matrix.shape[1] else target
-        return max(math.sqrt(float(np.mean(left**2))), float(np.finfo(float).tiny))
+        return max(math.sqrt(float(np.mean(left**2))), _TINY)
 
     def _noise_beside_everything(self, blocks: list[list[FloatArray]]) -> list[ResidualNoise]:
         """From what all candidates and the discrepancy together leave, by ridge regression."""
@@ -285,6 +288,23 @@ class Inference:
         """Candidates that are there almost surely, alone or one of several, in catalogue order."""
         sets = [*((label,) for label in self.posterior.named), *self.posterior.confounded]
         return tuple(tuple(n for n in self.labels if n in members) for members in sets)
+
+    def lookalikes(self, label: str) -> Iterator[str]:
+        """Candidates that differ from one by nothing in these recordings but nuisances."""
+        view = self.posterior.linearised
+        basis = np.linalg.qr(view.jacobian / np.maximum(np.abs(view.jacobian).max(axis=0), _TINY))[
+            0
+        ]
+        own: dict[str, list[FloatArray]] = {}
+        for placed, term in zip(self.terms, view.terms, strict=True):
+            if term.columns.shape[1] == 1:
+                apart = term.columns[:, 0] - basis @ (basis.T @ term.columns[:, 0])
+                apart = apart / max(float(np.linalg.norm(apart)), _TINY)
+                own.setdefault(placed.candidate.label, []).append(apart)
+        for other in own:
+            pairs = ((a, b) for a in own.get(label, []) for b in own[other])
+            if other != label and any(abs(float(a @ b)) > COLLINEAR for a, b in pairs):
+                yield other
 
     def values(self, label: str) -> dict[str, Estimate]:
         """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
@@ -592,7 +612,7 @@ def _told(
             waves.append(ripple[0])
         elif all(view.reportable(inference, m) for m in members):
             first, *others = members
-            names = dict.fromkeys(labels[m].name for m in others)
+            names = dict.fromkeys(labels[m].name for m in (*others, *inference.lookalikes(first)))
             told.append((first, tuple(n for n in names if n != labels[first].name)))
     waves.sort(key=lambda m: -_share(inference, m))
     told += [(m, ()) for m in waves[:1]]
@@ -660,7 +680,7 @@ def _effect(
         parameters[name] = Estimate(value, parameters[name].sd)
     size = parameters[candidate.parameters[0]]
     sure = inference.probability((label, *alike))
-    z = abs(size.value) / max(size.sd, np.finfo(float).tiny)
+    z = abs(size.value) / max(size.sd, _TINY)
     effect = NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
     return with_shared_scale(effect, scale_sd)
 

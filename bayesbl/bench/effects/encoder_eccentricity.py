@@ -57,6 +57,6 @@ EFFECT = Effect(
     enters="loop",
     depends_on=("motor_angle",),
     data="a line at the motor's rotation in speed, answered by the current",
-    torque=RigidLaw(signal=torque_nm, amplitude="angle_rad", usual=0.1),
-    position=RigidLaw(signal=position_rad, amplitude="angle_rad", usual=0.1),
+    torque=RigidLaw(signal=torque_nm, amplitude="angle_rad"),
+    position=RigidLaw(signal=position_rad, amplitude="angle_rad"),
 )

@@ -38,7 +38,6 @@ EFFECT = Effect(
             given["angle_rad"] * np.sin(given[ORDER] * motion.angle + given[PHASE])
         ),
         amplitude="angle_rad",
-        usual=0.1,
         scanned=ORDER,
     ),
 )

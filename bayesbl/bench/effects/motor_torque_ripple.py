@@ -38,7 +38,6 @@ EFFECT = Effect(
             given["torque_nm"] * np.sin(given[ORDER] * motion.angle + given[PHASE])
         ),
         amplitude="torque_nm",
-        usual=0.1,
         scanned=ORDER,
     ),
 )

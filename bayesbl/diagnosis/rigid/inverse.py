@@ -64,7 +64,7 @@ FINER = 5
 DRIFT_ORDERS = 6
 """Cosines over the time of a recording: slower than friction that warms up in it."""
 
-LINE = 0.1
+LINE = 0.3
 """Usual share of a line in time."""
 
 WRONG_VALUE = 0.3
@@ -172,14 +172,13 @@ class InverseView:
             ratio = self.bench.value("gear_ratio")
             return self._seen(i, "base", lambda motion: motion.angle / ratio)
         known = {} if self.load_angle_known else {GRAVITY: 0.0}
-        bench = self.bench.with_parameters(**known)
-        rubs = any("direction" in effect_named(e.name).depends_on for e in bench.effects)
-        return self._seen(
-            i,
-            "base",
-            lambda motion: required_torque(motion, bench) + self.known[i],
-            self.width if rubs else 0.0,
-        )
+        rubs = any("direction" in effect_named(e.name).depends_on for e in self.bench.effects)
+
+        def torque(motion: Motion) -> FloatArray:
+            bench = self.bench.with_parameters(**known)
+            return np.asarray(required_torque(motion, bench) + self.known[i])
+
+        return self._seen(i, "base", torque, self.width if rubs else 0.0)
 
     def _base_above(self, i: int) -> FloatArray:
         """Above the cut-off: the bench's own ripples, and the part of the inertia's torque along
@@ -322,9 +321,13 @@ class InverseView:
             columns = (partial(self._hum, hertz=hertz) for hertz in line.values)
             looks = self._alternatives("frequency_hz", line, columns)
             label = f"line {line.middle:.6g} Hz"
-            yield Candidate(
-                label, "line", label, ("amplitude",), looks, LINE, is_wave=True, own_phase=True
-            )
+            make = partial(Candidate, kind="line", name=label, parameters=("amplitude",))
+            make = partial(make, looks=looks, usual=LINE, is_wave=True)
+            yield make(label, own_phase=True)
+            if own_phase or len({self.pieces[i].name for i in self.used}) == 1:
+                continue
+            # What a motion excites has one phase in all recordings that begin with it.
+            yield make(f"{label}, in phase", own_phase=False, excludes=frozenset({label}))
 
     def _delays(self) -> Iterator[Look]:
         """A skew of some sampling periods is usual, longer ones ever rarer: normals whose mixture
@@ -495,8 +498,7 @@ class InverseView:
         """With width, skew, orders and first shapes."""
         view = self.coarse()
         if SKEW in view.terms:
-            view = view._with_skew()
-            view = view.coarse()
+            view = view._with_skew()._with_lines()
             view = replace(view, slope=view._slopes())
         return view
 
@@ -698,7 +700,13 @@ class InverseView:
             for r in rests
             if not r.above
         ]
-        passing = peaks(clock, False, MOST_LINES, whole=False)
+        # Speeds are round numbers as mains and clocks are: at one speed what is a whole order may
+        # be such a frequency as well.
+        round_one = max((line.anywhere + line.whole for line in turning), default=0.0)
+        passing = [
+            replace(line, anywhere=max(line.anywhere, round_one))
+            for line in peaks(clock, False, MOST_LINES, whole=False)
+        ]
         return replace(self, orders=tuple(turning), lines=tuple(passing))
 
     # What is told

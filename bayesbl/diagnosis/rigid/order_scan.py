@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 from scipy.ndimage import median_filter
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
@@ -232,12 +233,11 @@ class Line:
     whole: float
 
     @classmethod
-    def around(cls, centre: float, step: float, anywhere: float, whole: float) -> Line:
-        """Values a step apart, and the whole order among them."""
+    def around(cls, centre: float, step: float, anywhere: float, whole: float = 0.0) -> Line:
+        """Values a step apart, and the nearest whole one if it has a weight."""
         values = set((centre + step * np.arange(-2.0, 3.0)).tolist())
-        nearest = float(round(centre))
-        if whole and nearest > 0.0 and abs(nearest - centre) <= 2.0 * step:
-            values.add(nearest)
+        if whole:
+            values.add(float(round(centre)))
         return cls(tuple(sorted(values)), anywhere, whole)
 
     @property
@@ -254,9 +254,6 @@ class Line:
     def finer(self, centre: float, sd: float) -> Line:
         """Around what was found, as closely as it is known."""
         step = max(sd, 0.25 * float(np.median(np.diff(self.values))))
-        whole = float(round(centre))
-        if whole in self.values and abs(centre - whole) < step:
-            centre = whole
         return Line.around(centre, step, self.anywhere, self.whole)
 
 
@@ -282,16 +279,40 @@ def peaks(
         score = float(scores[k])
         if spectrum.trials(score) * chi2.sf(score, spectrum.freedom) > CHANCE:
             break
-        order = float(spectrum.orders[k])
+        order, sd = _sharp(rests, shared, spectrum, k)
         known.append(order)
-        if whole and round(order) > 0 and abs(order - round(order)) < step:
-            order = float(round(order))
-        share = 0.5 if whole else 1.0
-        anywhere = min(1.0, share / spectrum.independent)
-        special = 0.5 / max(1.0, float(spectrum.orders[-1])) if whole else 0.0
-        found.append(Line.around(order, 0.5 * step, anywhere, special))
+        nearest = round(order)
+        near = whole and nearest > 0 and abs(order - nearest) < step
+        # Of one resolved order the values hold as much as lies within them.
+        share = (0.5 if whole else 1.0) * min(1.0, 5.0 * sd / (STEPS_PER_CYCLE * step))
+        special = 0.5 / max(1.0, float(spectrum.orders[-1])) if near else 0.0
+        found.append(Line.around(order, sd, min(1.0, share / spectrum.independent), special))
         rests = [_without(item, order) for item in rests]
     return found
+
+
+def _sharp(
+    rests: Sequence[OrderedRest], shared: bool, spectrum: OrderSpectrum, k: int
+) -> tuple[float, float]:
+    """The order near one of a spectrum that scores most, and its standard deviation.
+
+    That of a frequency with score χ² over a time T is √6/(π T √χ²) (Rife and Boorstyn 1974).
+    """
+    order, step = float(spectrum.orders[k]), float(spectrum.orders[1] - spectrum.orders[0])
+
+    def score(at: float) -> float:
+        waves, samples = dict.fromkeys(spectrum.powers, 0.0j), dict.fromkeys(spectrum.powers, 0)
+        for item in rests:
+            shows, owner = item.shows(order), owner_of(item, shared)
+            waves[owner] += item.rest[shows] @ np.exp(1j * at * item.angle[shows])
+            samples[owner] += int(shows.sum())
+        noise = {o: float(p[k]) * samples[o] for o, p in spectrum.powers.items()}
+        return sum(abs(waves[o]) ** 2 / noise[o] for o in waves if noise[o] > 0.0)
+
+    ends = (order - step, order + step)
+    best = minimize_scalar(lambda at: -score(at), bounds=ends, method="bounded")
+    sd = math.sqrt(6.0) / math.pi * STEPS_PER_CYCLE * step / math.sqrt(max(1.0, -float(best.fun)))
+    return float(best.x), min(sd, 0.5 * step)
 
 
 def _without(item: OrderedRest, order: float) -> OrderedRest:
