@@ -60,7 +60,6 @@ EFFECT = Effect(
     torque=RigidLaw(
         signal=torque_nm,
         amplitude="rate_nm_per_s",
-        usual=0.1,
         linear=("torque_nm",),
         contains="motor_coulomb_friction",
     ),

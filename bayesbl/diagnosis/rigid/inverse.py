@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import ORDER, PHASE
@@ -41,6 +42,7 @@ from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
 from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.view import Window, noise_of
 from bayesbl.diagnosis.smooth_torque import Series, learned_answer
+from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.recording.types import FloatArray
 
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
@@ -66,6 +68,10 @@ DRIFT_ORDERS = 6
 
 LINE = 0.3
 """Usual share of a line in time."""
+
+TURNS = 1.0
+"""Way of the load, rad, from which gravity's direction turns: on a shorter one it is an offset and
+a spring."""
 
 WRONG_VALUE = 0.3
 """Usual share of a wrong value of the data sheet in what is compared."""
@@ -377,7 +383,7 @@ class InverseView:
         for name in names:
             look = Look({}, self._every(partial(self._columns_of_parameter, name=name)))
             yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
-        if not self.load_angle_known and not self.gravity_free:
+        if not self.load_angle_known and not self.gravity_free and self._travel_rad > TURNS:
             look = Look({}, self._every(self._gravity))
             yield Candidate(
                 "gravity",
@@ -712,12 +718,13 @@ class InverseView:
     # What is told
 
     def reportable(self, inference: Inference, label: str) -> bool:
-        """A skew below half a sample is what a controller holds between samples; a shape at an end
-        of its range is another law in disguise, and what no sample shows is an extrapolation."""
+        """Not a skew that may be below half a sample, which is what a controller holds between
+        samples; nor a shape at an end of its range, which is another law in disguise."""
         if label == SKEW:
             time = self.motions[0].time_s
             (skew,) = inference.values(label).values()
-            return abs(skew.value) > 0.5 * float(time[1] - time[0])
+            surely = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
+            return surely > 0.5 * float(time[1] - time[0])
         whole = self._grid(label) if label in self.terms else ()
         scanned = self.terms[label].law.scanned if whole else None
         if scanned is None:

@@ -22,6 +22,9 @@ CHANCE = 0.5
 """Probability of as strong a line where there is none, up to which it is tried: the search
 decides."""
 
+WHOLE = 0.25
+"""Standard deviation of an order up to which a whole one is told from its neighbours."""
+
 SLOW_SHARE = 0.1
 """Of the time: in the slowest part the highest order still has two samples in a period."""
 
@@ -282,7 +285,7 @@ def peaks(
         order, sd = _sharp(rests, shared, spectrum, k)
         known.append(order)
         nearest = round(order)
-        near = whole and nearest > 0 and abs(order - nearest) < step
+        near = whole and nearest > 0 and abs(order - nearest) < step and sd < WHOLE
         # Of one resolved order the values hold as much as lies within them.
         share = (0.5 if whole else 1.0) * min(1.0, 5.0 * sd / (STEPS_PER_CYCLE * step))
         special = 0.5 / max(1.0, float(spectrum.orders[-1])) if near else 0.0
