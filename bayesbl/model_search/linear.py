@@ -682,7 +682,9 @@ class ModelPosterior:
         """
         grams, view = self._grams, self.linearised
         weights = np.exp([m.log_posterior for m in self.models])
-        counts = generator.multinomial(n, weights / weights.sum())
+        # Each has its share of the draws, and randomness of its own: what none has changes nothing.
+        ends = np.floor(n * np.cumsum(weights) / weights.sum() + 0.5).astype(int)
+        counts = np.diff(ends, prepend=0)
         widths = [t.columns.shape[1] for t in view.terms]
         starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
         own = [i for i in range(len(widths)) if i not in set(grams.free)]
@@ -699,13 +701,14 @@ class ModelPosterior:
                 continue
             rows = slice(at, at + count)
             at += count
+            (own_generator,) = generator.spawn(1)
             columns, mean, precision = grams.normal(model.terms, model._level)
             a = _truncated(
                 mean,
                 np.asarray(np.linalg.inv(precision), dtype=float),
                 grams.is_positive[columns],
                 count,
-                generator,
+                own_generator,
             )
             sizes[rows, place[columns]] = a
             there, prior = grams.precision_of_h(model._level)
@@ -716,14 +719,14 @@ class ModelPosterior:
                 right = grams.right[inside] - a @ grams.gram[np.ix_(columns, inside)]
                 lower = np.linalg.cholesky(gram)
                 centre = np.linalg.solve(gram, right.T).T
-                noise = generator.standard_normal((count, there.size))
+                noise = own_generator.standard_normal((count, there.size))
                 h[rows, there] = centre + np.linalg.solve(lower.T, noise.T).T
             if grams.free:
                 values = np.concatenate([a, h[rows, there]], axis=1)
                 centre = (grams.nuisance_pull - values @ grams.cross[:, both].T) @ grams.inverse
                 block = grams.inverse[grams.d :, grams.d :]
                 root = np.linalg.cholesky(block)
-                noise = generator.standard_normal((count, block.shape[0]))
+                noise = own_generator.standard_normal((count, block.shape[0]))
                 sizes[rows, place_free] = centre[:, grams.d :] + noise @ root.T
         order = generator.permutation(n)
         sizes, h = sizes[order], h[order]
