@@ -106,7 +106,6 @@ class _Placed:
     candidate: Candidate
     look: Look
     unit: FloatArray
-    columns: slice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +150,6 @@ class Inference:
         level = self._level()
         self.terms: list[_Placed] = []
         blocks: list[list[FloatArray]] = []
-        at = 0
         for candidate in model.candidates:
             for look in candidate.looks:
                 raw = [
@@ -163,8 +161,7 @@ class Inference:
                     continue  # these recordings do not show it
                 usual = candidate.usual * level / np.where(size > 0.0, size, 1.0)
                 unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
-                self.terms.append(_Placed(candidate, look, unit, slice(at, at + unit.size)))
-                at += unit.size
+                self.terms.append(_Placed(candidate, look, unit))
                 blocks.append([part * unit for part in raw])
         self._discrepancy = [
             [p.kept(d.columns[i]) for d in model.discrepancies]
@@ -269,7 +266,6 @@ class Inference:
         centre = root @ (root.T @ ((jacobian / scale).T @ residual))
         noise = generator.standard_normal((DRAWS, int(kept.sum()))) @ root.T
         self.nuisance_draws = (centre + noise) / scale + draws.shift
-        self.size_draws = draws.sizes
         self.discrepancy_draws = draws.discrepancy
 
     # What is asked of it
@@ -309,33 +305,33 @@ class Inference:
     def values(self, label: str) -> dict[str, Estimate]:
         """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
         candidate = self.labels[label]
-        parts: dict[str, list[FloatArray]] = {}
-        for placed in self.of(label):
-            sizes = self.size_draws[:, placed.columns]
-            there = np.any(sizes != 0.0, axis=1)
-            if not there.any():
+        parts: dict[str, list[tuple[FloatArray, FloatArray, FloatArray]]] = {}
+        for k, placed in enumerate(self.terms):
+            if placed.candidate.label != label or k not in self.posterior.sizes:
                 continue
-            sizes = sizes[there] * placed.unit
-            own: dict[str, FloatArray]
+            weight, mean, covariance = self.posterior.sizes[k]
+            mean = mean * placed.unit
+            covariance = covariance * np.outer(placed.unit, placed.unit)
+            own: dict[str, tuple[FloatArray, FloatArray]] = {}
             if candidate.is_wave:
-                pairs = sizes.reshape(len(sizes), -1, 2)
-                own = {candidate.parameters[0]: np.hypot(pairs[..., 0], pairs[..., 1]).mean(axis=1)}
-                if not candidate.own_phase:
-                    own[PHASE] = np.arctan2(pairs[:, 0, 1], pairs[:, 0, 0])
+                own = _of_waves(candidate, mean, covariance)
             else:
-                own = dict(zip(candidate.parameters, sizes.T, strict=True))
-            own |= {k: np.full(len(sizes), v) for k, v in placed.look.shapes.items()}
-            for name, draws in own.items():
-                parts.setdefault(name, []).append(draws)
+                for at, name in enumerate(candidate.parameters):
+                    own[name] = (mean[:, at], covariance[:, at, at])
+            for name, shape in placed.look.shapes.items():
+                own[name] = (np.full(weight.size, shape), np.zeros(weight.size))
+            for name, (value, variance) in own.items():
+                parts.setdefault(name, []).append((weight, value, variance))
         found = {}
         for name, pieces in parts.items():
-            draws = np.concatenate(pieces)
+            weight, value, variance = map(np.concatenate, zip(*pieces, strict=True))
+            share = weight / weight.sum()
+            middle = float(share @ value)
             if name == PHASE:
-                middle = math.atan2(np.sin(draws).mean(), np.cos(draws).mean())
-                apart = np.angle(np.exp(1j * (draws - middle)))
-                found[name] = Estimate(middle, float(np.sqrt(np.mean(apart**2))))
-            else:
-                found[name] = Estimate(float(draws.mean()), float(draws.std()))
+                middle = math.atan2(share @ np.sin(value), share @ np.cos(value))
+                value = middle + np.angle(np.exp(1j * (value - middle)))
+            spread = float(share @ (variance + (value - middle) ** 2))
+            found[name] = Estimate(middle, math.sqrt(spread))
         return found
 
     def nuisance(self, name: str) -> Estimate:
@@ -348,10 +344,7 @@ class Inference:
         """Of everything, over the posterior."""
         return Coefficients(
             self.nuisance_draws.mean(axis=0),
-            [
-                self.size_draws[:, placed.columns].mean(axis=0) * placed.unit
-                for placed in self.terms
-            ],
+            [self._mean_size(k) for k in range(len(self.terms))],
             [self.discrepancy_draws[:, group].mean(axis=0) for group in self.groups],
         )
 
@@ -428,13 +421,22 @@ class Inference:
         size, unit = fitted.sizes[place], self.terms[place].unit
         return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
 
+    def likeliest(self, label: str) -> _Placed:
+        """The look of a candidate that is most probable."""
+        return self.terms[self._likeliest(label)]
+
     def _likeliest(self, label: str) -> int:
-        """The term of a candidate that most draws have."""
+        """The term of a candidate that is most probable."""
         places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
-        counts = [
-            np.any(self.size_draws[:, self.terms[k].columns] != 0.0, axis=1).sum() for k in places
-        ]
-        return places[int(np.argmax(counts))]
+        sizes = self.posterior.sizes
+        return max(places, key=lambda k: sizes[k][0].sum() if k in sizes else 0.0)
+
+    def _mean_size(self, k: int) -> FloatArray:
+        """Of a term, in the catalogue's units."""
+        if k not in self.posterior.sizes:
+            return np.zeros(self.terms[k].unit.size)
+        weight, mean, _ = self.posterior.sizes[k]
+        return np.asarray(weight @ mean * self.terms[k].unit)
 
     def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
         """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
@@ -509,6 +511,22 @@ class Inference:
         mean = self.discrepancy_draws[:, self.groups[group]].mean(axis=0)
         signal = self.posterior.linearised.discrepancy[:, self.groups[group]] @ mean
         return float(signal @ signal) / max(self.posterior.disagreement.before, 1.0)
+
+
+def _of_waves(
+    candidate: Candidate, mean: FloatArray, covariance: FloatArray
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Amplitude, over all pairs of sine and cosine, and phase, if there is one, with variances."""
+    pairs = mean.reshape(len(mean), -1, 2)
+    size = np.maximum(np.hypot(pairs[..., 0], pairs[..., 1]), _TINY)
+    along = (pairs / size[..., None] / size.shape[1]).reshape(mean.shape)
+    variance = np.einsum("mi,mij,mj->m", along, covariance, along)
+    made = {candidate.parameters[0]: (size.mean(axis=1), variance)}
+    if not candidate.own_phase:
+        across = np.stack([-pairs[:, 0, 1], pairs[:, 0, 0]], axis=1) / size**2
+        variance = np.einsum("mi,mij,mj->m", across, covariance, across)
+        made[PHASE] = (np.arctan2(pairs[:, 0, 1], pairs[:, 0, 0]), variance)
+    return made
 
 
 def inferred(view: View, progress: StageProgress | None = None) -> tuple[View, Inference]:
@@ -651,9 +669,10 @@ def _share(inference: Inference, label: str) -> float:
     """χ² of what a candidate makes, averaged."""
     linearised = inference.posterior.linearised
     total = np.zeros(linearised.residual.size)
-    for placed, term in zip(inference.terms, linearised.terms, strict=True):
-        if placed.candidate.label == label:
-            total += term.columns @ inference.size_draws[:, placed.columns].mean(axis=0)
+    sizes = inference.posterior.sizes
+    for k, (placed, term) in enumerate(zip(inference.terms, linearised.terms, strict=True)):
+        if placed.candidate.label == label and k in sizes:
+            total += term.columns @ (sizes[k][0] @ sizes[k][1])
     return float(total @ total)
 
 

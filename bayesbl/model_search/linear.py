@@ -638,6 +638,28 @@ class ModelPosterior:
             beside_all += weight * (left - taken[1] + freedom)
         return Disagreement(grams.chi_square_alone - grams.freedom, beside_terms, beside_all)
 
+    @cached_property
+    def sizes(self) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
+        """Of each selected term that a likely model has: the probability of each such model, (m,),
+        and there the mean, (m, k), and covariance, (m, k, k), of its sizes in usual ones."""
+        parts: dict[int, list[tuple[float, FloatArray, FloatArray]]] = {}
+        for model, weight in self._likely().items():
+            columns, mean, precision = self._grams.normal(model.terms, model._level)
+            if not columns.size:
+                continue
+            positive = self._grams.is_positive[columns]
+            _, middle, spread = orthant(mean[None], precision[None], positive[None])
+            at = 0
+            for term in model.terms:
+                own = slice(at, at + self._grams.columns_of[term].size)
+                parts.setdefault(term, []).append((weight, middle[0, own], spread[0, own, own]))
+                at = own.stop
+        found = {}
+        for term, every in parts.items():
+            weights, means, spreads = zip(*every, strict=True)
+            found[term] = (np.array(weights), np.stack(means), np.stack(spreads))
+        return found
+
     def _likely(self) -> dict[Model, float]:
         """Models that hold nearly all of the probability, and what each has of theirs."""
         held = np.cumsum(np.exp([m.log_posterior for m in self.models]))

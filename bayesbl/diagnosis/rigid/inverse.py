@@ -550,8 +550,8 @@ class InverseView:
         for label, candidate in inference.labels.items():
             mine = candidate.looks[0].shapes.get(shape) == line.values[0]
             if mine and inference.posterior.inclusion[label] > 0.5:
-                value = inference.values(label)[shape]
-                return line.finer(value.value, value.sd)
+                sd = inference.values(label)[shape].sd
+                return line.finer(inference.likeliest(label).look.shapes[shape], sd)
         return line
 
     def _values(self, name: str) -> tuple[float, ...]:

@@ -255,9 +255,14 @@ class Line:
         return tuple(even + self.whole * float(v == round(v)) for v in self.values)
 
     def finer(self, centre: float, sd: float) -> Line:
-        """Around what was found, as closely as it is known."""
-        step = max(sd, 0.25 * float(np.median(np.diff(self.values))))
-        return Line.around(centre, step, self.anywhere, self.whole)
+        """Around the likeliest value, as closely as it is known."""
+        step = float(np.median(np.diff(self.values)))
+        return Line.around(centre, _halved(step, max(sd, 0.25 * step)), self.anywhere, self.whole)
+
+
+def _halved(step: float, size: float) -> float:
+    """A step halved or doubled until it is about as large: not to depend on the last digit."""
+    return float(step * 2.0 ** round(math.log2(size / step)))
 
 
 def peaks(
@@ -313,9 +318,11 @@ def _sharp(
         return sum(abs(waves[o]) ** 2 / noise[o] for o in waves if noise[o] > 0.0)
 
     ends = (order - step, order + step)
-    best = minimize_scalar(lambda at: -score(at), bounds=ends, method="bounded")
+    exact = {"xatol": 1e-4 * step}
+    best = minimize_scalar(lambda at: -score(at), bounds=ends, method="bounded", options=exact)
     sd = math.sqrt(6.0) / math.pi * STEPS_PER_CYCLE * step / math.sqrt(max(1.0, -float(best.fun)))
-    return float(best.x), min(sd, 0.5 * step)
+    sd = _halved(step, min(sd, 0.5 * step))
+    return sd * round(float(best.x) / sd), sd
 
 
 def _without(item: OrderedRest, order: float) -> OrderedRest:
