@@ -56,7 +56,7 @@ SHAPE_RANGE = (0.01, 2.0)
 SHAPES = tuple(np.geomspace(0.02, 1.0, 6))
 """Fading speeds that are tried, in RMS speeds."""
 
-ORDERS = 6
+ORDERS = 4
 """Of a torque that nothing explains, over the load's angle and the speed."""
 
 FIRST = ("motor_coulomb_friction", "motor_viscous_friction")
