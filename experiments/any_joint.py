@@ -27,8 +27,8 @@ from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParame
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.cli import FAILED, WITHHELD, WRONG, status
 from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.diagnosis.rigid.inverse import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.motion import Motion
-from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 COLUMNS = {

@@ -7,16 +7,42 @@ everything in it leaves it, then as the average over the posterior does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Protocol
+from collections.abc import (
+    Callable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
+from dataclasses import (
+    dataclass,
+    replace,
+)
+from functools import (
+    cached_property,
+)
+from typing import (
+    Protocol,
+)
 
 import numpy as np
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import ORDER, PHASE
-from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.bench.bench import (
+    Bench,
+)
+from bayesbl.bench.effect_declaration import (
+    ORDER,
+    PHASE,
+)
+from bayesbl.bench.effects import (
+    effect_named,
+)
+from bayesbl.bench.learned import (
+    LearnedTorque,
+    Variable,
+)
+from bayesbl.bench.parameters import (
+    PARAMETER_INFO,
+)
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
@@ -25,23 +51,110 @@ from bayesbl.diagnosis.comparison import (
     least_squares,
 )
 from bayesbl.diagnosis.diagnosis import (
+    CURVE_POINTS,
     Diagnosis,
     Estimate,
     LearnedAnswer,
+    LearnedCurve,
     NamedEffect,
+    ParameterError,
     PieceSignals,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
-from bayesbl.diagnosis.fitted_parameters import impossible, parameter_errors
-from bayesbl.diagnosis.residual_noise import ResidualNoise
-from bayesbl.diagnosis.residuals.unexplained import Unexplained, What
-from bayesbl.diagnosis.shared_scale import scaled_parameters, with_shared_scale
-from bayesbl.model_search.constants import LEARNED_SHARE, NAMED_AT
-from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
-from bayesbl.progress import StageProgress
-from bayesbl.recording.types import FloatArray
-from bayesbl.units import unit_of
+from bayesbl.diagnosis.disagreement import (
+    PieceResiduals,
+    disagreement_table,
+    piece_residuals,
+)
+from bayesbl.diagnosis.residual_noise import (
+    ResidualNoise,
+)
+from bayesbl.diagnosis.residuals.unexplained import (
+    Unexplained,
+    What,
+)
+from bayesbl.model_search.constants import (
+    LEARNED_SHARE,
+    NAMED_AT,
+)
+from bayesbl.model_search.linear import (
+    DiscrepancyGroup,
+    Linearised,
+    Priors,
+    Term,
+    search,
+)
+from bayesbl.progress import (
+    StageProgress,
+)
+from bayesbl.recording.types import (
+    FloatArray,
+)
+from bayesbl.units import (
+    unit_of,
+)
+
+SURE_PARAMETER = 3.0
+"""Standard deviations beyond which a value is told: three in a thousand by chance."""
+
+
+def impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
+    """A sentence for each fitted parameter that no joint can have: then nothing is believed.
+
+    Noise alone may carry a value below zero.
+    """
+    for name, found in estimates.items():
+        info = PARAMETER_INFO[name]
+        if info.positive and found.value + SURE_PARAMETER * found.sd <= 0.0:
+            yield (
+                f"The best fit with {name} free has {found.value:.3g} {info.unit} there, which "
+                "nothing has: what the recordings show follows no law that was tried, so nothing "
+                "is named. Faster motion shows the inertia, slow motion in both directions the "
+                "friction."
+            )
+
+
+def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> tuple[ParameterError, ...]:
+    """Those that lie beyond their tolerance by more than their standard deviations explain."""
+    found = []
+    for name, fitted in estimates.items():
+        believed = bench.parameters[name]
+        value = math.exp(fitted.value) if fitted.logarithmic else fitted.value
+        sd = value * fitted.sd if fitted.logarithmic else fitted.sd
+        if abs(value - believed.value) - believed.tolerance > SURE_PARAMETER * sd:
+            found.append(ParameterError(name, believed.value, believed.tolerance, fitted))
+    return tuple(found)
+
+
+TORQUES = ("N m", "kg")
+"""Beginnings of the units of what is in proportion to a torque: coefficients and inertias too."""
+
+
+def with_shared_scale(effect: NamedEffect, scale_sd: float) -> NamedEffect:
+    """An effect with its torques as uncertain as the factor.
+
+    ``scale_sd``: relative standard deviation of the factor, zero if it is known.
+    """
+    units = {p.name: p.unit for p in effect_named(effect.name).parameters}
+    return replace(effect, parameters=_widened(effect.parameters, units, scale_sd))
+
+
+def scaled_parameters(estimates: Mapping[str, Estimate], scale_sd: float) -> Mapping[str, Estimate]:
+    """Parameters of the bench by name, the same way."""
+    units = {name: PARAMETER_INFO[name].unit for name in estimates}
+    return _widened(estimates, units, scale_sd)
+
+
+def _widened(
+    estimates: Mapping[str, Estimate], units: Mapping[str, str], scale_sd: float
+) -> Mapping[str, Estimate]:
+    return {
+        name: replace(found, sd=math.hypot(found.sd, scale_sd * found.value))
+        if units[name].startswith(TORQUES)
+        else found
+        for name, found in estimates.items()
+    }
+
 
 DRAWS = 1000
 """Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
@@ -771,3 +884,86 @@ def _signals(
         for piece, *made in zip(model.pieces, before, after, strict=True)
         if piece.shown
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A torque over a variable, its amplitudes falling as 1/k.
+
+    Attributes
+    ----------
+    means
+        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
+        is an effect's.
+    reach
+        Of the variable, as recorded.
+    """
+
+    variable: Variable
+    period: float
+    reverses: bool
+    orders: int
+    means: FloatArray
+    reach: tuple[float, float]
+
+    @classmethod
+    def over(
+        cls,
+        variable: Variable,
+        period: float,
+        *,
+        reverses: bool,
+        orders: int,
+        reach: tuple[float, float],
+    ) -> Series:
+        """With the means over this reach of its variable."""
+        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
+        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
+        return replace(made, means=made.waves(x).mean(axis=0))
+
+    @property
+    def kind(self) -> str:
+        """What it is a torque over."""
+        return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
+
+    def waves(self, x: FloatArray) -> FloatArray:
+        """Cosines, then sines, less their means, (n, 2 orders)."""
+        k = np.arange(1, self.orders + 1)
+        phase = 2.0 * math.pi * x[:, None] * k / self.period
+        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
+
+    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTorque:
+        """With coefficients of the waves, (2 orders,), and their standard deviations."""
+        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
+        waves = coefficients * decay
+        sd: tuple[float, ...] = ()
+        if sds is not None:
+            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
+            sd = (constant, *(sds * decay).tolist())
+        return LearnedTorque(
+            "motor",
+            self.variable,
+            self.period,
+            -float(coefficients @ self.means),
+            tuple(waves[: self.orders].tolist()),
+            tuple(waves[self.orders :].tolist()),
+            self.reverses,
+            sd,
+        )
+
+
+def learned_answer(
+    series: Series, inference: Inference, fitted: Coefficients, group: int
+) -> LearnedAnswer:
+    """A group of the discrepancy as a torque over its variable."""
+    draws = inference.discrepancy_draws[:, inference.groups[group]]
+    value = fitted.discrepancy[group]
+    term = series.torque(value, draws.std(axis=0))
+    low, high = series.reach
+    if high - low > term.period:
+        low, high = -0.5 * term.period, 0.5 * term.period
+    x = np.linspace(low, high, CURVE_POINTS)
+    waves = series.waves(x)
+    curve = LearnedCurve(x, waves @ value, (waves @ draws.T).std(axis=1))
+    size = curve.value if term.reverses else curve.value - curve.value.mean()
+    return LearnedAnswer(term, float(np.abs(size).max()), (), curve)

@@ -13,7 +13,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import Compared, DiagnoseConfig, Method
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
-from bayesbl.diagnosis.free_motion.method import CHANNELS as FREE_MOTION
+from bayesbl.diagnosis.free_motion import CHANNELS as FREE_MOTION
 from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
 from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS

@@ -12,16 +12,17 @@ from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.inference import Inference, diagnose
-from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
-from bayesbl.diagnosis.rigid.inverse import InverseView
-from bayesbl.diagnosis.rigid.method import compared
-from bayesbl.diagnosis.rigid.motion import LowPass
-from bayesbl.diagnosis.rigid.terms import (
+from bayesbl.diagnosis.rigid.inverse import (
     SKEW,
     TORQUE_TERMS,
+    InverseView,
+    coherent_hz,
+    resolved_hz,
     within_turns,
     without_load_angle,
 )
+from bayesbl.diagnosis.rigid.method import compared
+from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
 from bayesbl.runs.study_file import seed_of_case
 from experiments.positioning_axis import Axis, Row, believed, drawn_axis, recorded, run_case

@@ -19,12 +19,16 @@ from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use, piece_residuals
-from bayesbl.diagnosis.free_motion.trajectory import FreeMotionView, free_motion_effects
+from bayesbl.diagnosis.free_motion import FreeMotionView, free_motion_effects
 from bayesbl.diagnosis.inference import diagnose
-from bayesbl.diagnosis.rigid.inverse import InverseView
+from bayesbl.diagnosis.rigid.inverse import (
+    POSITION_TERMS,
+    TORQUE_TERMS,
+    InverseView,
+    required_torque,
+)
 from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of
-from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, required_torque
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (
     LOAD_POSITION,

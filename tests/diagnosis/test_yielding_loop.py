@@ -10,10 +10,14 @@ import pytest
 from bayesbl.config.bench import parse_bench
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
-from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
-from bayesbl.diagnosis.rigid.inverse import InverseView
+from bayesbl.diagnosis.rigid.inverse import (
+    TORQUE_TERMS,
+    InverseView,
+    coherent_hz,
+    resolved_hz,
+    without_load_angle,
+)
 from bayesbl.diagnosis.rigid.method import compared
-from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, without_load_angle
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording
 
 pytestmark = pytest.mark.long

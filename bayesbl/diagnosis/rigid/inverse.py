@@ -3,6 +3,10 @@
     J dω_m/dt + (m g l/N) sin θ_l + effects + known torques = K_t i          (torque, current)
     θ_l = θ_m/N + offset + effects                                          (load position)
 
+Effects take part by the laws that their modules under ``bench/effects`` declare. A rigid drive has
+no shaft, so effects of the shaft enter only the second equation; lags inside the loop enter
+neither, since the recorded current is the one that flows and the motion the one that happened.
+
 All is linear in its amplitudes but a skew between the channels and the width of dry friction's
 sign, which move every column: these two are sought first, the skew linearised around. Shapes
 (orders, fading speeds, gaps) are alternatives on grids, made finer around those that suit, in units
@@ -12,38 +16,188 @@ of the recordings' own, so that a machine of any size has the same answer.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import Any
+from collections.abc import (
+    Callable,
+    Hashable,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
+from dataclasses import (
+    dataclass,
+    field,
+    replace,
+)
+from functools import (
+    cached_property,
+    partial,
+)
+from types import (
+    MappingProxyType,
+)
+from typing import (
+    Any,
+)
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.stats import norm
+from scipy.optimize import (
+    minimize_scalar,
+)
+from scipy.stats import (
+    norm,
+)
 
-from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effect_declaration import ORDER, PHASE
-from bayesbl.bench.effects import effect_named
-from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned import LearnedTorque, Variable, variable_of
+from bayesbl.bench.bench import (
+    Bench,
+    BenchEffect,
+    EffectParameterValue,
+)
+from bayesbl.bench.effect_declaration import (
+    ORDER,
+    PHASE,
+    Effect,
+    RigidLaw,
+)
+from bayesbl.bench.effects import (
+    EFFECTS,
+    effect_named,
+)
+from bayesbl.bench.kernel import (
+    LEARNED_HARMONICS,
+)
+from bayesbl.bench.learned import (
+    LearnedTorque,
+    Variable,
+    variable_of,
+)
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
     Discrepancy,
     Look,
     Piece,
+    TestedEffect,
     least_squares,
 )
-from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
-from bayesbl.diagnosis.inference import Coefficients, Inference
-from bayesbl.diagnosis.rigid.motion import Motion
-from bayesbl.diagnosis.rigid.order_scan import Line, OrderedRest, peaks
-from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
-from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
-from bayesbl.diagnosis.rigid.view import Window, noise_of
-from bayesbl.diagnosis.smooth_torque import Series, learned_answer
-from bayesbl.model_search.constants import NAMED_AT
-from bayesbl.recording.types import FloatArray
+from bayesbl.diagnosis.diagnosis import (
+    Diagnosis,
+    LearnedAnswer,
+)
+from bayesbl.diagnosis.inference import (
+    Coefficients,
+    Inference,
+    Series,
+    learned_answer,
+)
+from bayesbl.diagnosis.rigid.motion import (
+    END_PERIODS,
+    Motion,
+    Window,
+    noise_of,
+)
+from bayesbl.diagnosis.rigid.orders import (
+    FEWEST_CYCLES,
+    Line,
+    OrderedRest,
+    peaks,
+)
+from bayesbl.diagnosis.rigid.preparation import (
+    GRAVITY,
+    INERTIAS,
+    believed_sds,
+)
+from bayesbl.model_search.constants import (
+    NAMED_AT,
+)
+from bayesbl.recording.types import (
+    FloatArray,
+)
+
+SKEW = "channel_time_skew"
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """An effect in an inverse comparison.
+
+    Attributes
+    ----------
+    law
+        Its signal, shape (n,), is in N m at the motor or rad at the load.
+    periodic
+        The signal goes as sin(n θ_m + φ): amplitude and phase are solved as one.
+    """
+
+    candidate: TestedEffect
+    law: RigidLaw
+    periodic: bool
+    not_negative: bool
+
+
+def _term(effect: Effect, law: RigidLaw) -> Term:
+    not_negative = law.not_negative or any(
+        item.not_negative for item in effect.amplitudes if item.name == law.amplitude
+    )
+    candidate = TestedEffect(effect.name, law.same_as, law.contains)
+    return Term(candidate, law, effect.is_periodic, not_negative)
+
+
+TORQUE_TERMS: Mapping[str, Term] = MappingProxyType(
+    {e.name: _term(e, e.torque) for e in EFFECTS if e.torque is not None}
+)
+"""Effects in the torque at the motor."""
+
+POSITION_TERMS: Mapping[str, Term] = MappingProxyType(
+    {e.name: _term(e, e.position) for e in EFFECTS if e.position is not None}
+)
+"""Effects in the load's position for a given motor position."""
+
+
+def without_load_angle(terms: Mapping[str, Term]) -> dict[str, Term]:
+    """The terms that do not ask where the load hangs."""
+    return {n: term for n, term in terms.items() if "load_angle" not in effect_named(n).depends_on}
+
+
+def within_turns(terms: Mapping[str, Term], turns: float) -> dict[str, Term]:
+    """The terms without those that repeat once a turn of the motor, and so too rarely."""
+    return {
+        name: term
+        for name, term in terms.items()
+        if not term.periodic or term.law.scanned == ORDER or turns >= FEWEST_CYCLES
+    }
+
+
+def uncomputable(terms: Mapping[str, Term], bench: Bench, load_angle_known: bool) -> list[str]:
+    """Names of terms for which the bench file or the angles do not give enough, sorted.
+
+    Without the load's angle gravity is unknown, and with it the torque that the gear passes on.
+    """
+    gravity_unknown = bench.value("gravity_torque_nm") > 0.0 and not load_angle_known
+    return sorted(
+        name
+        for name, term in terms.items()
+        if bench.assumed & set(term.law.bench_parameters)
+        or (gravity_unknown and "transmitted_torque" in effect_named(name).depends_on)
+    )
+
+
+def required_torque(motion: Motion, bench: Bench) -> FloatArray:
+    """Torque that this motion asks of the motor, effects of the bench included, N m.
+
+    (J_m + J_l/N²) dω_m/dt + (m g l/N) sin(θ_m/N) and the losses. What a rigid drive cannot show
+    (shaft, loop lags) is left out; a skew is the comparison's business.
+    """
+    torque = bench.value("motor_inertia_kg_m2") * motion.acceleration
+    torque = torque + bench.transmitted_torque(motion)
+    for present in bench.effects:
+        effect = effect_named(present.name)
+        if effect.torque is not None and effect.load_torque is None:
+            torque = torque + effect.torque.signal(motion, bench, present.complete())
+    if bench.learned_torque is not None:
+        torque = torque + bench.learned_torque.along(motion, bench.value("gear_ratio"))
+    return np.asarray(torque)
+
 
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 """In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
@@ -774,3 +928,72 @@ def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
         cost, bounds=(low, high), method="bounded", options={"xatol": 1e-2 * (high - low)}
     )
     return float(found.x) if found.fun <= costs[best] else float(grid[best])
+
+
+LARGEST_SHARE = 0.01
+"""Of noise in the power of the acceleration: so much too small an inertia comes out."""
+
+BANDS_PER_OCTAVE = 3
+FEWEST_LINES = 10
+"""Of a spectrum in a band."""
+
+
+def resolved_hz(positions: Sequence[FloatArray], period_s: float) -> float:
+    """The frequency up to which noise of the position has no more than a share in the acceleration.
+
+    Noise of the acceleration lowers the inertia by its share in the acceleration's power (errors in
+    variables): Σ f⁴ σ² over the frequencies below, over Σ f⁴ |θ|².
+    """
+    frequencies, powers, noises = [], [], []
+    for position in positions:
+        trend = np.linspace(position[0], position[-1], position.size)
+        taper = np.hanning(position.size)
+        frequency = np.fft.rfftfreq(position.size, period_s)
+        frequencies.append(frequency)
+        powers.append(frequency**4 * np.abs(np.fft.rfft(taper * (position - trend))) ** 2)
+        noises.append(frequency**4 * noise_of(position) ** 2 * float(taper @ taper))
+    frequency = np.concatenate(frequencies)
+    order = np.argsort(frequency, kind="stable")
+    power, noise = (np.cumsum(np.concatenate(parts)[order]) for parts in (powers, noises))
+    within = np.flatnonzero(noise <= LARGEST_SHARE * power)
+    # Below four times what the filter carries from the ends nothing would be left to compare.
+    lasting = period_s * max(position.size for position in positions)
+    least = 4.0 * END_PERIODS / lasting
+    return max(least, float(frequency[order][within[-1]]) if within.size else 0.0)
+
+
+def coherent_hz(resolved: InverseView) -> float | None:
+    """The end of the highest third of an octave that the prediction explains more than half of.
+
+    With T the spectrum of the measurement and R that of what all that is linear, and the motor
+    orders that stand out, leave of it: Σ|R|² < ½ Σ|T|². ``None`` if no band has that.
+
+    Parameters
+    ----------
+    resolved
+        The view behind the highest cut-off that resolves the motion.
+    """
+    view = resolved.coarse()
+    predicted = view.fitted()
+    frequencies, measured, left = [], [], []
+    for i in view.used:
+        piece = view.pieces[i]
+        if piece.shown:
+            rest = piece.measured - predicted[i]
+            frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
+            measured.append(_power(piece.measured))
+            left.append(_power(rest))
+    frequency, total = np.concatenate(frequencies), np.concatenate(measured)
+    rest = np.concatenate(left)
+    top = view.windows[0].low_pass.cutoff_hz
+    ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
+    while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
+        if 2.0 * rest[band].sum() < total[band].sum():
+            return top
+        top /= ratio
+    return None
+
+
+def _power(values: FloatArray) -> FloatArray:
+    tapered = np.hanning(values.size) * (values - values.mean())
+    return np.asarray(np.abs(np.fft.rfft(tapered)) ** 2)

@@ -14,10 +14,33 @@ from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, Inference, diagnose
-from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
-from bayesbl.diagnosis.rigid.inverse import InverseView
-from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
-from bayesbl.diagnosis.rigid.order_scan import FEWEST_SAMPLES
+from bayesbl.diagnosis.rigid.inverse import (
+    POSITION_TERMS,
+    TORQUE_TERMS,
+    InverseView,
+    coherent_hz,
+    resolved_hz,
+    uncomputable,
+    within_turns,
+    without_load_angle,
+)
+from bayesbl.diagnosis.rigid.motion import (
+    WIDEST,
+    LowPass,
+    Motion,
+    Window,
+    inside,
+    motion_of,
+    noise_of,
+    reach,
+    sharper,
+    standstill,
+    step_of,
+    thinned,
+    turns_of,
+    widened,
+)
+from bayesbl.diagnosis.rigid.orders import FEWEST_SAMPLES
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -25,24 +48,6 @@ from bayesbl.diagnosis.rigid.preparation import (
     even_recordings,
     require_rigid,
     unknown_parameters,
-)
-from bayesbl.diagnosis.rigid.terms import (
-    POSITION_TERMS,
-    TORQUE_TERMS,
-    uncomputable,
-    within_turns,
-    without_load_angle,
-)
-from bayesbl.diagnosis.rigid.view import (
-    WIDEST,
-    Window,
-    inside,
-    noise_of,
-    sharper,
-    standstill,
-    step_of,
-    thinned,
-    turns_of,
 )
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError, RecordingError

@@ -9,19 +9,48 @@ at the load are the same law.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from collections.abc import (
+    Mapping,
+    Sequence,
+)
+from dataclasses import (
+    dataclass,
+    field,
+    replace,
+)
+from functools import (
+    cached_property,
+    partial,
+)
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import (
+    least_squares,
+)
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import EffectParameter, Shape
-from bayesbl.bench.effects import EFFECTS, effect_named
-from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
-from bayesbl.bench.learned import LearnedTorque
-from bayesbl.bench.simulation import simulate_states
+from bayesbl.bench.bench import (
+    Bench,
+)
+from bayesbl.bench.effect_declaration import (
+    EffectParameter,
+    Shape,
+)
+from bayesbl.bench.effects import (
+    EFFECTS,
+    effect_named,
+)
+from bayesbl.bench.kernel import (
+    MOTOR_ANGLE,
+    MOTOR_SPEED,
+    STATES,
+    Slot,
+)
+from bayesbl.bench.learned import (
+    LearnedTorque,
+)
+from bayesbl.bench.simulation import (
+    simulate_states,
+)
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
@@ -30,15 +59,54 @@ from bayesbl.diagnosis.comparison import (
     Piece,
     TestedEffect,
 )
-from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
-from bayesbl.diagnosis.inference import Coefficients, Inference
-from bayesbl.diagnosis.rigid.preparation import believed_sds
-from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS
-from bayesbl.diagnosis.smooth_torque import Series, learned_answer
-from bayesbl.errors import BenchError
-from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
-from bayesbl.recording.types import FloatArray
-from bayesbl.units import RPM_PER_RAD_PER_S
+from bayesbl.diagnosis.diagnosis import (
+    Diagnosis,
+    LearnedAnswer,
+)
+from bayesbl.diagnosis.inference import (
+    MOST_EFFECTS,
+    Coefficients,
+    Inference,
+    Series,
+    diagnose,
+    learned_answer,
+)
+from bayesbl.diagnosis.rigid.inverse import (
+    TORQUE_TERMS,
+)
+from bayesbl.diagnosis.rigid.preparation import (
+    GRAVITY,
+    INERTIAS,
+    believed_sds,
+    compared_channel,
+    even_recordings,
+    pieces_of,
+    require_rigid,
+    unknown_parameters,
+)
+from bayesbl.diagnosis.task import (
+    Task,
+    notes_of,
+    refused,
+    wanted,
+)
+from bayesbl.errors import (
+    BenchError,
+    RecordingError,
+)
+from bayesbl.progress import (
+    StageProgress,
+)
+from bayesbl.recording.types import (
+    MOTOR_POSITION,
+    FloatArray,
+)
+from bayesbl.recording.types import (
+    MOTOR_SPEED as SPEED_CHANNEL,
+)
+from bayesbl.units import (
+    RPM_PER_RAD_PER_S,
+)
 
 ACCURACY = 1e-7
 """Largest error of the simulated speed, as a share of the largest speed.
@@ -439,3 +507,86 @@ def start_of(piece: Piece) -> FloatArray:
     few = max(4, piece.measured.size // 100)
     slope, angle = np.polyfit(piece.time_s[:few] - piece.time_s[0], piece.measured[:few], 1)
     return np.array([angle, slope])
+
+
+CHANNELS = (MOTOR_POSITION, SPEED_CHANNEL)
+
+
+def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
+    """The view that a configuration asks for, and what these recordings cannot show.
+
+    Raises
+    ------
+    UserError
+        If bench, recordings or unknowns do not suit the method.
+    """
+    require_rigid(task)
+    config, bench, compared = task.config, task.bench, task.config.comparison
+    channel = compared_channel(task, CHANNELS, "There is no motion to compare.")
+    recordings = even_recordings(task, [(channel,)] * len(task.recordings), ())
+    task.require_no_known_torque("Free motion has no torque but the bench's own.")
+    unknown = config.unknowns.bench_parameters
+    gravity = bench.value(GRAVITY) > 0.0
+    if GRAVITY in unknown and set(INERTIAS) & set(unknown):
+        raise refused(
+            "Without any measured torque all torques and inertias scaled together look the same.",
+            "[unknowns] bench_parameters",
+            ", ".join(unknown),
+            "inertia or gravity, not both",
+        )
+    if GRAVITY not in unknown:
+        unknown_parameters(task, (*INERTIAS, GRAVITY))
+    pieces = pieces_of(task, recordings, channel)
+    every = free_motion_effects(compared.load_angle_known and gravity)
+    view = FreeMotionView(
+        pieces,
+        tuple(start_of(piece) for piece in pieces),
+        bench,
+        tuple(effect.name for effect in wanted(config, bench, every)),
+        unknown,
+        compared.load_angle_known or not gravity,
+    )
+    for piece in pieces:
+        if not np.ptp(piece.kept(piece.measured)) > 0.0:
+            raise RecordingError(
+                "Nothing moves in a part that is to be fitted or predicted.",
+                file=next(r.place for r in recordings if r.name == piece.name),
+                where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
+                found=f"{channel} that never changes",
+                expected="a recording of a motion from its start to its end",
+            )
+    scale = "gravity" if gravity else "the inertia"
+    notes = [
+        *notes_of(recordings),
+        f"No torque is measured: friction is known as well as {scale} of the bench is.",
+        "Torque ripple, encoder and shaft effects are not tried in free motion.",
+    ]
+    if channel == SPEED_CHANNEL:
+        notes.append("Speed alone: the start angle is known only through what gravity does.")
+    return view, notes
+
+
+class FreeMotion:
+    """The method of diagnosis."""
+
+    name = "free_motion"
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        view, _ = view_of(task)
+        channel = view.pieces[0].channel
+        return f"{self.name}, {channel}; candidates {', '.join(view.effects)}"
+
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        view, notes = view_of(task)
+        return diagnose(
+            view.prepared(),
+            task.bench,
+            most=task.config.candidates.max_effects or MOST_EFFECTS,
+            notes=lambda inference: notes,
+            progress=progress,
+        )
+
+
+METHOD = FreeMotion()
