@@ -604,6 +604,14 @@ class Inference:
             made.append(np.asarray(total))
         return tuple(made)
 
+    def discrepancy(self) -> tuple[FloatArray, ...]:
+        """Of every piece what nothing explains, averaged, (n,)."""
+        known = list(zip(self.model.discrepancies, self.average.discrepancy, strict=True))
+        return tuple(
+            np.asarray(sum((d.columns[i] @ size for d, size in known), np.zeros(p.measured.size)))
+            for i, p in enumerate(self.model.pieces)
+        )
+
     def noise_left(self) -> list[ResidualNoise]:
         """Of what the average over the posterior leaves of every used piece."""
         every = self.predicted(self.average)

@@ -53,12 +53,7 @@ from bayesbl.bench.bench import (
     BenchEffect,
     EffectParameterValue,
 )
-from bayesbl.bench.effect_declaration import (
-    ORDER,
-    PHASE,
-    Effect,
-    RigidLaw,
-)
+from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, RigidLaw, direction
 from bayesbl.bench.effects import (
     EFFECTS,
     effect_named,
@@ -202,9 +197,6 @@ def required_torque(motion: Motion, bench: Bench) -> FloatArray:
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 """In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
 
-SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 11))
-"""In periods of the cut-off: beyond half of one a delay has no sign."""
-
 DELAYS = (1.0, 4.0, 16.0)
 """Usual skews, in sampling periods."""
 
@@ -226,6 +218,9 @@ LINE = 0.3
 TURNS = 1.0
 """Way of the load, rad, from which gravity's direction turns: on a shorter one it is an offset and
 a spring."""
+
+WRONG_SHARE = 0.15
+"""Of a value of the data sheet: by how much it is usually wrong where it is."""
 
 WRONG_VALUE = 0.3
 """Usual share of a wrong value of the data sheet in what is compared."""
@@ -262,8 +257,9 @@ class InverseView:
         Of effects with a shape, values tried in place of the grid over all there may be.
     orders, lines
         Of the motor's turning, and frequencies in Hz.
-    columns_bench, cache
-        The bench as fitted, that columns are made of; signals that were computed.
+    columns_bench, discrepancy, cache
+        The bench as fitted, that columns are made of; for every piece what nothing explains, as it
+        is known so far; signals that were computed.
     """
 
     pieces: tuple[Piece, ...]
@@ -285,6 +281,7 @@ class InverseView:
     orders: tuple[Line, ...] = ()
     lines: tuple[Line, ...] = ()
     columns_bench: Bench | None = None
+    discrepancy: tuple[FloatArray, ...] = ()
     cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     # Signals
@@ -535,7 +532,9 @@ class InverseView:
         if self.load_angle_known and GRAVITY not in self.unknown:
             names.append(GRAVITY)
         for name in names:
-            look = Look({}, self._every(partial(self._columns_of_parameter, name=name)))
+            size = max(self.bench.tolerances.get(name, 0.0), WRONG_SHARE * self.bench.value(name))
+            columns = self._every(partial(self._columns_of_parameter, name=name))
+            look = Look({}, columns, size=size or None)
             yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
         if not self.load_angle_known and not self.gravity_free and self._travel_rad > TURNS:
             look = Look({}, self._every(self._gravity))
@@ -588,7 +587,7 @@ class InverseView:
                 motion = self._moved[i]
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 if series.reverses:
-                    waves = waves * np.sign(motion.speed)[:, None]
+                    waves = waves * direction(motion)[:, None]
                 window, unit = self.windows[i], 1.0 if self.load else self.unit
                 return np.column_stack([window(wave) / unit for wave in waves.T])
 
@@ -596,14 +595,11 @@ class InverseView:
         return made
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
-        ratio, motions = self.bench.value("gear_ratio"), [self.motions[i] for i in self.used]
-        ends = [(float(m.angle.min()), float(m.angle.max())) for m in motions]
-        way = (max(high for _, high in ends) - min(low for low, _ in ends)) / ratio
-        longest = max(high - low for low, high in ends)
+        motions = [self.motions[i] for i in self.used]
+        longest = max(float(np.ptp(m.angle)) for m in motions)
         turn = 2.0 * math.pi
         for reverses in (False, True):
-            # Where the way is longer, what repeats with the load is over its turn.
-            yield "load_angle", turn if way >= 2.0 * turn else 2.0 * way, reverses
+            yield "load_angle", self._load_period, reverses
         if longest >= turn and (
             self.phases_shared or len({self.pieces[i].name for i in self.used}) == 1
         ):
@@ -611,6 +607,14 @@ class InverseView:
         fastest = max(float(np.abs(m.speed).max()) for m in motions)
         for reverses in (False, True):
             yield "motor_speed", 4.0 * fastest, reverses
+
+    @cached_property
+    def _load_period(self) -> float:
+        """Twice the way of the load, rad; where that is longer, what repeats with it does over its
+        turn."""
+        angles = np.concatenate([self.motions[i].angle for i in self.used])
+        way, turn = float(np.ptp(angles)) / self.bench.value("gear_ratio"), 2.0 * math.pi
+        return turn if way >= 2.0 * turn else 2.0 * way
 
     def _twist(self) -> tuple[Discrepancy, ...]:
         """Of the shaft, by the load's inertia and dry friction; by viscous friction it is a skew.
@@ -620,7 +624,7 @@ class InverseView:
 
         def columns(i: int) -> FloatArray:
             motion, window = self._moved[i], self.windows[i]
-            return np.column_stack([window(motion.acceleration), window(np.sign(motion.speed))])
+            return np.column_stack([window(motion.acceleration), window(direction(motion))])
 
         if not self.load:
             return ()
@@ -658,7 +662,6 @@ class InverseView:
         """With width, skew, orders and first shapes."""
         view = self.coarse()
         if SKEW in view.terms:
-            view = view._with_skew()._with_lines()
             view = replace(view, slope=view._slopes())
         return view
 
@@ -684,7 +687,7 @@ class InverseView:
         bench = self.bench.with_parameters(**{k: v for k, v in fitted.items() if v > 0.0})
         view = replace(self, shapes=shapes, orders=orders, lines=lines, columns_bench=bench)
         skew = next(iter(values[SKEW].values())).value if SKEW in values else 0.0
-        view = replace(view, skew_s=skew)
+        view = replace(view, skew_s=skew, discrepancy=inference.discrepancy())._with_width()
         return replace(view, slope=view._slopes()) if SKEW in self.terms else view
 
     def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
@@ -745,6 +748,8 @@ class InverseView:
                 continue
             if law.scanned is None and not law.linear:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
+        if not self.load and not self.windows[i].above:
+            columns |= self._position_dependent(i)
         wave = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
         if wave is not None:
             for line in self.orders:
@@ -752,6 +757,21 @@ class InverseView:
                 sine, cosine = self._waves(i, wave, {ORDER: order}).T
                 columns |= {f"sine {order}@{where}": sine, f"cosine {order}@{where}": cosine}
         return columns
+
+    def _position_dependent(self, i: int) -> dict[str, FloatArray]:
+        """Dry friction that varies over the load's angle: else the width of its sign takes that."""
+        period, ratio = self._load_period, self.bench.value("gear_ratio")
+        found = {}
+        for k in range(1, 3):
+            for name, wave in (("cos", np.cos), ("sin", np.sin)):
+
+                def law(motion: Motion, wave: Any = wave, k: int = k) -> FloatArray:
+                    phase = 2.0 * math.pi * k * motion.angle / ratio / period
+                    return np.asarray(wave(phase) * direction(motion))
+
+                key = f"friction {name} {k}"
+                found[key] = self._seen(i, key, law, self.width)
+        return found
 
     def _linear_fit(self) -> tuple[list[int], dict[str, float]]:
         """Used pieces below the cut-off, and coefficients of all that is linear, fitted on them."""
@@ -764,7 +784,8 @@ class InverseView:
             nothing = np.zeros(piece.measured.size)
             columns = [table.get(name, nothing) for name in names]
             blocks.append(piece.kept(np.column_stack([*columns, nothing])))
-            targets.append(piece.kept(piece.measured - self.base(i)))
+            known = self.discrepancy[i] if self.discrepancy else 0.0
+            targets.append(piece.kept(piece.measured - self.base(i) - known))
         values = least_squares(np.vstack(blocks), np.concatenate(targets))[:-1]
         return chosen, dict(zip(names, values.tolist(), strict=True))
 
@@ -800,14 +821,6 @@ class InverseView:
             lambda w: replace(self, width=w).least_left(), [unit * w for w in WIDTH_GRID]
         )
         return replace(self, width=width)
-
-    def _with_skew(self) -> InverseView:
-        period = 1.0 / self.windows[0].low_pass.cutoff_hz
-        grid = [period * share for share in SKEW_GRID]
-        costs = [replace(self, skew_s=skew).least_left() for skew in grid]
-        best = int(np.argmin(costs))
-        inside = 0 < best < len(grid) - 1
-        return replace(self, skew_s=grid[best] if inside else 0.0)
 
     def _slopes(self) -> tuple[FloatArray, ...]:
         """Change of the prediction by a second of skew, with all that is linear as it fits."""
