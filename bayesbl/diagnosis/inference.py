@@ -169,6 +169,9 @@ drift, is more, and nothing tells it from an effect that is missing. At 2.5 samp
 the cut-off it is 4 times what does not follow from the samples before: there white noise is 1.16
 times that. Denser samples do not move it."""
 
+CLOSED = 0.9
+"""Of the disagreement before, below which it must be after naming, if it is far above the noise."""
+
 MOST_EFFECTS = 6
 """Named where a configuration does not say how many."""
 
@@ -709,7 +712,9 @@ def diagnose(
     before, after = view.nominal(at), at.predicted(fitted)
     denied = tuple(impossible(estimates))
     if denied:
-        told, remaining, estimates, learned, after = [], [], {}, None, before
+        remaining = []
+    if denied or not _closes(at.model, before, after):
+        told, estimates, learned, after = [], {}, None, before
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
     estimates = dict(scaled_parameters(estimates, scale_sd))
     named.sort(key=lambda pair: -_squares_without(at, labels, pair[0]))
@@ -743,6 +748,14 @@ def diagnose(
         return answer
     sizes = {e.name: {k: v.value for k, v in e.parameters.items()} for e in effects}
     return replace(answer, augmented_bench=view.augmented(sizes, answer))
+
+
+def _closes(model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]) -> bool:
+    """Whether what is told explains anything to speak of: it would be an accident of a fit that is
+    far from what was recorded."""
+    left = disagreement_table(_residuals(model, before, after), in_units_of_noise=False)
+    used = left.overall["used"]
+    return used.after < CLOSED * used.before or used.after < EXCESS * used.noise_floor
 
 
 def _told(
