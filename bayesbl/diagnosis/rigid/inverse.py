@@ -8,7 +8,7 @@ no shaft, so effects of the shaft enter only the second equation; lags inside th
 neither, since the recorded current is the one that flows and the motion the one that happened.
 
 All is linear in its amplitudes but a skew between the channels and the width of dry friction's
-sign, which move every column: these two are sought first, the skew linearised around. Shapes
+sign, which move every column: the width is sought first, the skew linearised around. Shapes
 (orders, fading speeds, gaps) are alternatives on grids, made finer around those that suit, in units
 of the recordings' own, so that a machine of any size has the same answer.
 """
@@ -659,7 +659,7 @@ class InverseView:
         return self._with_width()._with_lines()
 
     def prepared(self) -> InverseView:
-        """With width, skew, orders and first shapes."""
+        """With width, orders and the slope of a skew."""
         view = self.coarse()
         if SKEW in view.terms:
             view = replace(view, slope=view._slopes())
