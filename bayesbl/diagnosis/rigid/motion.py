@@ -286,6 +286,13 @@ class Window:
         passed = self.low_pass(seen)
         return (seen - passed if self.above else passed)[self.rows]
 
+    def half(self, second: bool) -> Window:
+        """The first or the second half of what is compared."""
+        first, end, step = self.rows.start, self.rows.stop, self.rows.step
+        middle = first + step * (len(range(first, end, step)) // 2)
+        rows = slice(middle, end, step) if second else slice(first, middle, step)
+        return replace(self, rows=rows)
+
 
 def sharper(cutoff_hz: float, period_s: float) -> float:
     """Cut-off for the motion, Hz: :data:`SHARPER` times the other one, if sampling allows."""
