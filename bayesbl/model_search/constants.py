@@ -36,6 +36,9 @@ MOST_KEPT = 300
 MOST_WEIGHED = 1000
 """Sets of each size that are weighed with their signs, the likeliest without."""
 
+WEIGHED_SHARE = 0.999
+"""Of the probability, over which a disagreement is averaged: it is told with two digits."""
+
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
 
@@ -53,9 +56,10 @@ LEAVES_MOST, SLACK = 2.0, 100.0
 """χ² beyond noise that what is fitted in full promises to leave, at most: a multiple of what the
 best leaves, and an amount more. Far from its optimum a promise is no better."""
 
-ALIKE = 5.0
-"""|z| between two best fits below which the recordings do not tell them apart."""
-
 MEAN_SHARE = 0.01
 """Usual error of a channel's mean, over its largest line. Three means alone would not tell friction
 from offsets of any size."""
+
+LEARNED_SHARE = 0.01
+"""Of the excess chi-square that a discrepancy must hold to be told: less than a hundredth of what
+the names explain is the form of their laws."""
