@@ -105,7 +105,7 @@ from bayesbl.errors import (
     ConfigError,
     RecordingError,
 )
-from bayesbl.naming.criteria import (
+from bayesbl.model_search.constants import (
     ALIKE,
 )
 from bayesbl.progress import (
