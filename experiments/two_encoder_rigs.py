@@ -176,7 +176,8 @@ def reference(rig: Rig, amplitude: float, period: float, generator: np.random.Ge
         path = np.sin(phase)
     elif rig.motion == "multisine":
         shares = ((1.0, 0.6), (1.7, 0.3), (3.1, 0.15))
-        path = sum((a * np.sin(phase * f + generator.uniform(0.0, 6.28)) for f, a in shares), 0.0)
+        waves = [a * np.sin(phase * f + generator.uniform(0.0, 6.28)) for f, a in shares]
+        path = np.sum(waves, axis=0)
     elif rig.motion == "triangle":
         path = 2.0 / np.pi * np.arcsin(0.995 * np.sin(phase))
     elif rig.motion == "strokes":
