@@ -22,7 +22,6 @@ from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.matching.alignment import fit_aligned
-from bayesbl.matching.impacts import IMPACTS_DIFFER
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
 from bayesbl.matching.observed import Observed, begin_of, observed
@@ -375,8 +374,6 @@ def direct_verdict(
         against += [r for r in orders if r.values not in [other.values for other in against]]
     unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
     unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
-    if found.posterior.impacts_differ(level)[index]:
-        unseen = _withholding(("impacts_differ", IMPACTS_DIFFER))
     outcome = "withheld" if against or unseen else diagnostics.outcome
     sampling = [
         Reason.told("sampling", text, withholds=outcome == "withheld")

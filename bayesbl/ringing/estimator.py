@@ -20,8 +20,8 @@ from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.ringing.cleaning import FINDERS
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
+from bayesbl.ringing.drift import without_drift
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.ringing.motor_lines import MotorLine, in_words, without_motor_lines
 from bayesbl.ringing.objective import Objective
@@ -52,7 +52,7 @@ class PointEstimate:
     contenders
         Other optima weighed against this one; by their likelihood alone where ``None``.
     mended
-        Whether ``recording`` is not the one given: lines, bursts, drift or unevenness were removed.
+        Whether ``recording`` is not the one given: lines or drift were removed.
     lines
         Of the motor that were removed.
     """
@@ -80,6 +80,8 @@ class PointEstimate:
     def ringing(self) -> tuple[FloatArray, FloatArray]:
         """Optimum of (A, ln ω, ln τ), shape (3,), and its covariance, shape (3, 3).
 
+        With what impacts lose that come early and late given back to A.
+
         A fixed frequency or decay has zero variance.
         """
         symbols, spread = self.optimum.symbols, self.spread
@@ -93,6 +95,8 @@ class PointEstimate:
                 if a in spread.names and b in spread.names:
                     entry = spread.sandwich[spread.names.index(a), spread.names.index(b)]
                     covariance[i, j] = scale[i] * scale[j] * entry
+        covariance[0, 0] += float(np.var(centre[0] * spread.losses))
+        centre[0] *= 1.0 + float(spread.losses.mean())
         return centre, covariance
 
 
@@ -195,8 +199,8 @@ class Estimator:
     ) -> PointEstimate:
         """RMSE optimum with the noise's covariance around it.
 
-        Lines of the motor, bursts of outliers, a drift of the speed and uneven rotations are
-        removed first where the recording shows them; the notes say so.
+        Lines of the motor and a drift of the speed are removed first where the recording shows
+        them; the notes say so.
 
         Parameters
         ----------
@@ -213,8 +217,8 @@ class Estimator:
         notes = [in_words(lines)] if lines else []
         point = self._optimal(recording, seed, gear_ratio, earlier)
         # Rotations with the same rounding are the same.
-        for find in () if point.noise.rounding_repeats else FINDERS:
-            mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)
+        if not point.noise.rounding_repeats:
+            mended = without_drift(point.recording, point.optimum, point.residual_rpm)
             if mended is not None:
                 point = self._optimal(mended.recording, seed, gear_ratio, earlier)
                 notes.append(mended.note)
