@@ -22,7 +22,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -245,7 +245,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
             return values | {"seconds": perf_counter() - begin}
         values["seconds"] = perf_counter() - begin
     truths = {"first": grown[0], "last": grown[1], "change": grown[1] - grown[0]}
-    summary, tree = result.summary, result.to_xarray()
+    summary: Any = result.summary
+    tree: Any = result.to_xarray()
     for what, truth in truths.items():
         if summary["outcome"] == "refused":
             continue

@@ -69,6 +69,7 @@ from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.results.intervals import interval
 from bayesbl.results.store import read_tree
 from bayesbl.results.variables import (
     Group,
@@ -175,6 +176,8 @@ OPTIMUM = Group(
         evaluations | 1 | model evaluations
         search_seconds | s | time of the search
         covariance (parameter, parameter_) | products of units | sandwich covariance of the optimum
+        impact_sd_rpm (case) | rpm | standard deviation of A from impact to impact, beyond noise
+        impact_loss (case) | 1 | share of A that impacts which come early and late take
         rival_amplitude_rpm (rival) | rpm | amplitude at other local optima
         rival_rmse_rpm (rival) | rpm | root mean square error at other local optima
         start? | text | start of the search
@@ -455,6 +458,7 @@ def _numbers(
         "relative_rmse": optimum.relative_rmse,
         "noise": _noise_summary(point.noise),
         "misfit_rms_rpm": point.misfit.rms_rpm,
+        "impact_sd_rpm": interval(point.spread.impact_sd_rpm, of.level, of.kind),
         "rotations": _rotations(fit),
         "excluded_samples": excluded_samples(point.recording),
         "budget": {} if gap is None else gap.budget,
@@ -725,6 +729,8 @@ def _optimum(fit: Fit) -> xr.Dataset:
             **optimum.symbols,
             "search_seconds": optimum.seconds,
             "covariance": spread.sandwich,
+            "impact_sd_rpm": spread.impact_sd_rpm,
+            "impact_loss": spread.losses,
             "rival_amplitude_rpm": [r.symbols["amplitude_rpm"] for r in optimum.rivals],
             "rival_rmse_rpm": np.sqrt(rival_squares / optimum.samples),
             "start": fit.point.start,

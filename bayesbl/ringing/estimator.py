@@ -8,6 +8,7 @@ searched and what the noise is assumed to be do not affect the meaning and are n
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,11 +16,14 @@ from typing import Any
 import numpy as np
 
 from bayesbl.errors import ConfigError, RecordingError, ResultError
+from bayesbl.noise import outside_lines
+from bayesbl.noise.impact_scatter import normal_quantiles
+from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
 from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
-from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.drift import without_drift
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
@@ -55,6 +59,8 @@ class PointEstimate:
         Whether ``recording`` is not the one given: lines or drift were removed.
     lines
         Of the motor that were removed.
+    shaking
+        Lines in time that were removed.
     """
 
     recording: Recording
@@ -68,6 +74,17 @@ class PointEstimate:
     contenders: tuple[Contender, ...] | None = None
     mended: bool = False
     lines: tuple[MotorLine, ...] = ()
+    shaking: tuple[OutsideLine, ...] = ()
+
+    def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
+        """Beside lines that were removed: A may be another by their RMS in the speed."""
+        if not by:
+            return self
+        rms_rpm = math.sqrt(0.5 * sum(line.size_rpm**2 for line in by))
+        size = rms_rpm / self.optimum.symbols[AMPLITUDE]
+        losses = self.spread.losses
+        moved = size * np.random.default_rng(0).permutation(normal_quantiles(losses.size))
+        return replace(self, spread=replace(self.spread, losses=losses + moved), shaking=by)
 
     @property
     def misfit(self) -> RepeatingMisfit:
@@ -122,6 +139,7 @@ class Fit:
             point.contenders,
             mended,
             point.lines,
+            point.shaking,
         )
 
 
@@ -143,6 +161,7 @@ class FinishedFit:
     contenders: tuple[Contender, ...] | None
     mended: Recording | None
     lines: tuple[MotorLine, ...] = ()
+    shaking: tuple[OutsideLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +234,13 @@ class Estimator:
         recording = ready_for_fit(recording, gear_ratio)
         recording, lines = without_motor_lines(recording)
         notes = [in_words(lines)] if lines else []
+        loop = {
+            n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)
+        }
+        loop, shaking = without_outside_lines(loop, MOTOR_SPEED, recording.sampling_period_s)
+        if shaking:
+            recording = replace(recording, channels={**recording.channels, **loop})
+            notes.append(outside_lines.in_words(shaking))
         point = self._optimal(recording, seed, gear_ratio, earlier)
         # Rotations with the same rounding are the same.
         if not point.noise.rounding_repeats:
@@ -222,7 +248,8 @@ class Estimator:
             if mended is not None:
                 point = self._optimal(mended.recording, seed, gear_ratio, earlier)
                 notes.append(mended.note)
-        return replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
+        point = replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
+        return point.shaken(shaking)
 
     def _optimal(
         self,
@@ -367,7 +394,7 @@ class Estimator:
             contenders=finished.contenders,
             mended=finished.mended is not None,
             lines=finished.lines,
-        )
+        ).shaken(finished.shaking)
         return Fit(point, finished.posterior, finished.check)
 
 
