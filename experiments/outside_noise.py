@@ -114,4 +114,5 @@ def _ringing(clean: FloatArray, sampling_hz: float, rotation_s: float) -> FloatA
 
 def _envelope(ringing: FloatArray, sampling_hz: float) -> FloatArray:
     window = np.ones(max(1, round(ENVELOPE_S * sampling_hz)))
-    return np.sqrt(np.convolve(ringing**2, window / window.size, "same"))
+    squares = np.convolve(ringing**2, window / window.size, "same")
+    return np.asarray(np.sqrt(squares), dtype=np.float64)

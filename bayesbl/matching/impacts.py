@@ -89,9 +89,10 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
             power = np.sum(own**2, axis=2)
             # An impact that was lost says nothing.
             kept = power > 0.5 * np.median(power, axis=0)
+            kinds = np.broadcast_to(np.arange(2.0), power.shape)
             by_unknown = np.einsum("rhm,rmd->rhd", own, slopes)[kept]
             spread = np.diag(power[kept]) - by_unknown @ hidden @ by_unknown.T
-            return np.sum(own * residual[:, None], axis=2)[kept], spread, np.nonzero(kept)[1]
+            return np.sum(own * residual[:, None], axis=2)[kept], spread, kinds[kept]
 
         loop = loop_noise(fit, place)
         scatter = Scatter.of(*scores(along), None if loop is None else loop.factors(along))
@@ -101,7 +102,8 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         if angle is not None and seen.motion is None and scatter.freedom > 0.0:
             fast = _fast(slopes[..., angle], len(seen.signals))
             power = np.median(np.sum((fast[:, None] * halves) ** 2, axis=2))
-            late = early_and_late(*scores(fast / power), factors)
+            if power > 0.0:
+                late = early_and_late(*scores(fast / power), factors)
         every = np.stack([row[place].ravel() for row in rows[1:]], axis=1)
         found.append(Impacts(place, every, scatter, factors, late))
     return found

@@ -114,7 +114,7 @@ def early_and_late(
     true = np.maximum(float(left @ left) / number - noise, 0.0)
     sd = np.sqrt(2.0 * squares * (factors / number) ** 2 + 4.0 * noise * true / number)
     normal = np.random.default_rng(0).permutation(normal_quantiles(factors.size))
-    return np.maximum(float(left @ left) / number - noise + sd * normal, 0.0)
+    return np.asarray(np.maximum(float(left @ left) / number - noise + sd * normal, 0.0))
 
 
 def normal_quantiles(count: int) -> FloatArray:

@@ -51,7 +51,8 @@ def without_outside_lines(
     channels: dict[str, FloatArray], first: str, period_s: float
 ) -> tuple[dict[str, FloatArray], tuple[OutsideLine, ...]]:
     """Channels (n,) by name without the lines that stand out of the ``first``, and these lines."""
-    left, lines = dict(channels), []
+    left = dict(channels)
+    lines: list[OutsideLine] = []
     least = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[first]))
     while len(lines) < MOST_LINES:
         found = clearest_line(left[first], period_s, least)
