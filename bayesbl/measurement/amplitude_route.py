@@ -29,6 +29,12 @@ from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import unsuited
 from bayesbl.measurement.curves import curve_source
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
+from bayesbl.measurement.joint_features import (
+    INTEGRAL,
+    PROPORTIONAL,
+    beside_bench,
+    harmonic_name,
+)
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,
@@ -99,6 +105,21 @@ REPLICATES = 5
 """Recordings that are predicted for each chain, each as long as the one that was fitted."""
 
 PRIOR_DRAWS = 1000
+
+BENCHES = 12
+"""Drawn within the tolerances, that a recording is held against."""
+
+FALSE_ALARM = 0.01
+"""Of a recording that is said to be of another bench, over its features."""
+
+MOVES_RINGING = {
+    PROPORTIONAL,
+    INTEGRAL,
+    harmonic_name("current", 1),
+    harmonic_name("speed", 1),
+}
+"""Features that show gains and gravity, with which the ringing goes by the power one at most;
+friction hardly moves it."""
 
 
 def _symbol(*dims: str) -> Callable[[str], Variable | None]:
@@ -363,21 +384,56 @@ class AmplitudeMeasurer(Measurer):
         seed: np.random.SeedSequence,
         task: Task,
     ) -> Answer:
-        groups = amplitude_groups(fit, gap, curve, task.config.interval.level, seed)
+        level = task.config.interval.level
+        groups = amplitude_groups(fit, gap, curve, level, seed)
+        check, unlike = self._against_bench(recording, fit, gap, curve, level)
+        unsuitable = unsuited(recording, fit, curve, task.config)
+        against = [*reasons_as_printed(fit, curve), *unsuitable, *unlike]
         return Answer(
             recording.name,
             None if gap is None else gap.delta_rad,
-            verdict(
-                fit,
-                gap,
-                [*reasons_as_printed(fit, curve), *unsuited(recording, fit, curve, task.config)],
-                self.source.question(recording),
-            ),
+            verdict(fit, gap, against, self.source.question(recording)),
             groups,
             _numbers(fit, gap, groups["posterior"], task.config.interval),
-            _model_check(curve, fit, gap),
+            check,
             None if gap is None else gap.upper_bound_rad,
         )
+
+    def _against_bench(
+        self, recording: Recording, fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float
+    ) -> tuple[JointCheck, list[Reason]]:
+        """The recording beside the curve's bench, and why δ is withheld where it is of another.
+
+        What differs withholds δ where it may move it, by as much itself at most, further than its
+        interval reaches.
+        """
+        if curve is None or gap is None:
+            return NOTHING_COMPARED, []
+        check = ringing_check(curve, measured_ringing(fit), gap)
+        bench = self.source.bench_of(recording)
+        if bench is None or np.any(gap.delta_rad <= 0.0):
+            return check, []
+        draws = gap.delta_rad.ravel()
+        picked = draws[np.linspace(0, draws.size - 1, BENCHES).round().astype(int)]
+        found = beside_bench(fit.point, bench, picked, np.random.default_rng(BENCHES))
+        low, high = np.log(np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
+        bound = normal_isf(0.5 * FALSE_ALARM / max(len(found), 1))
+        items, reasons = [], []
+        for one in found:
+            name, unit, value = one.feature.name, one.feature.unit, one.feature.value
+            items.append(CheckItem(name, value, one.value, unit, one.z))
+            moves = name in MOVES_RINGING and one.value > 0.0 and value > 0.0
+            if (
+                moves
+                and abs(one.z) > bound
+                and abs(math.log(value / one.value)) > 0.5 * (high - low)
+            ):
+                values = {"quantity": name, "measured": value, "expected": one.value, "unit": unit}
+                reasons.append(Reason("other_bench", values, withholds=True))
+        causes = [cause for reason in reasons for cause in COULD_BE[reason.values["quantity"]]]
+        causes = list(dict.fromkeys([*check.could_be, *causes]))
+        agrees = check.agrees and not reasons
+        return JointCheck(agrees, [*check.items, *items], tuple(causes)), reasons
 
     def _curve(
         self, curves: Sequence[GapCurve] | None, found: Sequence[Gap | None], task: Task
@@ -415,12 +471,6 @@ class AmplitudeMeasurer(Measurer):
                 strict=True,
             )
         ]
-
-
-def _model_check(curve: GapCurve | None, fit: Fit, gap: Gap | None) -> JointCheck:
-    if curve is None or gap is None:
-        return NOTHING_COMPARED
-    return ringing_check(curve, measured_ringing(fit), gap)
 
 
 def _earlier_in_words(path: Path) -> str:

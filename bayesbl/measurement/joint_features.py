@@ -16,6 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from bayesbl.bench.bench import Bench
 from bayesbl.recording.types import MOTOR_CURRENT, ComplexArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION
@@ -63,16 +64,67 @@ def features_of(point: PointEstimate) -> list[Feature]:
 
     None of less than two whole rotations: nothing tells their noise.
     """
+    folded, period_s = folded_rotations(point)
+    return [] if folded.shape[1] < 2 else features(folded, period_s)
+
+
+def folded_rotations(point: PointEstimate) -> tuple[FloatArray, float]:
+    """As :func:`features` takes them, of the recording that a fit was made of."""
     recording, rotation_s = point.recording, point.optimum.symbols[ROTATION]
     direction = math.copysign(1.0, float(recording.motor_speed_rpm.mean()))
     rows = [recording.motor_speed_rpm]
     if MOTOR_CURRENT in recording.channels:
         rows.append(recording.channels[MOTOR_CURRENT])
-    period_s = recording.sampling_period_s
-    folded = np.stack([folded_signal(direction * row, rotation_s / period_s) for row in rows])
-    if folded.shape[1] < 2:
+    turn = rotation_s / recording.sampling_period_s
+    folded = np.stack([folded_signal(direction * row, turn) for row in rows])
+    return folded, rotation_s / folded.shape[2]
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """A feature beside what a bench that is not known exactly would have in its place.
+
+    ``z``: difference in standard deviations of both.
+    """
+
+    feature: Feature
+    value: float
+    z: float
+
+
+def beside_bench(
+    point: PointEstimate, bench: Bench, delta_rad: FloatArray, rng: np.random.Generator
+) -> list[Expected]:
+    """Features of a recording beside those of its bench, drawn, at as many draws of δ, (k,).
+
+    What does not repeat in the recording is added to the simulation: noise moves both alike.
+    """
+    measured, period_s = folded_rotations(point)
+    if measured.shape[1] < 2:
         return []
-    return features(folded, rotation_s / folded.shape[2])
+    scatter = measured - measured.mean(axis=1, keepdims=True)
+    speed_rpm = float(point.recording.motor_speed_rpm.mean())
+    found: dict[str, list[float]] = {}
+    for gap in delta_rad:
+        drawn = bench.draw(rng).with_parameters(reference_speed_rpm=speed_rpm)
+        count = measured.shape[2]
+        made = drawn.simulate_many(
+            float(gap),
+            rotations=1.0,
+            sampling_hz=count / drawn.rotation_period_s(speed_rpm),
+            channels="all",
+        )[0, 1:, :count]
+        rotation = math.copysign(1.0, speed_rpm) * made[: len(measured), None]
+        for name, value in feature_values(rotation + scatter, period_s).items():
+            found.setdefault(name, []).append(value)
+    expected = []
+    for feature in features(measured, period_s):
+        values = found.get(feature.name, [])
+        sd = math.hypot(feature.standard_error, float(np.std(values))) if values else 0.0
+        if sd > 0.0:
+            mean = float(np.mean(values))
+            expected.append(Expected(feature, mean, (feature.value - mean) / sd))
+    return expected
 
 
 def features(folded: FloatArray, period_s: float) -> list[Feature]:

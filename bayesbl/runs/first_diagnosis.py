@@ -18,7 +18,7 @@ from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
 from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
-from bayesbl.matching.observed import ROUNDING
+from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.checks import is_constant
 from bayesbl.recording.moving import is_one_speed, moves
 from bayesbl.recording.types import (
@@ -30,7 +30,6 @@ from bayesbl.recording.types import (
     FloatArray,
     Recording,
 )
-from bayesbl.runs.asked_speed import asked_speed
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 FEWEST_SETTINGS = 3

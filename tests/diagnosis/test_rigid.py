@@ -29,10 +29,11 @@ from bayesbl.diagnosis.free_motion.trajectory import FreeMotionComparison, free_
 from bayesbl.diagnosis.residual_noise import ResidualNoise, sandwich
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
 from bayesbl.diagnosis.rigid.method import compared
-from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of
+from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.diagnosis.rigid.terms import POSITION_TERMS, TORQUE_TERMS, required_torque
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.errors import RecordingError
+from bayesbl.recording.evenly import even
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_POSITION,

@@ -74,7 +74,7 @@ def test_noise_that_only_the_recorder_adds_is_not_in_the_loop(independent: Modul
 
 
 def test_noise_in_the_loop_scatters_the_gap_as_is_expected(independent: ModuleType) -> None:
-    """Within a factor of two, of both impacts of 40 rotations: their mean square is good to a fifth."""
+    """Within a factor of two, of both impacts of 40 rotations: known to a fifth or so."""
     fit = fitted(turning(independent, 7e-4, 40.0, 1, in_loop=True), reference_bench())
     scatter = scatter_of(fit)
     assert scatter.expected.mean() > 1.5

@@ -14,7 +14,7 @@ from bayesbl.diagnosis.comparison import EffectsFit, Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
 from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach, widened
+from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach
 from bayesbl.diagnosis.rigid.order_scan import FEWEST_SAMPLES
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
@@ -51,6 +51,7 @@ from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
+from bayesbl.recording.evenly import widened
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,

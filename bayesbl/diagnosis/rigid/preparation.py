@@ -8,9 +8,9 @@ import numpy as np
 
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.rigid.motion import even
 from bayesbl.diagnosis.task import Task, piece_of, refused, rows_of, sound
 from bayesbl.errors import RecordingError
+from bayesbl.recording.evenly import even
 from bayesbl.recording.types import Recording
 
 INERTIAS = ("motor_inertia_kg_m2", "load_inertia_kg_m2")
