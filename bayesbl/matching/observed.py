@@ -21,7 +21,7 @@ from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.quantisation import Rounding, speed_steps
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
-from bayesbl.recording.evenly import even
+from bayesbl.recording.evenly import UNEVEN_STAMPS, even
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
 from bayesbl.recording.repetition import Repetition, repetition
 from bayesbl.recording.types import (
@@ -42,8 +42,6 @@ as a share of it, for 10.06 rpm is not 10."""
 
 EVEN = 0.1
 """Of the sampling period, by which time stamps may be off an even grid and are left as they are."""
-
-UNEVEN_STAMPS = "Its samples are not evenly spaced: an even grid was made by their time stamps."
 
 LARGEST_SPEED_ERROR = 0.01
 """Relative difference of a recording's mean speed from the one it is simulated at: on the reference

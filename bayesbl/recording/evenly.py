@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
 
+from bayesbl.recording.lost_samples import deviation_from_grid
 from bayesbl.recording.types import BoolArray, Recording
 
-UNEVEN = 1e-3
-"""Departure of a time stamp from the even grid, in periods, up to which it is even."""
+UNEVEN_STAMPS = "Its samples are not evenly spaced: an even grid was made by their time stamps."
 
 
-def even(recording: Recording, tolerance: float = UNEVEN) -> Recording:
-    """The recording on an even grid of the same mean period, by cubic splines.
+def even(recording: Recording, tolerance: float, harmless_s: float = 0.0) -> Recording:
+    """The recording on the even grid nearest to its time stamps, by cubic splines.
 
-    Itself where no stamp departs by more than ``tolerance`` periods.
+    As it is, but for its stamps, where none departs by more than ``tolerance`` periods, or all by
+    ``harmless_s`` in the root mean square.
     """
-    n = recording.samples
-    begin, end = recording.time_s[0], recording.time_s[-1]
-    grid = begin + np.arange(n) * ((end - begin) / (n - 1))
-    if np.max(np.abs(recording.time_s - grid)) <= tolerance * recording.sampling_period_s:
+    number = np.arange(recording.samples, dtype=np.float64)
+    deviation, period_s = deviation_from_grid(recording.time_s, number)
+    grid = recording.time_s.mean() + period_s * (number - number.mean())
+    rms_s = period_s * math.sqrt(float(np.mean(deviation**2)))
+    if np.max(np.abs(deviation)) <= tolerance or rms_s <= harmless_s:
         return replace(recording, time_s=grid)
     channels = {
-        n: CubicSpline(recording.time_s, row)(grid) for n, row in recording.channels.items()
+        name: CubicSpline(recording.time_s, row)(grid) for name, row in recording.channels.items()
     }
     return replace(
         recording, time_s=grid, channels=channels, excluded=widened(recording.excluded, 1)

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.recording.lost_samples import deviation_from_grid
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.ringing import sums_of_squares as kernel
-from bayesbl.ringing import uneven
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -27,19 +25,6 @@ from bayesbl.ringing.symbols import (
     DisturbanceModel,
 )
 from bayesbl.ringing.waveform import baseline_columns, pulse_train
-
-EVEN_TOLERANCE = 0.1
-"""Largest distance of a time stamp from an even grid, in sampling periods, that counts as even.
-
-Time stamps rounded to a tenth of the period are as common as real jitter of that size is harmless:
-it moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz.
-"""
-
-HARMLESS_JITTER_S = 5e-4
-"""RMS distance σ from the grid up to which time stamps count as even, whatever it is in periods.
-
-It averages out as noise does; what stays is a ringing that is smaller by (ωσ)²/2, 0.05 % at 10 Hz.
-"""
 
 FURTHEST_START = 1e-3 / float(np.finfo(np.float64).eps)
 """Largest distance of the first impact from time zero, in sampling periods.
@@ -76,7 +61,7 @@ class Objective:
     model
         Which symbols are free, and the number of baseline harmonics.
     time_s, speed_rpm
-        Shape (n,). Even sampling takes the fast kernel, uneven sampling an exact slower one.
+        Shape (n,), evenly sampled.
     shortest_rotation_s
         No rotation period below this is evaluated (the sum of squares is infinite there).
     excluded
@@ -92,10 +77,10 @@ class Objective:
         excluded: BoolArray | None = None,
     ) -> None:
         self.model = model
-        self.time_s = np.ascontiguousarray(time_s, dtype=np.float64)
         self.speed_rpm = np.ascontiguousarray(speed_rpm, dtype=np.float64)
-        n = self.time_s.size
-        self.period_s = float(self.time_s[-1] - self.time_s[0]) / (n - 1)
+        n = self.speed_rpm.size
+        self.period_s = float(time_s[-1] - time_s[0]) / (n - 1)
+        self.time_s = time_s[0] + self.period_s * np.arange(n)
         self.shortest_rotation_s = shortest_rotation_s
         self.used = np.ones(n, dtype=bool) if excluded is None else ~excluded
         self._left_out = np.flatnonzero(~self.used)
@@ -105,26 +90,16 @@ class Objective:
         self._y -= self._y[self.used].mean()
         self._y[self._left_out] = 0.0
         self._y_square = float(self._y @ self._y)
-        grid = self.time_s[0] + self.period_s * np.arange(n)
-        self.is_even = bool(np.max(np.abs(self.time_s - grid)) <= EVEN_TOLERANCE * self.period_s)
-        if not self.is_even:
-            number = np.arange(n, dtype=np.float64)
-            deviation, period = deviation_from_grid(self.time_s, number)
-            if period * math.sqrt(float(np.mean(deviation**2))) <= HARMLESS_JITTER_S:
-                self.is_even, self.period_s = True, period
-                grid = self.time_s.mean() + period * (number - number.mean())
         self._columns = 2 + 2 * model.baseline_harmonics
-        if self.is_even:
-            self.time_s = grid
-            length = kernel.grid_length(n)
-            highest = max(model.baseline_harmonics, 1) / shortest_rotation_s
-            rows = math.ceil(highest * self.period_s * length) + 2
-            self._table = kernel.harmonic_table(self._y, min(rows, length // 2))
-            self._left_out_table = np.empty((0, 2))
-            if self._left_out.size:
-                there = (~self.used).astype(np.float64)
-                self._left_out_table = kernel.harmonic_table(there, min(2 * rows, length // 2))
-            self._table_length = length
+        length = kernel.grid_length(n)
+        highest = max(model.baseline_harmonics, 1) / shortest_rotation_s
+        rows = math.ceil(highest * self.period_s * length) + 2
+        self._table = kernel.harmonic_table(self._y, min(rows, length // 2))
+        self._left_out_table = np.empty((0, 2))
+        if self._left_out.size:
+            there = (~self.used).astype(np.float64)
+            self._left_out_table = kernel.harmonic_table(there, min(2 * rows, length // 2))
+        self._table_length = length
 
     @property
     def samples(self) -> int:
@@ -235,31 +210,18 @@ class Objective:
             solve_linear and self.model.mean_is_free,
         )
         output = (sse, volume, coefficients, factor)
-        if self.is_even:
-            kernel.sums_of_squares(
-                matrix,
-                self._y,
-                self._y_square,
-                self.time_s[0],
-                self.period_s,
-                self.model.baseline_harmonics,
-                self._table,
-                self._table_length,
-                self._left_out,
-                self._left_out_table,
-                *solve,
-                *output,
-            )
-        else:
-            uneven.sums_of_squares(
-                matrix,
-                self.time_s,
-                self._y,
-                self._y_square,
-                self.period_s,
-                self.model.baseline_harmonics,
-                self._left_out,
-                *solve,
-                *output,
-            )
+        kernel.sums_of_squares(
+            matrix,
+            self._y,
+            self._y_square,
+            self.time_s[0],
+            self.period_s,
+            self.model.baseline_harmonics,
+            self._table,
+            self._table_length,
+            self._left_out,
+            self._left_out_table,
+            *solve,
+            *output,
+        )
         return output
