@@ -446,6 +446,12 @@ class AmplitudeMeasurer(Measurer):
         level = task.config.interval.level
         return {CURVE.name: curve_group(named, rows, level, task.seeds.curve)}
 
+    def _gear_ratio(self, recording: Recording) -> float | None:
+        """The joint's, or its bench's."""
+        bench = self.source.bench_of(recording)
+        known = None if bench is None else bench.value("gear_ratio")
+        return self.config.joint.gear_ratio or known
+
     def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
         of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
         start_from = task.config.estimator.search.start_from
@@ -459,7 +465,7 @@ class AmplitudeMeasurer(Measurer):
                 curve,
                 recording,
                 seed,
-                task.config.joint.gear_ratio,
+                self._gear_ratio(recording),
                 earlier_of(recording.name, earlier) or task.earlier.get(recording.name),
                 check,
                 task.work,

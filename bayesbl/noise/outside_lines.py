@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.probabilities import normal_isf
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import ComplexArray, FloatArray
 
 BAND_HZ = (6.0, 40.0)
 """Where joints ring; slower waves are the load's own, faster ones do not beat with the ringing."""
@@ -35,6 +35,11 @@ SMALLEST_SHARE = 0.01
 """Of half the range of the speed, about the ringing's amplitude: less moves it by no more."""
 
 MOST_LINES = 3
+"""More are a comb: ringing that has not ended when the next impact comes repeats with the load."""
+
+FEWEST_IN_ROTATION = 3
+"""Stretches in a load rotation, so that some have no ringing."""
+
 ROUNDS = 3
 FINER = 8
 
@@ -48,16 +53,20 @@ class OutsideLine:
 
 
 def without_outside_lines(
-    channels: dict[str, FloatArray], first: str, period_s: float
+    channels: dict[str, FloatArray], first: str, period_s: float, rotation_s: float = math.inf
 ) -> tuple[dict[str, FloatArray], tuple[OutsideLine, ...]]:
-    """Channels (n,) by name without the lines that stand out of the ``first``, and these lines."""
+    """Channels (n,) by name without the lines that stand out of the ``first``, and these lines.
+
+    ``rotation_s``: of the load, where it is known.
+    """
+    if rotation_s < FEWEST_IN_ROTATION * STRETCH_S:
+        return channels, ()
     left = dict(channels)
     lines: list[OutsideLine] = []
     least = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[first]))
-    while len(lines) < MOST_LINES:
-        found = clearest_line(left[first], period_s, least)
-        if found is None:
-            break
+    while (found := clearest_line(left[first], period_s, least)) is not None:
+        if len(lines) == MOST_LINES:
+            return channels, ()
         lines.append(found)
         for name, row in left.items():
             left[name] = row - _wave(row, period_s, found.frequency_hz)
@@ -75,15 +84,20 @@ def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> O
     highest = min(BAND_HZ[1], 0.4 / step)
     spacing = 0.25 / duration
     grid = np.arange(BAND_HZ[0], highest, spacing)
-    line, error, unsteady = _medians(rows, step, grid)
+    each = _by_stretch(rows, step, grid)
+    line, error, unsteady = _medians(each)
     bound = normal_isf(0.5 * FALSE_ALARM / (duration * highest))
     size = np.abs(line)
     size[(size < np.maximum(least_rpm, bound * error)) | (unsteady > UNSTEADY_SHARE)] = 0.0
     if not size.any():
         return None
-    nearest = grid[np.argmax(size)]
-    fine = nearest + spacing * np.linspace(-1.0, 1.0, 2 * FINER + 1)
-    frequency = float(fine[np.argmax(np.abs(_medians(rows, step, fine)[0]))])
+    nearest = int(np.argmax(size))
+    # The stretches without ringing, all together, tell the frequency.
+    off = np.abs(each[:, nearest] - line[nearest])
+    quiet = off < 2.0 * np.median(off)
+    fine = grid[nearest] + spacing * np.linspace(-2.0, 2.0, 4 * FINER + 1)
+    together = np.abs(_by_stretch(rows, step, fine)[quiet].sum(axis=0))
+    frequency = float(fine[np.argmax(together)])
     wave = _wave(speed_rpm, period_s, frequency)
     return OutsideLine(frequency, math.sqrt(2.0) * float(wave.std()))
 
@@ -105,32 +119,33 @@ def _wave(speed_rpm: FloatArray, period_s: float, frequency_hz: float) -> FloatA
     turning = np.exp(2.0j * np.pi * frequency_hz * period_s * np.arange(speed_rpm.size))
     left = speed_rpm.copy()
     for _ in range(ROUNDS):
-        line = _medians(left, period_s, np.array([frequency_hz]))[0][0]
+        line = _medians(_by_stretch(left, period_s, np.array([frequency_hz])))[0][0]
         left -= (line * turning).real
     return np.asarray(speed_rpm - left)
 
 
-def _medians(
-    rows: FloatArray, step_s: float, frequency_hz: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Complex amplitude of each line, (f,), its standard error and how unsteady it is."""
+def _by_stretch(rows: FloatArray, step_s: float, frequency_hz: FloatArray) -> ComplexArray:
+    """Complex amplitude of each line in each stretch, (stretches, f), straight lines left out."""
     length = max(4, round(STRETCH_S / step_s))
     stretches = rows[: rows.size // length * length].reshape(-1, length)
     at = np.arange(length) - 0.5 * (length - 1)
     straight = np.stack([np.ones(length), at / np.linalg.norm(at) * math.sqrt(length)])
-    straightened = np.eye(length) - straight.T @ straight / length
     omega = 2.0 * np.pi * frequency_hz * step_s
     waves = np.exp(1j * np.outer(at, omega))
-    own = straightened @ waves
+    own = waves - straight.T @ (straight @ waves) / length
     each = stretches @ own.conj() * (2.0 / np.sum(np.abs(own) ** 2, axis=0))
     middle = 0.5 * (length - 1) + length * np.arange(len(stretches))
-    each *= np.exp(-1j * np.outer(middle, omega))
+    return np.asarray(each * np.exp(-1j * np.outer(middle, omega)))
+
+
+def _medians(each: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Complex amplitude of each line, (f,), its standard error and how unsteady it is."""
     parts = np.stack([each.real, each.imag])
     centre = np.median(parts, axis=1)
     spread = 1.4826 * np.median(np.abs(parts - centre[:, None]), axis=1)
     # A median is less sharp than a mean by the square root of π/2.
-    error = math.sqrt(0.5 * math.pi / len(stretches)) * np.linalg.norm(spread, axis=0)
+    error = math.sqrt(0.5 * math.pi / len(each)) * np.linalg.norm(spread, axis=0)
     line = centre[0] + 1j * centre[1]
     along = np.real(each * line.conj()) / np.maximum(np.abs(line) ** 2, 1e-300)
     low, high = np.quantile(along, [0.25, 0.75], axis=0)
-    return line, error, np.maximum(1.0 - low, high - 1.0)
+    return line, np.asarray(error), np.maximum(1.0 - low, high - 1.0)

@@ -253,7 +253,10 @@ class Estimator:
         loop = {
             n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)
         }
-        loop, shaking = without_outside_lines(loop, MOTOR_SPEED, recording.sampling_period_s)
+        turns_s = 60.0 * (gear_ratio or math.inf) / nominal_speed_rpm(recording)
+        loop, shaking = without_outside_lines(
+            loop, MOTOR_SPEED, recording.sampling_period_s, turns_s
+        )
         if shaking:
             recording = replace(recording, channels={**recording.channels, **loop})
             notes.append(outside_lines.in_words(shaking))
