@@ -263,10 +263,11 @@ class Estimator:
         point = self._optimal(recording, seed, gear_ratio, earlier)
         # Rotations with the same rounding are the same.
         if not point.noise.rounding_repeats:
-            mended = without_drift(point.recording, point.optimum, point.residual_rpm)
-            if mended is not None:
-                point = self._optimal(mended.recording, seed, gear_ratio, earlier)
-                notes.append(mended.note)
+            steady = without_drift(point.recording, point.optimum, point.residual_rpm)
+            if steady is not None:
+                recording, note = steady
+                point = self._optimal(recording, seed, gear_ratio, earlier)
+                notes.append(note)
         point = replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
         return point.shaken(shaking)
 
