@@ -84,7 +84,7 @@ def varied_speed(
 def around_impacts(speed_rpm: FloatArray, sampling_hz: float, rotation_s: float) -> FloatArray:
     """1 around each impact of a clean speed, (n,), 0 between them."""
     envelope = _envelope(_ringing(speed_rpm[None], sampling_hz, rotation_s)[0], sampling_hz)
-    return (envelope > LOUD_SHARE * envelope.max()).astype(np.float64)
+    return np.asarray(envelope > LOUD_SHARE * envelope.max(), dtype=np.float64)
 
 
 def unlike_impacts(
@@ -114,5 +114,5 @@ def _ringing(clean: FloatArray, sampling_hz: float, rotation_s: float) -> FloatA
 
 def _envelope(ringing: FloatArray, sampling_hz: float) -> FloatArray:
     window = np.ones(max(1, round(ENVELOPE_S * sampling_hz)))
-    squares = np.convolve(ringing**2, window / window.size, "same")
-    return np.asarray(np.sqrt(squares), dtype=np.float64)
+    squares: FloatArray = np.convolve(ringing**2, window / window.size, "same")
+    return np.asarray(np.sqrt(squares))

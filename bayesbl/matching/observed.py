@@ -230,7 +230,9 @@ def observed(
         If the load's rotations come again after other turns of the motor than the gear ratio says.
     """
     stamped, recording = recording, even(recording, EVEN)
-    notes = () if stamped.channels is recording.channels else (UNEVEN_STAMPS,)
+    notes: tuple[str, ...] = ()
+    if stamped.channels is not recording.channels:
+        notes = (UNEVEN_STAMPS,)
     speed, period = recording.motor_speed_rpm, recording.sampling_period_s
     if moves(recording):
         seen = _motion(recording, bench, period)

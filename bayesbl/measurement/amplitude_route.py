@@ -420,15 +420,16 @@ class AmplitudeMeasurer(Measurer):
         bound = normal_isf(0.5 * FALSE_ALARM / max(len(found), 1))
         items, reasons = [], []
         for one in found:
-            name, unit, value = one.feature.name, one.feature.unit, one.feature.value
-            items.append(CheckItem(name, value, one.value, unit, one.z))
-            moves = name in MOVES_RINGING and one.value > 0.0 and value > 0.0
-            if (
-                moves
-                and abs(one.z) > bound
-                and abs(math.log(value / one.value)) > 0.5 * (high - low)
-            ):
-                values = {"quantity": name, "measured": value, "expected": one.value, "unit": unit}
+            name, value = one.feature.name, one.feature.value
+            items.append(one.item)
+            shown = name in MOVES_RINGING and abs(one.z) > bound and one.value > 0.0
+            if shown and abs(value / one.value - 1.0) > 0.5 * (high - low):
+                values = {
+                    "quantity": name,
+                    "measured": value,
+                    "expected": one.value,
+                    "unit": one.feature.unit,
+                }
                 reasons.append(Reason("other_bench", values, withholds=True))
         causes = [cause for reason in reasons for cause in COULD_BE[reason.values["quantity"]]]
         causes = list(dict.fromkeys([*check.could_be, *causes]))

@@ -11,12 +11,14 @@ in both speed and current (:func:`controller_gains`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.measurement.joint_check import CheckItem
 from bayesbl.recording.types import MOTOR_CURRENT, ComplexArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION
@@ -91,39 +93,52 @@ class Expected:
     value: float
     z: float
 
+    @property
+    def item(self) -> CheckItem:
+        """As a check lists it."""
+        own = self.feature
+        return CheckItem(own.name, own.value, self.value, own.unit, self.z)
+
 
 def beside_bench(
     point: PointEstimate, bench: Bench, delta_rad: FloatArray, rng: np.random.Generator
 ) -> list[Expected]:
-    """Features of a recording beside those of its bench, drawn, at as many draws of δ, (k,).
-
-    What does not repeat in the recording is added to the simulation: noise moves both alike.
-    """
+    """Features of a recording beside those of its bench, drawn, at as many draws of δ, (k,)."""
     measured, period_s = folded_rotations(point)
-    if measured.shape[1] < 2:
-        return []
-    scatter = measured - measured.mean(axis=1, keepdims=True)
     speed_rpm = float(point.recording.motor_speed_rpm.mean())
-    found: dict[str, list[float]] = {}
+    count, rotations = measured.shape[2], []
     for gap in delta_rad:
         drawn = bench.draw(rng).with_parameters(reference_speed_rpm=speed_rpm)
-        count = measured.shape[2]
         made = drawn.simulate_many(
             float(gap),
             rotations=1.0,
             sampling_hz=count / drawn.rotation_period_s(speed_rpm),
             channels="all",
         )[0, 1:, :count]
-        rotation = math.copysign(1.0, speed_rpm) * made[: len(measured), None]
-        for name, value in feature_values(rotation + scatter, period_s).items():
-            found.setdefault(name, []).append(value)
+        rotations.append(math.copysign(1.0, speed_rpm) * made[: len(measured), None])
+    return compared(measured, rotations, period_s)
+
+
+def compared(
+    measured: FloatArray, rotations: Sequence[FloatArray], period_s: float
+) -> list[Expected]:
+    """Features of folded signals beside those of rotations of benches, (channels, 1, samples) each.
+
+    What does not repeat in the recording is added to the simulation: noise moves both alike.
+    Nothing tells the noise of less than two rotations.
+    """
+    if measured.shape[1] < 2:
+        return []
+    scatter = measured - measured.mean(axis=1, keepdims=True)
+    found = [feature_values(rotation + scatter, period_s) for rotation in rotations]
     expected = []
     for feature in features(measured, period_s):
-        values = found.get(feature.name, [])
-        sd = math.hypot(feature.standard_error, float(np.std(values))) if values else 0.0
-        if sd > 0.0:
-            mean = float(np.mean(values))
-            expected.append(Expected(feature, mean, (feature.value - mean) / sd))
+        values = [own[feature.name] for own in found if feature.name in own]
+        if values:
+            mean, sd = float(np.mean(values)), float(np.std(values))
+            sd = math.hypot(feature.standard_error, sd)
+            z = (feature.value - mean) / sd if sd > 0.0 else 0.0
+            expected.append(Expected(feature, mean, z))
     return expected
 
 

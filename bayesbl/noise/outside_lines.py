@@ -29,7 +29,9 @@ FALSE_ALARM = 1e-5
 """Of a recording, over all frequencies."""
 
 UNSTEADY_SHARE = 0.75
-"""Of a line's size, by which the quartiles over the stretches may be off it along its phase."""
+"""Of a line's size, by which the quartiles over the stretches may be off it along its phase. Of
+ringing that filled the motor's turns, 37 cases at gear ratios 6 to 10, the lower one was off by
+0.97 or more; of lines of 1 rpm in noise of 1.5 rpm at 1 kHz by 0.58 at most."""
 
 SMALLEST_SHARE = 0.01
 """Of half the range of the speed, about the ringing's amplitude: less moves it by no more."""
@@ -85,7 +87,7 @@ def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> O
     spacing = 0.25 / duration
     grid = np.arange(BAND_HZ[0], highest, spacing)
     each = _by_stretch(rows, step, grid)
-    line, error, unsteady = _medians(each)
+    line, error, unsteady = medians(each)
     bound = normal_isf(0.5 * FALSE_ALARM / (duration * highest))
     size = np.abs(line)
     size[(size < np.maximum(least_rpm, bound * error)) | (unsteady > UNSTEADY_SHARE)] = 0.0
@@ -119,7 +121,7 @@ def _wave(speed_rpm: FloatArray, period_s: float, frequency_hz: float) -> FloatA
     turning = np.exp(2.0j * np.pi * frequency_hz * period_s * np.arange(speed_rpm.size))
     left = speed_rpm.copy()
     for _ in range(ROUNDS):
-        line = _medians(_by_stretch(left, period_s, np.array([frequency_hz])))[0][0]
+        line = medians(_by_stretch(left, period_s, np.array([frequency_hz])))[0][0]
         left -= (line * turning).real
     return np.asarray(speed_rpm - left)
 
@@ -138,8 +140,8 @@ def _by_stretch(rows: FloatArray, step_s: float, frequency_hz: FloatArray) -> Co
     return np.asarray(each * np.exp(-1j * np.outer(middle, omega)))
 
 
-def _medians(each: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Complex amplitude of each line, (f,), its standard error and how unsteady it is."""
+def medians(each: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Of lines in stretches, (stretches, f): size and phase, standard error, unsteadiness, (f,)."""
     parts = np.stack([each.real, each.imag])
     centre = np.median(parts, axis=1)
     spread = 1.4826 * np.median(np.abs(parts - centre[:, None]), axis=1)

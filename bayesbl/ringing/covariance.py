@@ -11,7 +11,6 @@ of ω 25 to 40 %. Where impacts scatter by more than that noise, V is larger by 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -118,11 +117,25 @@ def covariance(
     bent = misfit_curvature(optimum.model, time_s, optimum.symbols, known)
     inverse = _inverse_curvature(gram, bent / np.outer(norms, norms))
     sandwich = inverse @ (columns.T @ noise.covariance_times(columns)) @ inverse
-    by_impact = _ByImpact.of(optimum, time_s, columns, known, inverse, noise)
-    factors = by_impact.scatter.likely(FACTORS)
-    count = by_impact.kinds.size
-    impact_sd_rpm = np.sqrt(count * sandwich[0, 0] * (factors - 1.0)) / norms[0]
-    losses = by_impact.losses(names, norms, factors)
+    signs, inside = _by_impact(optimum, time_s)
+
+    def scores(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the impacts, (g,), by a weight of each sample, and their covariance by the noise."""
+        own = weights * inside
+        beside_fit = own - columns @ (inverse @ (columns.T @ own))
+        return own.T @ known, beside_fit.T @ noise.covariance_times(beside_fit)
+
+    scatter = Scatter.of(*scores(columns @ inverse[:, :1]), signs)
+    factors = scatter.likely(FACTORS)
+    impact_sd_rpm = np.sqrt(signs.size * sandwich[0, 0] * (factors - 1.0)) / norms[0]
+    losses = np.zeros(factors.size)
+    if START in names and signs.size:
+        later = columns[:, [names.index(START)]]
+        power = norms[names.index(START)] * (later**2 * inside).sum(axis=0)
+        delays = scores(later / np.where(power > 0.0, power, np.inf))
+        # Waves out of step by s lose ω²s²/2.
+        losses = early_and_late(*delays, signs, factors)
+        losses *= 0.5 * optimum.symbols[FREQUENCY] ** 2
     sandwich = factors.mean() * sandwich
     if noise.hidden_sd_rpm:
         turn = optimum.symbols[ROTATION] * (time_s.size - 1) / (time_s[-1] - time_s[0])
@@ -138,66 +151,19 @@ def covariance(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _ByImpact:
-    """The whole impacts of a recording.
-
-    ``kinds``: their signs, (g,); ``inside``: samples of each, (n, g); ``columns``: derivatives
-    (n, p), ``inverse`` of their curvature, (p, p).
-    """
-
-    kinds: FloatArray
-    inside: BoolArray
-    columns: FloatArray
-    inverse: FloatArray
-    residual_rpm: FloatArray
-    noise: Noise
-    frequency: float
-
-    @classmethod
-    def of(
-        cls,
-        optimum: Optimum,
-        time_s: FloatArray,
-        columns: FloatArray,
-        residual_rpm: FloatArray,
-        inverse: FloatArray,
-        noise: Noise,
-    ) -> _ByImpact:
-        symbols = optimum.symbols
-        period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
-        reach = symbols[WINDOW_END] - symbols[WINDOW_START] + period_s
-        whole = [
-            (sign, start)
-            for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], period_s)
-            if time_s[0] <= start - period_s and start + reach <= time_s[-1]
-        ]
-        signs, starts = np.array(whole).reshape(-1, 2).T
-        since = time_s[:, None] - starts
-        inside = (since >= -period_s) & (since <= reach)
-        omega = symbols[FREQUENCY]
-        return cls(signs, inside, columns, inverse, residual_rpm, noise, omega)
-
-    def _scores(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sums over each impact by weights (n, g), and their covariance under the noise."""
-        beside_fit = weights - self.columns @ (self.inverse @ (self.columns.T @ weights))
-        return weights.T @ self.residual_rpm, beside_fit.T @ self.noise.covariance_times(beside_fit)
-
-    @property
-    def scatter(self) -> Scatter:
-        """Of A."""
-        along = (self.columns @ self.inverse[:, 0])[:, None] * self.inside
-        return Scatter.of(*self._scores(along), self.kinds)
-
-    def losses(self, names: Sequence[str], norms: FloatArray, factors: FloatArray) -> FloatArray:
-        """As :class:`Covariance` has them: waves out of step by s lose ω²s²/2."""
-        if START not in names or not self.kinds.size:
-            return np.zeros(factors.size)
-        place = names.index(START)
-        later = self.columns[:, place, None] * self.inside
-        power = (later**2).sum(axis=0) * norms[place]
-        delays = self._scores(later / np.where(power > 0.0, power, np.inf))
-        return 0.5 * self.frequency**2 * early_and_late(*delays, self.kinds, factors)
+def _by_impact(optimum: Optimum, time_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Signs of the whole impacts of a recording, (g,), and which samples are in each, (n, g)."""
+    symbols = optimum.symbols
+    period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    reach = symbols[WINDOW_END] - symbols[WINDOW_START] + period_s
+    whole = [
+        (sign, start)
+        for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], period_s)
+        if time_s[0] <= start - period_s and start + reach <= time_s[-1]
+    ]
+    signs, starts = np.array(whole).reshape(-1, 2).T
+    since = time_s[:, None] - starts
+    return signs, (since >= -period_s) & (since <= reach)
 
 
 def _of_repeating_rounding(columns: FloatArray, lag: int, noise: Noise) -> FloatArray:

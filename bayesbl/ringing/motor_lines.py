@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.noise.outside_lines import UNSTEADY_SHARE, medians
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, ComplexArray, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -33,11 +34,6 @@ FEWEST_TURNS = 20
 SMALLEST_LINE = 0.02
 """As a share of half the range of the speed, about the ringing's amplitude: a smaller line moves
 that by no more than such a share, and a bench without noise has some of every order."""
-
-UNSTEADY_SHARE = 0.75
-"""Of its size, by which the quartiles over the turns may be off it along its phase. Of ringing
-that filled the turns, 37 cases at gear ratios 6 to 10, the lower one was off by 0.97 or more; of
-lines of 1 rpm in noise of 1.5 rpm at 1 kHz by 0.58 at most."""
 
 ROUNDS = 3
 """Each leaves a few per cent of the line, as no turn has a whole number of samples."""
@@ -70,9 +66,9 @@ def without_motor_lines(recording: Recording) -> tuple[Recording, tuple[MotorLin
     errors: dict[int, float] = {}
     for order in range(1, highest + 1):
         each = _each_turn(left[MOTOR_SPEED], np.exp(1j * order * angle), begins)
-        line, error = _line(each)
-        if abs(line) > max(least, bound * error) and _is_steady(each, line):
-            errors[order] = error
+        line, error, unsteady = medians(each[:, None])
+        if abs(line[0]) > max(least, bound * error[0]) and unsteady[0] < UNSTEADY_SHARE:
+            errors[order] = float(error[0])
             sizes[order] = _take(left, np.exp(1j * order * angle), begins)
     if not sizes:
         return recording, ()
@@ -94,7 +90,10 @@ def in_words(lines: Sequence[MotorLine]) -> str:
 
 def _take(channels: dict[str, FloatArray], wave: ComplexArray, begins: NDArray[np.intp]) -> complex:
     """Subtract the line from each channel; returns what it was in the speed."""
-    lines = {n: _line(_each_turn(row, wave, begins))[0] for n, row in channels.items()}
+    lines = {
+        name: complex(medians(_each_turn(row, wave, begins)[:, None])[0][0])
+        for name, row in channels.items()
+    }
     for name, line in lines.items():
         channels[name] = channels[name] - (line * wave).real
     return lines[MOTOR_SPEED]
@@ -107,20 +106,3 @@ def _each_turn(values: FloatArray, wave: ComplexArray, begins: NDArray[np.intp])
     mean = np.repeat(np.add.reduceat(values[whole], starts) / counts, counts)
     turned = (values[whole] - mean) * wave[whole].conj()
     return np.asarray(2.0 * np.add.reduceat(turned, starts) / counts)
-
-
-def _line(each: ComplexArray) -> tuple[complex, float]:
-    """Median over turns (turns,), and its standard error."""
-    parts = np.stack([each.real, each.imag])
-    middle = np.median(parts, axis=1)
-    scatter = 1.4826 * np.median(np.abs(parts - middle[:, None]), axis=1)
-    # A median is less sharp than a mean by the square root of π/2.
-    error = math.sqrt(0.5 * math.pi / each.size) * float(np.linalg.norm(scatter))
-    return complex(middle[0], middle[1]), error
-
-
-def _is_steady(each: ComplexArray, line: complex) -> bool:
-    """Whether the middle half of the turns, (turns,), have the line with its size and phase."""
-    along = np.real(each * np.conj(line)) / abs(line) ** 2
-    low, high = np.quantile(along, [0.25, 0.75])
-    return bool(max(1.0 - low, high - 1.0) < UNSTEADY_SHARE)
