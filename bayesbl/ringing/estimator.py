@@ -51,6 +51,9 @@ HARMLESS_JITTER_S = 5e-4
 It averages out as noise does; what stays is a ringing that is smaller by (ωσ)²/2, 0.05 % at 10 Hz.
 """
 
+LEAST_LEFT = 0.05
+"""Share of A that shaking leaves at least."""
+
 AGREEMENT = 1e-9
 """Largest relative difference between a stored sum of squares and the same one evaluated again."""
 
@@ -98,7 +101,8 @@ class PointEstimate:
         size = rms_rpm / self.optimum.symbols[AMPLITUDE]
         losses = self.spread.losses
         moved = size * np.random.default_rng(0).permutation(normal_quantiles(losses.size))
-        return replace(self, spread=replace(self.spread, losses=losses + moved), shaking=by)
+        losses = np.maximum(losses + moved, LEAST_LEFT - 1.0)
+        return replace(self, spread=replace(self.spread, losses=losses), shaking=by)
 
     @property
     def misfit(self) -> RepeatingMisfit:
