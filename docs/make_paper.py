@@ -68,20 +68,20 @@ ITEMS = (
     Item(
         "Eq. 5, 6",
         "the train of pulses h(t), with a baseline",
-        ("ringing.waveform:pulse_train", "ringing.model:model_speed"),
+        ("ringing.waveform:pulse_train", "ringing.waveform:model_speed"),
         (),
         ("amplitude/optimum/baseline_rpm", "amplitude/predictive/model_rpm"),
     ),
     Item(
         "RMSE",
-        "what CMA-ES minimises, in rpm and relative",
+        "the cost of CMA-ES, in rpm and relative",
         ("ringing.objective:Objective", "ringing.optimum:find_optimum"),
         (),
         ("amplitude/optimum/rmse_rpm", "amplitude/optimum/relative_rmse"),
     ),
     Item(
         "Table 2, x0, σ0",
-        "ranges and starts as printed, beside the search from guesses",
+        "ranges and starts as printed; by default the search starts from guesses",
         ("ringing.table_2:search_as_printed",),
         ("configs/search_study.toml",),
         ("amplitude/box_search/rmse_rpm", "amplitude/search_history/rmse_rpm"),
@@ -99,7 +99,7 @@ ITEMS = (
     ),
     Item(
         "Eq. 4",
-        "δ(A) as printed, with its rounding; and the sweep's own cubic with its uncertainty",
+        "δ(A) as printed, with its rounding; the cubic of a sweep, with its uncertainty",
         (
             "curve.gap_curve:published_curve",
             "curve.regression:regress",
@@ -114,7 +114,7 @@ ITEMS = (
     ),
     Item(
         "A₁, A₂, δ₁, δ₂",
-        "from draws of A through draws of the curve to δ and its change",
+        "draws of A and of the curve give draws of δ and its change",
         ("measurement.change:gaps", "measurement.change:changes"),
         ("configs/wear_snapshots.toml",),
         (
@@ -129,19 +129,19 @@ ITEMS = (
     Item(
         "Figure 7",
         "the disturbance as the gap grows",
-        ("paper_figures/figure_7.py", "presentation.figures.disturbance:disturbance"),
+        ("paper_figures/figure_7.py", "presentation.figures.sweep:disturbance"),
         ("configs/sweep.toml",),
     ),
     Item(
         "Figure 8",
         "amplitude and gap, the regression",
-        ("paper_figures/figure_8.py", "presentation.figures.curve:curve"),
+        ("paper_figures/figure_8.py", "presentation.figures.sweep:curve"),
         ("configs/sweep.toml",),
     ),
     Item(
         "Figure 9",
         "recordings with the fitted model",
-        ("paper_figures/figure_9.py", "presentation.figures.signal:signal"),
+        ("paper_figures/figure_9.py", "presentation.figures.ringing:signal"),
         ("configs/wear_snapshots.toml",),
     ),
     Item(
@@ -149,14 +149,14 @@ ITEMS = (
         "the two gaps",
         (
             "paper_figures/figure_10.py",
-            "presentation.figures.amplitude_to_gap:amplitude_to_gap",
+            "presentation.figures.gap:amplitude_to_gap",
             "presentation.figures.gap:gap",
         ),
         ("configs/wear_snapshots.toml",),
     ),
     Item(
         "Section 5",
-        "how CMA-ES of the paper does on recordings of known truth",
+        "the paper's CMA-ES on recordings of known truth",
         ("experiments/search.py",),
         ("configs/search_study.toml",),
     ),
@@ -164,11 +164,11 @@ ITEMS = (
 
 HEAD = """# The paper, piece by piece
 
-Made by `python docs/make_paper.py`, which looks up all that it names.
+`python docs/make_paper.py` writes this page and checks every name on it.
 
-The paper's method is the amplitude route: `bayesbl run configs/wear_snapshots.toml` stores it whole
-under `/amplitude` of `result.nc`, beside the direct route. `python paper_figures/make_all.py` draws
-the paper's figures. Figures 1, 2 and 4 are photographs and diagrams.
+The paper's method is the amplitude route. `bayesbl run configs/wear_snapshots.toml` stores all of
+it under `/amplitude` of `result.nc`. `python paper_figures/make_all.py` draws the paper's figures,
+except 1, 2 and 4, which are photographs and diagrams.
 
 | in the paper | what | code | configuration | result |
 |---|---|---|---|---|"""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import runpy
 import shlex
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,17 @@ import typer.main
 from places import ROOT
 
 from bayesbl.cli import app
+from bayesbl.presentation.citations import all_bibtex
 
 DESIGN = ROOT / "docs" / "design.md"
 CODE_FOLDERS = ("bayesbl", "experiments", "paper_figures", "tests")
 SHELL = re.compile(r"^```(?:sh|\{code-cell\}[^\n]*\n%%sh)\n(.*?)^```", re.S | re.M)
 DOCS = sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))
-PAGES = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS)
+OWN = ("README.md", "CHANGELOG.md", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md")
+PAGES = (*OWN, *DOCS)
+SHELL_CELL = re.compile(r"^```\{code-cell\}[^\n]*\n%%sh\n(.*?)^```", re.S | re.M)
+QUICK = {"check", "cite", "init"}
+"""Commands of a second or two."""
 
 
 def headings(text: str) -> set[str]:
@@ -80,6 +87,35 @@ def test_files_that_a_page_names_are_there(page: str) -> None:
     assert sorted(name for name in named - own if not (ROOT / name).exists()) == []
 
 
+def constants_of_the_package() -> dict[str, set[float]]:
+    """Values of every constant, by its name and by ``module.NAME``; none where it is computed."""
+    constants: dict[str, set[float]] = {}
+    for file in (ROOT / "bayesbl").rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        for names, values in re.findall(r"^([A-Z][A-Z_, ]*) = (.+)$", text, re.M):
+            for name, value in zip(names.split(", "), values.split(", "), strict=False):
+                number = {float(value)} if re.fullmatch(r"[\d_.e-]+", value) else set()
+                for key in (name, f"{file.stem}.{name}"):
+                    constants.setdefault(key, set()).update(number)
+    return constants
+
+
+def test_constants_of_the_design_are_those_of_the_code() -> None:
+    text = DESIGN.read_text(encoding="utf-8")
+    table = text.partition("| constant | value |")[2].partition("\n\n")[0]
+    code, compared, wrong = constants_of_the_package(), 0, []
+    for row in table.splitlines()[2:]:
+        _, names, value, *_ = row.split("|")
+        stated = {float(number) for number in re.findall(r"\d+(?:\.\d+)?", value)}
+        stated |= {round(0.01 * float(n), 12) for n in re.findall(r"(\d+(?:\.\d+)?) %", value)}
+        for name in re.findall(r"`((?:\w+\.)?[A-Z][A-Z_]+)`", names):
+            compared += 1
+            if name not in code or not code[name] <= stated:
+                wrong.append((name, code.get(name), value.strip()))
+    assert compared > 10
+    assert wrong == []
+
+
 @pytest.mark.parametrize("maker", ["make_configuration.py", "make_results.py", "make_paper.py"])
 def test_a_page_that_is_made_is_as_the_program_is(maker: str) -> None:
     made = runpy.run_path(str(ROOT / "docs" / maker))["pages"]()
@@ -94,6 +130,43 @@ def test_commands_of_a_page_are_such_as_the_program_takes(page: str) -> None:
         for line in re.findall(r"(?:^|&& )(?:\S*/)?bayesbl (.+)", shell.replace("\\\n", ""), re.M):
             name, *given = shlex.split(line, comments=True)
             program.commands[name].make_context(name, given)
+
+
+class Kernel:
+    """What ``docs/kernel_start.py`` asks of IPython."""
+
+    def __init__(self) -> None:
+        self.magics: dict[str, Callable[[str, str], None]] = {}
+
+    def register_magic_function(
+        self, function: Callable[[str, str], None], kind: str, name: str
+    ) -> None:
+        self.magics[name] = function
+
+
+@pytest.mark.parametrize("page", ["docs/first_answer.md", "docs/own_joint.md", "docs/cite.md"])
+def test_quick_commands_of_a_page_run_on_the_files_that_the_page_has_made(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel = Kernel()
+    monkeypatch.setattr(pytest.importorskip("IPython"), "get_ipython", lambda: kernel)
+    monkeypatch.chdir(tmp_path)
+    beside = str(Path(sys.executable).parent)
+    monkeypatch.setenv("PATH", os.pathsep.join([beside, os.environ["PATH"]]))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    runpy.run_path(str(ROOT / "docs" / "kernel_start.py"))
+    cells = SHELL_CELL.findall((ROOT / page).read_text(encoding="utf-8"))
+    quick = [cell for cell in cells if set(re.findall(r"^bayesbl (\w+)", cell, re.M)) <= QUICK]
+    assert quick
+    for cell in quick:
+        kernel.magics["sh"]("", cell)  # which raises where a command fails
+
+
+def test_the_bibliography_of_the_paper_is_that_of_the_program() -> None:
+    text = (ROOT / "paper" / "paper.bib").read_text(encoding="utf-8")
+    assert text.strip() == all_bibtex()
+    cited = set(re.findall(r"@(\w+)", (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")))
+    assert cited <= set(re.findall(r"^@\w+\{(\w+),", text, re.M))
 
 
 def test_the_design_describes_every_room() -> None:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.noise.autoregression import (
+from bayesbl.noise.rotation_noise import (
+    HIGHEST_ORDER,
     autocorrelation,
     bic,
     burg,
@@ -20,7 +21,6 @@ from bayesbl.noise.autoregression import (
     innovation_share,
     log_variances,
 )
-from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.types import FloatArray
 
 _FREQUENCIES = np.linspace(0.0, math.pi, 2001)

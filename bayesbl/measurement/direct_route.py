@@ -41,7 +41,7 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.bench_of import bench_of, bench_with, drifts_of
+from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
 from bayesbl.measurement.measurement import (
     Answer,
@@ -49,7 +49,9 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Route,
+    Task,
     Verdict,
+    sampler_of,
     upper_bound,
 )
 from bayesbl.measurement.model_check import (
@@ -69,7 +71,6 @@ from bayesbl.measurement.motion_verdict import (
     unknown_start,
     unseen_gap,
 )
-from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.model_search.always_in import Beside, beside, directions, marginalised, settled
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, changed_beside, find_changes
 from bayesbl.noise.outside_lines import without_outside_lines
@@ -80,7 +81,7 @@ from bayesbl.recording.moving import moves
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
 from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
-from bayesbl.ringing.motor_lines import without_motor_lines
+from bayesbl.ringing.cleaning import without_motor_lines
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.units import unit_of
 

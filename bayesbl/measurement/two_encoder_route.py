@@ -23,10 +23,10 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Route,
+    Task,
     Verdict,
     upper_bound,
 )
-from bayesbl.measurement.task import Task
 from bayesbl.progress import of_stage
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording

@@ -20,10 +20,9 @@ from bayesbl.errors import RecordingError
 from bayesbl.noise.impact_scatter import Scatter, early_and_late
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.types import BoolArray, FloatArray
-from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.ringing.optimum import Optimum
 from bayesbl.ringing.symbols import FREQUENCY, ROTATION, START, WINDOW_END, WINDOW_START
-from bayesbl.ringing.waveform import impacts
+from bayesbl.ringing.waveform import impacts, jacobian, jacobian_columns, misfit_curvature
 
 FACTORS = 400
 """Likely values of the variance's factor that are kept."""

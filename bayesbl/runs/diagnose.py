@@ -12,6 +12,7 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import method_named
+from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import RecordingError
 from bayesbl.progress import StageProgress
@@ -24,15 +25,19 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
 
 if TYPE_CHECKING:
-    from bayesbl.runs.summary import Summary
+    from bayesbl.diagnosis.summary import DiagnosisSummary
+
 
 FEWEST_SAMPLES = 200
 
 
-def run(config: DiagnoseConfig, options: Options) -> Summary:
+def run(config: DiagnoseConfig, options: Options) -> DiagnosisSummary:
     """Diagnose, and write the output folder."""
     return run_into_folder(
-        config, options, lambda work: run_diagnose(config, options.progress, work)
+        config,
+        options,
+        lambda work: run_diagnose(config, options.progress, work),
+        summarise_diagnosis,
     )
 
 

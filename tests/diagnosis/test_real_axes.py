@@ -20,7 +20,7 @@ from bayesbl.diagnosis.rigid.released import with_released
 from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, within_turns, without_load_angle
 from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
-from bayesbl.runs.study_file import seed_of_case
+from bayesbl.runs.study import seed_of_case
 from experiments.positioning_axis import Axis, Row, believed, drawn_axis, recorded, run_case
 
 pytestmark = pytest.mark.long
