@@ -27,8 +27,8 @@ from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParame
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.cli import FAILED, WITHHELD, WRONG, status
 from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.diagnosis.rigid.inverse import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.diagnosis.rigid.motion import Motion
-from bayesbl.diagnosis.rigid.terms import SKEW, TORQUE_TERMS, Term, required_torque
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 COLUMNS = {
@@ -246,7 +246,7 @@ def write_rigid(
 
 def unit_of(term: Term, motion: Motion, shape: Mapping[str, float]) -> dict[str, float]:
     """Parameters of one unit of an effect."""
-    parameters = dict.fromkeys((term.candidate.amplitude, *term.law.linear), 1.0)
+    parameters = dict.fromkeys((term.law.amplitude, *term.law.linear), 1.0)
     if term.law.scanned == ORDER:
         parameters[ORDER] = shape[ORDER]
     elif term.law.scanned is not None:

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.rigid.loop_method import METHOD
+from bayesbl.diagnosis.rigid.speed_loop import METHOD
 from bayesbl.diagnosis.task import Task
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 

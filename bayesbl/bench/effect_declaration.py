@@ -196,9 +196,11 @@ class RigidLaw:
         It is named only with an amplitude of zero or above, whatever the simulator allows.
     bench_parameters
         What the bench file must give for the law to be known.
-    beside
-        It is tried beside what is named, against other laws of the same variable, though it is
-        linear in one amplitude: it and Stribeck friction are curved alike.
+    usual
+        Share that it usually has in the root mean square of what is compared: the scale of its
+        size before anything is seen.
+    requires
+        An effect without which it makes no sense: it is a departure from it.
     """
 
     signal: Law
@@ -211,7 +213,8 @@ class RigidLaw:
     contains: str | None = None
     not_negative: bool = False
     bench_parameters: tuple[str, ...] = ()
-    beside: bool = False
+    usual: float = 0.3
+    requires: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

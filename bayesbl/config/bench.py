@@ -180,8 +180,9 @@ class _Uncertain(Section):
             if (value := getattr(self, name, None)) is not None
         }
         if len(stated) > 1:
+            also = "standard deviation or " if "sd" in type(self).model_fields else ""
             refuse(
-                "A parameter has one standard deviation or tolerance.",
+                f"A parameter has one {also}tolerance.",
                 found=" and ".join(f"{name} = {value:g}" for name, value in stated.items()),
                 expected="one of them",
             )

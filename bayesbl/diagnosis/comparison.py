@@ -1,18 +1,24 @@
-"""What a least-squares comparison of bench and recordings hands to the selection of effects."""
+"""What a view hands over to be inferred: pieces of recordings, and an affine model of them.
+
+Around its fit a view is affine: base + nuisances u + candidates a + discrepancy h. It knows nothing
+of probabilities; what :mod:`bayesbl.diagnosis.inference` makes of it knows nothing of motion.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
-from bayesbl.bench.bench import Bench
-from bayesbl.diagnosis.diagnosis import LearnedAnswer
-from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
+from bayesbl.diagnosis.disagreement import Use
 from bayesbl.recording.types import BoolArray, FloatArray
+
+DEPENDENT = 1e-8
+"""Share of its own length that a column must have apart from the others, to be fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,162 +76,146 @@ class TestedEffect:
 
     Attributes
     ----------
-    name, amplitude
-        Of the catalogue; its parameter that is zero when the effect is absent.
-    freedom
-        Parameters that vanish from the model with the effect: degrees of freedom of its test.
+    name
+        Of the catalogue.
     same_as
         Effects that are the same law in this comparison, only named for another place.
     contains
         A simpler effect that this one holds as a special case, and replaces.
-    not_negative
-        The amplitude has a sign: friction brakes.
-    at_most
-        Largest amplitude that makes sense, of one without a unit.
-    acts_above
-        It is seen in pieces that the answer does not show.
-    is_plain
-        Linear in one amplitude, without a shape to be found, and no special case of another.
     """
 
     name: str
-    amplitude: str
-    freedom: int = 1
     same_as: tuple[str, ...] = ()
     contains: str | None = None
-    not_negative: bool = False
-    at_most: float = math.inf
-    acts_above: bool = False
-    is_plain: bool = False
-
-    def is_physical(self, amplitude: float) -> bool:
-        """Whether it can have this size."""
-        return amplitude <= self.at_most and (amplitude >= 0.0 or not self.not_negative)
 
 
-@dataclass(frozen=True, slots=True)
-class EffectsFit:
-    """Least squares with a set of effects in the bench.
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """One shape of a candidate.
+
+    ``shapes``: parameters that are not linear, by name. ``columns``: for every piece, change of the
+    prediction by one unit of each linear parameter, (n, k). ``weight``: share of its prior.
+    ``size``: that its parameter usually has, in its unit, where that is known whatever is compared.
+    """
+
+    shapes: Mapping[str, float]
+    columns: tuple[FloatArray, ...]
+    weight: float = 1.0
+    size: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis as a view sees it.
 
     Attributes
     ----------
-    effects
-        Catalogue name to its parameters, units as in the catalogue.
-    bench
-        Declared unknown bench parameters, fitted.
-    predictions
-        For every piece, shape (n,), in the unit of its channel.
-    columns
-        For every used piece, ∂prediction/∂parameter at the samples that count, shape (k, p).
-    names
-        The p parameters: ``effect.parameter``, a bench parameter, or a nuisance (start, offset,
-        phase) with the recording's name behind ``@``.
-    trials
-        Effect to the number of independent shapes that were tried to find it.
-    at_edge
-        Effects with a parameter at the end of its range: not an optimum, so not to be believed.
-    shared
-        Shapes that belong to no single effect.
-    besides
-        What else is linear (start, offset, a torque that is being learned), by name.
+    label
+        Unique; an effect's name, a bench parameter's, or a line's.
+    kind
+        ``effect`` of the catalogue, ``parameter`` of the bench that is wrong, ``line`` in time, or
+        ``gravity`` of which the bench states none.
+    name
+        Of the effect or the parameter.
+    parameters
+        Names of the linear ones; of a wave its amplitude alone, as its columns are sine and cosine.
+    usual
+        Share that it usually has in the root mean square of what is compared.
+    not_negative
+        The amplitude has a sign.
+    own_phase
+        A wave with a sine and a cosine for every recording; with one for all where ``False``.
     """
 
-    effects: Mapping[str, Mapping[str, float]]
-    bench: Mapping[str, float]
-    predictions: tuple[FloatArray, ...]
+    label: str
+    kind: Literal["effect", "parameter", "line", "gravity"]
+    name: str
+    parameters: tuple[str, ...]
+    looks: tuple[Look, ...]
+    usual: float
+    not_negative: bool = False
+    is_wave: bool = False
+    own_phase: bool = False
+    excludes: frozenset[str] = frozenset()
+    requires: frozenset[str] = frozenset()
+    same_as: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discrepancy:
+    """Columns of what nothing explains, for every piece (n, m), each times its prior's amplitude;
+    of no recording but its own where ``own``."""
+
+    kind: str
     columns: tuple[FloatArray, ...]
-    names: tuple[str, ...]
-    trials: Mapping[str, float] = field(default_factory=dict)
-    at_edge: frozenset[str] = frozenset()
-    shared: Mapping[str, float] = field(default_factory=dict)
-    besides: Mapping[str, float] = field(default_factory=dict)
+    own: bool = False
 
 
-class Comparison(Protocol):
-    """Recordings and a bench, ready to be fitted with any effects."""
+@dataclass(frozen=True, eq=False)
+class AffineModel:
+    """A view around a fit; tuples have an entry for every piece, in the channel's unit.
 
-    @property
-    def pieces(self) -> tuple[Piece, ...]:
-        """Everything compared, in the order of a fit's predictions."""
+    ``nuisances``: columns that are fitted anyway, by name; what belongs to a recording has its name
+    behind ``@``. ``nuisance_sds``: of those of which something is known beforehand, around what
+    the base has.
+    """
 
-    @property
-    def candidates(self) -> tuple[TestedEffect, ...]:
-        """Effects that these recordings can show."""
-
-    def fit(self, effects: tuple[str, ...], start: EffectsFit | None) -> EffectsFit:
-        """Fit on the used pieces; what ``start`` has found is where the search starts."""
-
-    def folds(self) -> Sequence[Comparison]:
-        """The used pieces alone, some to fit on and some to predict, each predicted once."""
-
-
-class Learning(Protocol):
-    """A torque of no known law, found in what a fit leaves."""
+    pieces: tuple[Piece, ...]
+    base: tuple[FloatArray, ...]
+    nuisances: tuple[Mapping[str, FloatArray], ...]
+    candidates: tuple[Candidate, ...]
+    discrepancies: tuple[Discrepancy, ...] = ()
+    nuisance_sds: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def comparison(self) -> Comparison:
-        """With the torque in it, as free as it is told."""
+    def used(self) -> list[int]:
+        """Pieces that are fitted."""
+        return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
 
     @property
-    def held(self) -> Comparison:
-        """With the torque as it was found: effects are named again beside it."""
+    def recordings(self) -> tuple[str, ...]:
+        """Names of those that are fitted."""
+        return tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
 
-    @property
-    def same(self) -> EffectsFit | None:
-        """A fit with the names as they were, where they cannot be found again beside it."""
+    @cached_property
+    def nuisance_names(self) -> tuple[str, ...]:
+        """Of the used pieces."""
+        return tuple(dict.fromkeys(name for i in self.used for name in self.nuisances[i]))
 
-    @property
-    def as_found(self) -> Learning | None:
-        """Where names stay as they were, to be taken if those found again leave more."""
+    def nuisance_columns(self, i: int) -> FloatArray:
+        """Those of a piece, zero where it has none, (n, d)."""
+        columns = np.zeros((self.pieces[i].measured.size, len(self.nuisance_names)))
+        for k, name in enumerate(self.nuisance_names):
+            if name in self.nuisances[i]:
+                columns[:, k] = self.nuisances[i][name]
+        return columns
 
-    def answer(self, fit: EffectsFit) -> LearnedAnswer | None:
-        """What is told of the torque beside what this fit names; ``None`` if none is needed."""
-
-    def notes(self, fit: EffectsFit) -> tuple[str, ...]:
-        """Sentences on what could be behind it."""
-
-    def bench(self, fit: EffectsFit) -> Bench | None:
-        """The bench with the torque and what is named, if a bench file can hold it."""
-
-
-def residuals_of_pieces(
-    comparison: Comparison, before: EffectsFit, after: EffectsFit
-) -> list[PieceResiduals]:
-    """Of every piece, at the samples that count."""
-    return [
-        piece_residuals(
-            piece.name,
-            piece.channel,
-            piece.use,
-            piece.kept(piece.measured - first),
-            piece.kept(piece.measured - last),
-            white=piece.white,
-        )
-        for piece, first, last in zip(
-            comparison.pieces, before.predictions, after.predictions, strict=True
-        )
-        if piece.shown
-    ]
+    def candidate_columns(self, candidate: Candidate, look: Look, i: int) -> FloatArray:
+        """Those of a piece, with a pair for every used recording where phases are their own."""
+        columns = look.columns[i]
+        if not candidate.own_phase:
+            return columns
+        spread = np.zeros((columns.shape[0], 2 * len(self.recordings)))
+        if self.pieces[i].name in self.recordings:
+            at = 2 * self.recordings.index(self.pieces[i].name)
+            spread[:, at : at + 2] = columns
+        return spread
 
 
-def residuals(comparison: Comparison, fit: EffectsFit, use: Use) -> list[FloatArray]:
-    """Measured less predicted at the samples that count, for the pieces of one use."""
-    return [
-        piece.kept(piece.measured - prediction)
-        for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
-        if piece.use == use
-    ]
+def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """x of the least ‖target − matrix x‖, shape (p,), with columns of any unit, (n, p)."""
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=DEPENDENT)[0] / scale)
 
 
-def sum_of_squares(parts: list[FloatArray]) -> float:
-    """Over all pieces."""
-    return float(sum(np.dot(part, part) for part in parts))
-
-
-def shown_squares(comparison: Comparison, fit: EffectsFit) -> float:
-    """Of what a fit leaves of the used pieces that the answer shows."""
-    return sum(
-        float(np.sum(piece.kept(piece.measured - prediction) ** 2))
-        for piece, prediction in zip(comparison.pieces, fit.predictions, strict=True)
-        if piece.use == "used" and piece.shown
-    )
+def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArray) -> FloatArray:
+    """The same with every x at least as large as ``low``, (p,): zero, or minus infinity."""
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    free = least_squares(matrix, target)
+    if np.all(free >= low):
+        return free
+    whole = np.column_stack([matrix / scale, target])
+    root = np.asarray(np.linalg.qr(whole, mode="r"), dtype=float)
+    return np.asarray(lsq_linear(root[:, :-1], root[:, -1], (low, np.inf)).x / scale)

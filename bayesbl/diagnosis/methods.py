@@ -41,7 +41,7 @@ METHODS: Mapping[str, str] = MappingProxyType(
     {
         "forward": "bayesbl.diagnosis.closed_loop.method",
         "inverse": "bayesbl.diagnosis.rigid.method",
-        "free_motion": "bayesbl.diagnosis.free_motion.method",
+        "free_motion": "bayesbl.diagnosis.free_motion",
     }
 )
 """Name to the module that holds the method."""

@@ -36,5 +36,13 @@ MOST_KEPT = 300
 MOST_WEIGHED = 1000
 """Sets of each size that are weighed with their signs, the likeliest without."""
 
+WEIGHED_SHARE = 0.999
+"""Of the probability, over which a disagreement is averaged: it is told with two digits."""
+
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
+
+
+LEARNED_SHARE = 0.01
+"""Of the excess chi-square that a discrepancy must hold to be told: less than a hundredth of what
+the names explain is the form of their laws."""

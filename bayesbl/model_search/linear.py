@@ -39,6 +39,7 @@ from bayesbl.model_search.constants import (
     MOST_KEPT,
     MOST_WEIGHED,
     NAMED_AT,
+    WEIGHED_SHARE,
 )
 from bayesbl.recording.types import FloatArray
 
@@ -617,8 +618,8 @@ class ModelPosterior:
         """Averaged over the models."""
         grams = self._grams
         beside_terms = beside_all = 0.0
-        for model in self.models:
-            weight = math.exp(model.log_posterior)
+        likely = self._likely()
+        for model, weight in likely.items():
             nowhere = (0,) * len(model._level)
             taken = []
             for level in (nowhere, model._level):
@@ -636,6 +637,34 @@ class ModelPosterior:
             beside_terms += weight * (left - taken[0])
             beside_all += weight * (left - taken[1] + freedom)
         return Disagreement(grams.chi_square_alone - grams.freedom, beside_terms, beside_all)
+
+    @cached_property
+    def sizes(self) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
+        """Of each selected term that a likely model has: the probability of each such model, (m,),
+        and there the mean, (m, k), and covariance, (m, k, k), of its sizes in usual ones."""
+        parts: dict[int, list[tuple[float, FloatArray, FloatArray]]] = {}
+        for model, weight in self._likely().items():
+            columns, mean, precision = self._grams.normal(model.terms, model._level)
+            if not columns.size:
+                continue
+            positive = self._grams.is_positive[columns]
+            _, middle, spread = orthant(mean[None], precision[None], positive[None])
+            at = 0
+            for term in model.terms:
+                own = slice(at, at + self._grams.columns_of[term].size)
+                parts.setdefault(term, []).append((weight, middle[0, own], spread[0, own, own]))
+                at = own.stop
+        found = {}
+        for term, every in parts.items():
+            weights, means, spreads = zip(*every, strict=True)
+            found[term] = (np.array(weights), np.stack(means), np.stack(spreads))
+        return found
+
+    def _likely(self) -> dict[Model, float]:
+        """Models that hold nearly all of the probability, and what each has of theirs."""
+        held = np.cumsum(np.exp([m.log_posterior for m in self.models]))
+        count = 1 + int(np.searchsorted(held, WEIGHED_SHARE * held[-1]))
+        return {m: math.exp(m.log_posterior) / held[count - 1] for m in self.models[:count]}
 
     @cached_property
     def explained_share(self) -> float:
@@ -675,7 +704,9 @@ class ModelPosterior:
         """
         grams, view = self._grams, self.linearised
         weights = np.exp([m.log_posterior for m in self.models])
-        counts = generator.multinomial(n, weights / weights.sum())
+        # Each has its share of the draws, and randomness of its own: what none has changes nothing.
+        ends = np.floor(n * np.cumsum(weights) / weights.sum() + 0.5).astype(int)
+        counts = np.diff(ends, prepend=0)
         widths = [t.columns.shape[1] for t in view.terms]
         starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
         own = [i for i in range(len(widths)) if i not in set(grams.free)]
@@ -692,13 +723,14 @@ class ModelPosterior:
                 continue
             rows = slice(at, at + count)
             at += count
+            (own_generator,) = generator.spawn(1)
             columns, mean, precision = grams.normal(model.terms, model._level)
             a = _truncated(
                 mean,
                 np.asarray(np.linalg.inv(precision), dtype=float),
                 grams.is_positive[columns],
                 count,
-                generator,
+                own_generator,
             )
             sizes[rows, place[columns]] = a
             there, prior = grams.precision_of_h(model._level)
@@ -709,14 +741,14 @@ class ModelPosterior:
                 right = grams.right[inside] - a @ grams.gram[np.ix_(columns, inside)]
                 lower = np.linalg.cholesky(gram)
                 centre = np.linalg.solve(gram, right.T).T
-                noise = generator.standard_normal((count, there.size))
+                noise = own_generator.standard_normal((count, there.size))
                 h[rows, there] = centre + np.linalg.solve(lower.T, noise.T).T
             if grams.free:
                 values = np.concatenate([a, h[rows, there]], axis=1)
                 centre = (grams.nuisance_pull - values @ grams.cross[:, both].T) @ grams.inverse
                 block = grams.inverse[grams.d :, grams.d :]
                 root = np.linalg.cholesky(block)
-                noise = generator.standard_normal((count, block.shape[0]))
+                noise = own_generator.standard_normal((count, block.shape[0]))
                 sizes[rows, place_free] = centre[:, grams.d :] + noise @ root.T
         order = generator.permutation(n)
         sizes, h = sizes[order], h[order]
@@ -733,6 +765,9 @@ def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> F
         return right
     from scipy.optimize import lsq_linear
 
+    free = np.linalg.solve(precision, right)
+    if np.all(free[positive] >= 0.0):
+        return np.asarray(free)
     lower = np.where(positive, 0.0, -np.inf)
     root = np.linalg.cholesky(precision).T
     return np.asarray(

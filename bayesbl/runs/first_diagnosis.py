@@ -21,7 +21,7 @@ from bayesbl.config.loading import config_from_options
 from bayesbl.config.sections import RESULT_FILE, names_of
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
-from bayesbl.diagnosis.free_motion.method import CHANNELS as FREE_MOTION
+from bayesbl.diagnosis.free_motion import CHANNELS as FREE_MOTION
 from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
 from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS

@@ -16,10 +16,15 @@ from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.rigid.loop_method import METHOD, lines_of
-from bayesbl.diagnosis.rigid.loop_setting import loop_setting
-from bayesbl.diagnosis.rigid.order_lines import find_orders
-from bayesbl.diagnosis.rigid.speed_loop import loop_values, speed_of_torque, torque_of_angle
+from bayesbl.diagnosis.rigid.speed_loop import (
+    METHOD,
+    find_orders,
+    lines_of,
+    loop_setting,
+    loop_values,
+    speed_of_torque,
+    torque_of_angle,
+)
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.results.store import read_tree

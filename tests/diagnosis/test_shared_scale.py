@@ -7,7 +7,7 @@ import math
 import pytest
 
 from bayesbl.diagnosis.diagnosis import Estimate, NamedEffect
-from bayesbl.diagnosis.shared_scale import scaled_parameters, with_shared_scale
+from bayesbl.diagnosis.inference import scaled_parameters, with_shared_scale
 
 
 def test_torques_and_inertias_take_the_relative_error_and_speeds_do_not():

@@ -9,11 +9,15 @@ import pytest
 
 from bayesbl.config.bench import parse_bench
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
-from bayesbl.diagnosis.rigid.inverse import InverseComparison
+from bayesbl.diagnosis.inference import diagnose
+from bayesbl.diagnosis.rigid.inverse import (
+    TORQUE_TERMS,
+    InverseView,
+    coherent_hz,
+    resolved_hz,
+    without_load_angle,
+)
 from bayesbl.diagnosis.rigid.method import compared
-from bayesbl.diagnosis.rigid.terms import TORQUE_TERMS, without_load_angle
-from bayesbl.diagnosis.selection import Problem, Settings, diagnose
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording
 
 pytestmark = pytest.mark.long
@@ -77,13 +81,13 @@ def recorded(
 def found(recordings: list[Recording]) -> Diagnosis:
     bench = parse_bench(BENCH, "bench.toml")
 
-    def below(cutoff_hz: float) -> InverseComparison:
+    def below(cutoff_hz: float) -> InverseView:
         parts = [p for r in recordings for p in compared(r, MOTOR_TORQUE, ("used",), cutoff_hz)]
-        return InverseComparison(
+        return InverseView(
             tuple(part.piece for part in parts),
             tuple(part.motion for part in parts),
             tuple(part.known for part in parts),
-            tuple(part.view for part in parts),
+            tuple(part.window for part in parts),
             bench,
             without_load_angle(TORQUE_TERMS),
             phases_shared=True,
@@ -91,7 +95,7 @@ def found(recordings: list[Recording]) -> Diagnosis:
 
     resolved = resolved_hz([r.channels[MOTOR_POSITION] for r in recordings], 1.0 / HZ)
     made = below(coherent_hz(below(min(resolved, 0.4 * HZ))) or resolved)
-    return diagnose(Problem(made, lambda fit: ()), bench, Settings())
+    return diagnose(made.prepared(), bench, most=6, notes=lambda inference: ())
 
 
 MOVES = [

@@ -40,7 +40,7 @@ EFFECT = Effect(
     enters="measurement",
     depends_on=(),
     data="channels whose pulses do not start together",
-    torque=RigidLaw(signal=_NOTHING, amplitude="current_s"),
-    position=RigidLaw(signal=_NOTHING, amplitude="position_s"),
+    torque=RigidLaw(signal=_NOTHING, amplitude="current_s", usual=0.2),
+    position=RigidLaw(signal=_NOTHING, amplitude="position_s", usual=0.2),
     sought_alone="current_s",
 )

@@ -34,6 +34,8 @@ EFFECT = Effect(
             given["coefficient_nm_s_per_rad"] * motion.speed * direction(motion)
         ),
         amplitude="coefficient_nm_s_per_rad",
+        usual=0.1,
+        requires="motor_viscous_friction",
     ),
     free_motion=True,
 )

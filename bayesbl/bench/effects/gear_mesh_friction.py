@@ -37,6 +37,7 @@ EFFECT = Effect(
             given["coefficient"] * np.abs(bench.transmitted_torque(motion)) * direction(motion)
         ),
         amplitude="coefficient",
+        usual=0.2,
     ),
     free_motion=True,
 )

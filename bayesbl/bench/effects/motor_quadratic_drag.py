@@ -45,6 +45,6 @@ EFFECT = Effect(
     enters="motor",
     depends_on=("speed",),
     data="more current at high speed than viscous friction of the low speeds explains",
-    torque=RigidLaw(signal=torque_nm, amplitude="coefficient_nm_s2_per_rad2", beside=True),
+    torque=RigidLaw(signal=torque_nm, amplitude="coefficient_nm_s2_per_rad2", usual=0.2),
     sought_in_loop=False,
 )

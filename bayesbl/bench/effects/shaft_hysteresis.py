@@ -78,6 +78,7 @@ EFFECT = Effect(
     position=RigidLaw(
         signal=position_rad,
         amplitude="torque_nm",
+        usual=0.2,
         scanned="angle_rad",
         grid=tuple(np.geomspace(1e-5, 1e-2, 13)),
         not_negative=True,

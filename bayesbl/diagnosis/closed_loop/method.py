@@ -20,7 +20,7 @@ from bayesbl.diagnosis.closed_loop.findings import (
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.rigid.loop_method import METHOD as RIGID
+from bayesbl.diagnosis.rigid.speed_loop import METHOD as RIGID
 from bayesbl.diagnosis.task import Task, notes_of, refused, sound
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, Observed, observed

@@ -1,518 +1,1012 @@
-"""Inverse comparison on a rigid bench: measured motion in, what it should have needed out.
+"""Inverse view of a rigid bench: measured motion in, what it should have needed out.
 
     J dω_m/dt + (m g l/N) sin θ_l + effects + known torques = K_t i          (torque, current)
     θ_l = θ_m/N + offset + effects                                          (load position)
 
-Every effect is linear in its amplitude, so a fit is linear least squares around a scan of the few
-parameters that are not (orders, fading speeds, a gap, a skew, the speed over which dry friction
-changes its sign). All of them are scanned in units of the recordings' own, so that a machine of any
-size has the same answer. Nothing is weighted: the fit minimises the RMSE that is reported, and
-coloured noise widens its covariance instead.
+Effects take part by the laws that their modules under ``bench/effects`` declare. A rigid drive has
+no shaft, so effects of the shaft enter only the second equation; lags inside the loop enter
+neither, since the recorded current is the one that flows and the motion the one that happened.
+
+All is linear in its amplitudes but a skew between the channels and the width of dry friction's
+sign, which move every column: the width is sought first, the skew linearised around. Shapes
+(orders, fading speeds, gaps) are alternatives on grids, made finer around those that suit, in units
+of the recordings' own, so that a machine of any size has the same answer.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import (
+    Callable,
+    Hashable,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
+from dataclasses import (
+    dataclass,
+    field,
+    replace,
+)
+from functools import (
+    cached_property,
+    partial,
+)
+from types import (
+    MappingProxyType,
+)
+from typing import (
+    Any,
+)
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import (
+    minimize_scalar,
+)
+from scipy.stats import (
+    norm,
+)
 
-from bayesbl.bench.effect_declaration import ORDER, PHASE
-from bayesbl.diagnosis.comparison import EffectsFit, TestedEffect
-from bayesbl.diagnosis.rigid.compared_columns import WIDTH, Columns, ComparedColumns, Values
-from bayesbl.diagnosis.rigid.order_rivals import Line, OrderScan, of_angle
-from bayesbl.diagnosis.rigid.order_scan import OrderedRest
-from bayesbl.diagnosis.rigid.staying_columns import Staying, least_squares, stacked
-from bayesbl.diagnosis.rigid.terms import SKEW, ShapedEffect, ShapedEffects, Term
-from bayesbl.recording.types import FloatArray
+from bayesbl.bench.bench import (
+    Bench,
+    BenchEffect,
+    EffectParameterValue,
+)
+from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, RigidLaw, direction
+from bayesbl.bench.effects import (
+    EFFECTS,
+    effect_named,
+)
+from bayesbl.bench.kernel import (
+    LEARNED_HARMONICS,
+)
+from bayesbl.bench.learned import (
+    LearnedTorque,
+    Variable,
+    variable_of,
+)
+from bayesbl.diagnosis.comparison import (
+    AffineModel,
+    Candidate,
+    Discrepancy,
+    Look,
+    Piece,
+    TestedEffect,
+    least_squares,
+)
+from bayesbl.diagnosis.diagnosis import (
+    Diagnosis,
+    LearnedAnswer,
+)
+from bayesbl.diagnosis.inference import (
+    Coefficients,
+    Inference,
+    Series,
+    learned_answer,
+)
+from bayesbl.diagnosis.rigid.motion import (
+    END_PERIODS,
+    Motion,
+    Window,
+    noise_of,
+)
+from bayesbl.diagnosis.rigid.orders import (
+    FEWEST_CYCLES,
+    Line,
+    OrderedRest,
+    peaks,
+)
+from bayesbl.diagnosis.rigid.preparation import (
+    GRAVITY,
+    INERTIAS,
+    believed_sds,
+)
+from bayesbl.model_search.constants import (
+    NAMED_AT,
+)
+from bayesbl.recording.types import (
+    FloatArray,
+)
 
-ROUNDING = 1e-12
-"""What two predictions may differ by, as a share of the larger, and still be the same."""
-WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
-"""In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
-
-SKEW_GRID = tuple(np.linspace(-0.4, 0.4, 21))
-"""In periods of the cut-off: beyond half of one a delay has no sign."""
-
-NO_ORDER = 0.0
-"""Where no line of the residual is of the motor's angle."""
+SKEW = "channel_time_skew"
 
 
 @dataclass(frozen=True, slots=True)
-class InverseComparison(ComparedColumns):
-    """Motion of every piece against what was measured of torque, current or load position.
+class Term:
+    """An effect in an inverse comparison.
 
-    ``lines``: those that stand out of what the last fit leaves.
+    Attributes
+    ----------
+    law
+        Its signal, shape (n,), is in N m at the motor or rad at the load.
+    periodic
+        The signal goes as sin(n θ_m + φ): amplitude and phase are solved as one.
     """
 
-    lines: dict[int, tuple[EffectsFit, list[Line]]] = field(
-        default_factory=dict, init=False, repr=False, compare=False
+    candidate: TestedEffect
+    law: RigidLaw
+    periodic: bool
+    not_negative: bool
+
+
+def _term(effect: Effect, law: RigidLaw) -> Term:
+    not_negative = law.not_negative or any(
+        item.not_negative for item in effect.amplitudes if item.name == law.amplitude
+    )
+    candidate = TestedEffect(effect.name, law.same_as, law.contains)
+    return Term(candidate, law, effect.is_periodic, not_negative)
+
+
+TORQUE_TERMS: Mapping[str, Term] = MappingProxyType(
+    {e.name: _term(e, e.torque) for e in EFFECTS if e.torque is not None}
+)
+"""Effects in the torque at the motor."""
+
+POSITION_TERMS: Mapping[str, Term] = MappingProxyType(
+    {e.name: _term(e, e.position) for e in EFFECTS if e.position is not None}
+)
+"""Effects in the load's position for a given motor position."""
+
+
+def without_load_angle(terms: Mapping[str, Term]) -> dict[str, Term]:
+    """The terms that do not ask where the load hangs."""
+    return {n: term for n, term in terms.items() if "load_angle" not in effect_named(n).depends_on}
+
+
+def within_turns(terms: Mapping[str, Term], turns: float) -> dict[str, Term]:
+    """The terms without those that repeat once a turn of the motor, and so too rarely."""
+    return {
+        name: term
+        for name, term in terms.items()
+        if not term.periodic or term.law.scanned == ORDER or turns >= FEWEST_CYCLES
+    }
+
+
+def uncomputable(terms: Mapping[str, Term], bench: Bench, load_angle_known: bool) -> list[str]:
+    """Names of terms for which the bench file or the angles do not give enough, sorted.
+
+    Without the load's angle gravity is unknown, and with it the torque that the gear passes on.
+    """
+    gravity_unknown = bench.value("gravity_torque_nm") > 0.0 and not load_angle_known
+    return sorted(
+        name
+        for name, term in terms.items()
+        if bench.assumed & set(term.law.bench_parameters)
+        or (gravity_unknown and "transmitted_torque" in effect_named(name).depends_on)
     )
 
-    @property
-    def candidates(self) -> tuple[TestedEffect, ...]:
-        """All effects that may take part."""
-        return tuple(term.candidate for term in self.terms.values())
 
-    def folds(self) -> list[InverseComparison]:
-        """The used pieces twice, one half of them to fit on and the other to predict."""
-        used = self._used
-        names = list(dict.fromkeys(self.pieces[i].name for i in used))
-        if len(names) > 1:
-            turn = {name: k % 2 for k, name in enumerate(names)}
-            return [
-                self._of([(i, None, turn[self.pieces[i].name] == first) for i in used])
-                for first in (0, 1)
-            ]
-        halves = [(i, second) for i in used for second in (False, True)]
-        return [self._of([(*half, half[1] == first) for half in halves]) for first in (0, 1)]
+def required_torque(motion: Motion, bench: Bench) -> FloatArray:
+    """Torque that this motion asks of the motor, effects of the bench included, N m.
 
-    def _of(self, chosen: Sequence[tuple[int, bool | None, bool]]) -> InverseComparison:
-        """Some pieces, or their first or second halves, and whether each is fitted."""
-        pieces, views, seen = [], [], []
-        for i, half, is_used in chosen:
-            piece, view = self.pieces[i], self.views[i]
-            if half is not None:
-                piece, view = piece.half(half), view.half(half)
-            pieces.append(replace(piece, use="used" if is_used else "held_out"))
-            views.append(view)
-            seen.append(self.seen[i] if half is None else {})
-        return replace(
-            self,
-            pieces=tuple(pieces),
-            motions=tuple(self.motions[i] for i, *_ in chosen),
-            known=tuple(self.known[i] for i, *_ in chosen),
-            views=tuple(views),
-            seen=tuple(seen),
-        )
+    (J_m + J_l/N²) dω_m/dt + (m g l/N) sin(θ_m/N) and the losses. What a rigid drive cannot show
+    (shaft, loop lags) is left out; a skew is the comparison's business.
+    """
+    torque = bench.value("motor_inertia_kg_m2") * motion.acceleration
+    torque = torque + bench.transmitted_torque(motion)
+    for present in bench.effects:
+        effect = effect_named(present.name)
+        if effect.torque is not None and effect.load_torque is None:
+            torque = torque + effect.torque.signal(motion, bench, present.complete())
+    if bench.learned_torque is not None:
+        torque = torque + bench.learned_torque.along(motion, bench.value("gear_ratio"))
+    return np.asarray(torque)
 
-    def fit(self, effects: tuple[str, ...], start: EffectsFit | None = None) -> EffectsFit:
-        """Least squares with these effects; shapes that ``start`` holds are kept.
 
-        What has to be scanned is added one by one, beside all that has its shape already.
+WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
+"""In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
+
+DELAYS = (1.0, 4.0, 16.0)
+"""Usual skews, in sampling periods."""
+
+QUIET = 0.5
+"""Of the torque's noise: so much in the motion makes a standard deviation an eighth too small."""
+
+MOST_ORDERS, MOST_LINES = 8, 4
+"""Lines that are tried, of the motor's angle and of time: the strongest."""
+
+FINER = 5
+"""Shapes tried between the neighbours of one that suits."""
+
+DRIFT_ORDERS = 6
+"""Cosines over the time of a recording: slower than friction that warms up in it."""
+
+LINE = 0.3
+"""Usual share of a line in time."""
+
+TURNS = 1.0
+"""Way of the load, rad, from which gravity's direction turns: on a shorter one it is an offset and
+a spring."""
+
+WRONG_SHARE = 0.15
+"""Of a value of the data sheet: by how much it is usually wrong where it is."""
+
+WRONG_VALUE = 0.3
+"""Usual share of a wrong value of the data sheet in what is compared."""
+
+
+@dataclass(frozen=True)
+class InverseView:
+    """Motion of every piece against what was measured of torque, current or load position.
+
+    Attributes
+    ----------
+    motions, known
+        For every piece, over its whole recording: motion, and known torques at the motor, N m.
+    windows
+        For every piece: what is compared of a signal over its recording.
+    terms
+        Effects that may take part.
+    unknown
+        Bench parameters that are fitted: inertias and the gravity torque.
+    unit
+        N m or rad in one unit of the channel: K_t where current is compared.
+    load
+        The load's position is compared; its zero is fitted for each recording.
+    gravity_free
+        Gravity's size and direction are fitted in each recording.
+    load_angle_known, phases_shared
+        The motor position tells the load's angle, so gravity's direction; it is absolute, so one
+        phase holds for all recordings. Without either, sine and cosine are free per recording.
+    skew_s, width
+        Around which all is linear: lag of the current or position, s; of dry friction, rad/s.
+    slope
+        For every piece the change of the prediction by one second of skew, in the channel's unit.
+    shapes
+        Of effects with a shape, values tried in place of the grid over all there may be.
+    orders, lines
+        Of the motor's turning, and frequencies in Hz.
+    columns_bench, discrepancy, cache
+        The bench as fitted, that columns are made of; for every piece what nothing explains, as it
+        is known so far; signals that were computed.
+    """
+
+    pieces: tuple[Piece, ...]
+    motions: tuple[Motion, ...]
+    known: tuple[FloatArray, ...]
+    windows: tuple[Window, ...]
+    bench: Bench
+    terms: Mapping[str, Term]
+    unknown: tuple[str, ...] = ()
+    unit: float = 1.0
+    load: bool = False
+    gravity_free: bool = False
+    load_angle_known: bool = False
+    phases_shared: bool = False
+    skew_s: float = 0.0
+    width: float = 0.0
+    slope: tuple[FloatArray, ...] = ()
+    shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    orders: tuple[Line, ...] = ()
+    lines: tuple[Line, ...] = ()
+    columns_bench: Bench | None = None
+    discrepancy: tuple[FloatArray, ...] = ()
+    cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    # Signals
+
+    @cached_property
+    def used(self) -> list[int]:
+        """Pieces that are fitted."""
+        return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+
+    @cached_property
+    def _moved(self) -> list[Motion]:
+        """Motion as the compared channel shows it: a channel that lags shows what was."""
+        key = ("motions", self.skew_s)
+        if key not in self.cache:
+            late = -self.skew_s if self.load else self.skew_s
+            self.cache[key] = [m.shifted(late) if late else m for m in self.motions]
+        return [replace(m, friction_width=self.width) for m in self.cache[key]]
+
+    def _seen(
+        self, i: int, key: Hashable, make: Callable[[Motion], FloatArray], width: float = 0.0
+    ) -> FloatArray:
+        """A signal along a motion, in the unit of the channel, as compared; computed once."""
+        whole = (i, key, self.skew_s, width)
+        if whole not in self.cache:
+            signal = self.windows[i](make(self._moved[i]))
+            self.cache[whole] = signal / (1.0 if self.load else self.unit)
+        found: FloatArray = self.cache[whole]
+        return found
+
+    def _signal(self, i: int, name: str, given: Mapping[str, float]) -> FloatArray:
+        law, bench = self.terms[name].law, self.columns_bench or self.bench
+        width = self.width if "direction" in effect_named(name).depends_on else 0.0
+        key = (name, *given.items(), id(bench))
+        return self._seen(i, key, lambda m: law.signal(m, bench, given), width)
+
+    def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> FloatArray:
+        """Sine and cosine of an effect's, of unit size, (n, 2)."""
+        amplitude = self.terms[name].law.amplitude
+        phases = ({amplitude: 1.0, PHASE: phase, **shapes} for phase in (0.0, 0.5 * math.pi))
+        return np.column_stack([self._signal(i, name, given) for given in phases])
+
+    def base(self, i: int) -> FloatArray:
+        """The nominal bench, in units of the channel, at the skew."""
+        if self.load:
+            ratio = self.bench.value("gear_ratio")
+            return self._seen(i, "base", lambda motion: motion.angle / ratio)
+        known = {} if self.load_angle_known else {GRAVITY: 0.0}
+        rubs = any("direction" in effect_named(e.name).depends_on for e in self.bench.effects)
+
+        def torque(motion: Motion) -> FloatArray:
+            bench = self.bench.with_parameters(**known)
+            return np.asarray(required_torque(motion, bench) + self.known[i])
+
+        return self._seen(i, "base", torque, self.width if rubs else 0.0)
+
+    def _base_above(self, i: int) -> FloatArray:
+        """Above the cut-off: the bench's own ripples, and the part of the inertia's torque along
+        the orders that are tried.
+
+        A ripple that the loop is too slow for is in the motion, not in the current. Of the
+        acceleration up there little but noise is known, yet along one order little of that is left.
         """
-        known = {} if start is None else start.effects
-        trials = {name: start.trials.get(name, 1.0) for name in effects if name in known and start}
-        shaped, scanned = ShapedEffects(), []
-        for term in (self.terms[name] for name in effects):
-            name = term.candidate.name
-            if term.scanned is None:
-                shaped = shaped.plus(term)
-            elif name in known:
-                shaped = shaped.plus(term, known[name][term.scanned])
-            else:
-                scanned.append(term)
-        width = None if start is None else start.shared.get(WIDTH)
-        if width is not None:
-            shaped = replace(shaped, width=width)
-        elif self._directional(effects):
-            shaped = self._with_width(shaped)
-        before = start
-        for term in scanned:
-            before = before or self._fitted(shaped, trials)
-            shaped, tried = self._with_shape(shaped, term, before)
-            trials, before = {**trials, term.candidate.name: tried}, None
-        if scanned and self._directional(effects):
-            shaped = self._with_width(shaped)
-        in_order = tuple(shaped.only((name,)).effects[0] for name in effects)
-        return self._fitted(replace(shaped, effects=in_order), trials)
-
-    def _fitted(self, shaped: ShapedEffects, trials: Mapping[str, float]) -> EffectsFit:
-        """Least squares with shapes as they are."""
-        effects, directional = shaped.names, self._directional(shaped.names)
-        linear = self._linear(shaped)
-        found = {effect.name: self._catalogue(effect, linear) for effect in shaped.effects}
-        self._share_amplitudes(found, linear)
-        predictions = tuple(
-            self._prediction(i, shaped, self._own(i, shaped, linear, found))
-            for i in range(len(self.pieces))
-        )
-        names = self._names(shaped, linear)
-        columns = tuple(
-            self.pieces[i].kept(self._jacobian(i, shaped, linear, names)) for i in self._used
-        )
-        bench = {name: self.bench.value(name) + linear[name] for name in self.unknown}
-        edges = frozenset(
-            effect.name
-            for effect in shaped.effects
-            if self._at_edge(effect, shaped) or self._is_rather_a_torque(effect.term, shaped)
-        )
-        tried = {name: trials.get(name, 1.0) for name in effects}
-        shared = {WIDTH: shaped.width} if directional else {}
-        besides = {name: value for name, value in linear.items() if "." not in name.split("@")[0]}
-        return EffectsFit(found, bench, predictions, columns, names, tried, edges, shared, besides)
-
-    def scan_orders(self, fit: EffectsFit) -> OrderScan:
-        """Residuals of a fit on the used pieces, order by order of the motor's turning."""
-        rests = [
-            OrderedRest(
-                piece.name,
-                piece.kept(piece.time_s),
-                piece.kept(motion.angle[view.rows]),
-                piece.kept(np.abs(motion.speed[view.rows])),
-                piece.kept(piece.measured - fit.predictions[i]),
-                view.low_pass.cutoff_hz,
-                view.above,
-                view.low_pass.period_s,
-                view.step_rad,
-            )
-            for i, piece, motion, view in zip(
-                range(len(self.pieces)), self.pieces, self.motions, self.views, strict=True
-            )
-            if piece.use == "used"
+        own = [
+            (TORQUE_TERMS[e.name].law, e.complete())
+            for e in self.bench.effects
+            if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
         ]
-        return OrderScan(tuple(rests), self.phases_shared)
+        total = self._seen(
+            i,
+            "own waves",
+            lambda m: np.asarray(
+                sum(
+                    (law.signal(m, self.bench, given) for law, given in own), np.zeros_like(m.angle)
+                )
+            ),
+        )
+        quiet = [line.middle for line in self.orders if self._is_quiet(i, line.middle)]
+        name = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
+        if not quiet or name is None:
+            return total
+        matrix = np.hstack([self._waves(i, name, {ORDER: order}) for order in quiet])
+        kept = self.pieces[i].kept
+        return np.asarray(total + matrix @ least_squares(kept(matrix), kept(self.base(i))))
 
-    # Shapes
+    def _is_quiet(self, i: int, order: float) -> bool:
+        """Whether J (n ω)² σ, by noise σ of the position, is a small part of the torque's noise."""
+        ratio, piece, window = self.bench.value("gear_ratio"), self.pieces[i], self.windows[i]
+        inertia = self.bench.value("motor_inertia_kg_m2")
+        inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
+        frequency = order * np.abs(piece.kept(self.motions[i].speed[window.rows]))
+        shown = frequency[frequency > 2.0 * math.pi * window.low_pass.cutoff_hz]
+        if not shown.size:
+            return True
+        made = inertia * math.sqrt(float(np.mean(shown**4))) * window.position_noise_rad
+        return made < QUIET * self.unit * noise_of(piece.kept(piece.measured))
 
-    def _grid(self, term: Term) -> tuple[float, ...]:
-        """Values of a term's shape to try, in its own unit."""
-        if term.candidate.name == SKEW:
-            period = 1.0 / self.views[0].low_pass.cutoff_hz
-            return tuple(period * share for share in SKEW_GRID)
-        law = term.law
+    def _nuisances(self, i: int) -> dict[str, FloatArray]:
+        """What is fitted of the bench itself."""
+        where = self.pieces[i].name
+        if self.load:
+            return {f"offset@{where}": self._seen(i, "one", lambda m: np.ones_like(m.angle))}
+        if self.windows[i].above:
+            return {}
+        made = {name: self._parameter(i, name) for name in self.unknown}
+        if self.gravity_free:
+            sine, cosine = self._gravity(i).T
+            made |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}
+        return made
+
+    def _parameter(self, i: int, name: str) -> FloatArray:
+        ratio = self.bench.value("gear_ratio")
+        laws: dict[str, Callable[[Motion], FloatArray]] = {
+            INERTIAS[0]: lambda m: m.acceleration,
+            INERTIAS[1]: lambda m: m.acceleration / ratio**2,
+            GRAVITY: lambda m: np.sin(m.angle / ratio) / ratio,
+        }
+        return self._seen(i, name, laws[name])
+
+    def _gravity(self, i: int) -> FloatArray:
+        """Of one N m, down and across, (n, 2)."""
+        ratio = self.bench.value("gear_ratio")
+        down = self._seen(i, "down", lambda motion: np.sin(motion.angle / ratio) / ratio)
+        across = self._seen(i, "across", lambda motion: np.cos(motion.angle / ratio) / ratio)
+        return np.column_stack([down, across])
+
+    # The model
+
+    @cached_property
+    def model(self) -> AffineModel:
+        """Around the skew and the width."""
+        base = []
+        for i in range(len(self.pieces)):
+            if self.windows[i].above:
+                base.append(self._base_above(i))
+                continue
+            at = self.base(i)
+            base.append(at - self.skew_s * self.slope[i] if self.slope else at)
+        return AffineModel(
+            self.pieces,
+            tuple(base),
+            tuple(self._nuisances(i) for i in range(len(self.pieces))),
+            tuple(self._candidates()),
+            tuple(d for d, _ in self._series) + self._drift() + self._twist(),
+            believed_sds(self.bench, self.unknown),
+        )
+
+    def _every(
+        self, make: Callable[[int], FloatArray], *, above: bool = False
+    ) -> tuple[FloatArray, ...]:
+        """Columns of every piece; zero above the cut-off, where little but waves is known."""
+        made = [
+            None if self.windows[i].above and not above else make(i)
+            for i in range(len(self.pieces))
+        ]
+        width = next(part.shape[1] for part in made if part is not None)
+        return tuple(
+            np.zeros((piece.measured.size, width)) if part is None else part
+            for piece, part in zip(self.pieces, made, strict=True)
+        )
+
+    def _candidates(self) -> Iterator[Candidate]:
+        own_phase = not self.phases_shared
+        for name, term in self.terms.items():
+            law, amplitude = term.law, term.law.amplitude
+            make = partial(
+                Candidate,
+                kind="effect",
+                name=name,
+                usual=law.usual,
+                not_negative=term.not_negative,
+                excludes=frozenset({law.contains} if law.contains else ()),
+                requires=frozenset({law.requires} if law.requires else ()),
+                same_as=law.same_as,
+            )
+            wave = partial(make, parameters=(amplitude,), is_wave=True, own_phase=own_phase)
+            if name == SKEW:
+                if self.slope:
+                    yield make(name, parameters=(amplitude,), looks=tuple(self._delays()))
+            elif law.scanned == ORDER:
+                for line in self.orders:
+                    make_waves = partial(self._waves, name=name)
+                    columns = (partial(make_waves, shapes={ORDER: n}) for n in line.values)
+                    looks = self._alternatives(ORDER, line, columns, above=True)
+                    yield wave(f"{name} {line.middle:.6g}", looks=looks)
+            elif term.periodic:
+                look = Look({}, self._every(partial(self._waves, name=name, shapes={})))
+                yield wave(name, looks=(look,))
+            else:
+                parameters = (amplitude, *law.linear)
+                yield make(name, parameters=parameters, looks=tuple(self._looks(name, parameters)))
+        if not self.load:
+            yield from self._wrong_values()
+        for line in self.lines:
+            columns = (partial(self._hum, hertz=hertz) for hertz in line.values)
+            looks = self._alternatives("frequency_hz", line, columns)
+            label = f"line {line.middle:.6g} Hz"
+            make = partial(Candidate, kind="line", name=label, parameters=("amplitude",))
+            make = partial(make, looks=looks, usual=LINE, is_wave=True)
+            yield make(label, own_phase=True)
+            if own_phase or len({self.pieces[i].name for i in self.used}) == 1:
+                continue
+            # What a motion excites has one phase in all recordings that begin with it.
+            yield make(f"{label}, in phase", own_phase=False, excludes=frozenset({label}))
+
+    def _delays(self) -> Iterator[Look]:
+        """A skew of some sampling periods is usual, longer ones ever rarer: normals whose mixture
+        falls off as 1/τ², as a Cauchy distribution does."""
+        columns = self._every(lambda i: self.slope[i][:, None])
+        period = self.windows[0].low_pass.period_s
+        total = sum(1.0 / times for times in DELAYS)
+        for times in DELAYS:
+            yield Look({}, columns, 1.0 / times / total, times * period)
+
+    def _alternatives(
+        self,
+        shape: str,
+        line: Line,
+        columns: Iterable[Callable[[int], FloatArray]],
+        *,
+        above: bool = False,
+    ) -> tuple[Look, ...]:
+        """Of a wave."""
+        every = zip(line.values, line.weights, columns, strict=True)
+        return tuple(
+            Look({shape: value}, self._every(make, above=above), weight)
+            for value, weight, make in every
+        )
+
+    def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
+        law = self.terms[name].law
+        grid: tuple[float | None, ...] = self._values(name) or (None,)
+        for value in grid:
+            shape = {} if law.scanned is None or value is None else {law.scanned: value}
+
+            def columns(i: int, shape: dict[str, float] = shape) -> FloatArray:
+                if law.scanned == law.amplitude:  # not linear in it: around this size
+                    return (self._signal(i, name, shape) / shape[law.amplitude])[:, None]
+                off = dict.fromkeys(parameters, 0.0)
+                given = [{**off, parameter: 1.0, **shape} for parameter in parameters]
+                return np.column_stack([self._signal(i, name, one) for one in given])
+
+            kept = {} if law.scanned == law.amplitude else shape
+            yield Look(kept, self._every(columns), 1.0 / len(grid))
+
+    def _wrong_values(self) -> Iterator[Candidate]:
+        """Inertia and gravity that the bench states without a tolerance, as they might be wrong."""
+        names = [] if set(self.unknown) & set(INERTIAS) else [INERTIAS[0]]
+        if self.load_angle_known and GRAVITY not in self.unknown:
+            names.append(GRAVITY)
+        for name in names:
+            size = max(self.bench.tolerances.get(name, 0.0), WRONG_SHARE * self.bench.value(name))
+            columns = self._every(partial(self._columns_of_parameter, name=name))
+            look = Look({}, columns, size=size or None)
+            yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
+        if not self.load_angle_known and not self.gravity_free and self._travel_rad > TURNS:
+            look = Look({}, self._every(self._gravity))
+            yield Candidate(
+                "gravity",
+                "gravity",
+                GRAVITY,
+                (GRAVITY,),
+                (look,),
+                WRONG_VALUE,
+                is_wave=True,
+                own_phase=True,
+            )
+
+    def _columns_of_parameter(self, i: int, name: str) -> FloatArray:
+        return self._parameter(i, name)[:, None]
+
+    def _hum(self, i: int, hertz: float) -> FloatArray:
+        """Sine and cosine of a line in time, as compared, (n, 2)."""
+        time = self.motions[i].time_s
+        waves = (wave(2.0 * math.pi * hertz * time) for wave in (np.sin, np.cos))
+        return np.column_stack([self.windows[i](wave) for wave in waves])
+
+    # What nothing explains
+
+    @cached_property
+    def _series(self) -> list[tuple[Discrepancy, Series]]:
+        made = []
+        for variable, period, reverses in self._kinds():
+            ratio = self.bench.value("gear_ratio")
+
+            def over(i: int, variable: Variable = variable, ratio: float = ratio) -> FloatArray:
+                x = variable_of(variable, self._moved[i], ratio)
+                kept = self.pieces[i].kept(x[self.windows[i].rows])
+                return np.asarray(kept)
+
+            every = np.concatenate([over(i) for i in self.used if not self.windows[i].above])
+            low, high = float(every.min()), float(every.max())
+            series = Series.over(
+                variable,
+                period,
+                reverses=reverses,
+                orders=LEARNED_HARMONICS,
+                reach=(low, high),
+            )
+            if self.load:
+                series = replace(series, means=np.zeros(2 * LEARNED_HARMONICS))
+
+            def columns(i: int, series: Series = series, ratio: float = ratio) -> FloatArray:
+                motion = self._moved[i]
+                waves = series.waves(variable_of(series.variable, motion, ratio))
+                if series.reverses:
+                    waves = waves * direction(motion)[:, None]
+                window, unit = self.windows[i], 1.0 if self.load else self.unit
+                return np.column_stack([window(wave) / unit for wave in waves.T])
+
+            made.append((Discrepancy(series.kind, self._every(columns)), series))
+        return made
+
+    def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
+        motions = [self.motions[i] for i in self.used]
+        longest = max(float(np.ptp(m.angle)) for m in motions)
+        turn = 2.0 * math.pi
+        for reverses in (False, True):
+            yield "load_angle", self._load_period, reverses
+        if longest >= turn and (
+            self.phases_shared or len({self.pieces[i].name for i in self.used}) == 1
+        ):
+            yield "motor_angle", turn, False
+        fastest = max(float(np.abs(m.speed).max()) for m in motions)
+        for reverses in (False, True):
+            yield "motor_speed", 4.0 * fastest, reverses
+
+    @cached_property
+    def _load_period(self) -> float:
+        """Twice the way of the load, rad; where that is longer, what repeats with it does over its
+        turn."""
+        angles = np.concatenate([self.motions[i].angle for i in self.used])
+        way, turn = float(np.ptp(angles)) / self.bench.value("gear_ratio"), 2.0 * math.pi
+        return turn if way >= 2.0 * turn else 2.0 * way
+
+    def _twist(self) -> tuple[Discrepancy, ...]:
+        """Of the shaft, by the load's inertia and dry friction; by viscous friction it is a skew.
+
+        How stiff a shaft is, and where in the gear it rubs, no data sheet says well enough.
+        """
+
+        def columns(i: int) -> FloatArray:
+            motion, window = self._moved[i], self.windows[i]
+            return np.column_stack([window(motion.acceleration), window(direction(motion))])
+
+        if not self.load:
+            return ()
+        every = self._every(columns)
+        squares = sum((every[i] ** 2).sum(axis=0) for i in self.used)
+        scale = np.sqrt(np.where(squares > 0.0, squares, 1.0))
+        return (Discrepancy("load_position_over_torque", tuple(part / scale for part in every)),)
+
+    def _drift(self) -> tuple[Discrepancy, ...]:
+        """A torque that drifts in each recording."""
+        names = tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
+
+        def columns(i: int) -> FloatArray:
+            motion, name = self.motions[i], self.pieces[i].name
+            x = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
+            k = np.arange(1, DRIFT_ORDERS + 1)
+            waves = np.cos(math.pi * x[:, None] * k) / k
+            made = np.zeros((self.pieces[i].measured.size, DRIFT_ORDERS * len(names)))
+            if name in names:
+                at = DRIFT_ORDERS * names.index(name)
+                made[:, at : at + DRIFT_ORDERS] = np.column_stack(
+                    [self.windows[i](wave) for wave in waves.T]
+                )
+            return made
+
+        return (Discrepancy("time", self._every(columns), own=True),)
+
+    # Towards the fit
+
+    def coarse(self) -> InverseView:
+        """With width and orders."""
+        return self._with_width()._with_lines()
+
+    def prepared(self) -> InverseView:
+        """With width, orders and the slope of a skew."""
+        view = self.coarse()
+        if SKEW in view.terms:
+            view = replace(view, slope=view._slopes())
+        return view
+
+    def refined(self, inference: Inference) -> InverseView:
+        """Around the posterior's skew, inertia and shapes."""
+        values = {
+            label: inference.values(label)
+            for label, p in inference.posterior.inclusion.items()
+            if p > 0.5 and label in inference.labels
+        }
+        shapes = dict(self.shapes)
+        for name in values:
+            if name in self.terms and self._values(name):
+                shapes[name] = self._finer(inference, name, self._values(name))
+        orders = tuple(self._finer_line(inference, line, ORDER) for line in self.orders)
+        lines = tuple(self._finer_line(inference, line, "frequency_hz") for line in self.lines)
+        fitted = {
+            name: self.bench.value(name) + inference.nuisance(name).value for name in self.unknown
+        }
+        for name in (*INERTIAS, GRAVITY):
+            if name in values:
+                fitted[name] = self.bench.value(name) + values[name][name].value
+        bench = self.bench.with_parameters(**{k: v for k, v in fitted.items() if v > 0.0})
+        view = replace(self, shapes=shapes, orders=orders, lines=lines, columns_bench=bench)
+        skew = next(iter(values[SKEW].values())).value if SKEW in values else 0.0
+        view = replace(view, skew_s=skew, discrepancy=inference.discrepancy())._with_width()
+        return replace(view, slope=view._slopes()) if SKEW in self.terms else view
+
+    def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
+        law = self.terms[name].law
+        if law.scanned == law.amplitude:
+            best = max(inference.values(name)[law.amplitude].value, 1e-3 * grid[0])
+        else:
+            assert law.scanned is not None
+            best = inference.values(name)[law.scanned].value
+        near = int(np.searchsorted(grid, best))
+        low, high = grid[max(0, near - 1)], grid[min(len(grid) - 1, near + 1)]
+        if not low < high:
+            return grid
+        return tuple(np.geomspace(low, high, FINER + 2).tolist())
+
+    def _finer_line(self, inference: Inference, line: Line, shape: str) -> Line:
+        for label, candidate in inference.labels.items():
+            mine = candidate.looks[0].shapes.get(shape) == line.values[0]
+            if mine and inference.posterior.inclusion[label] > 0.5:
+                sd = inference.values(label)[shape].sd
+                return line.finer(inference.likeliest(label).look.shapes[shape], sd)
+        return line
+
+    def _values(self, name: str) -> tuple[float, ...]:
+        """Of the shape of an effect that has one, those that are tried."""
+        return self.shapes.get(name, self._grid(name))
+
+    def _grid(self, name: str) -> tuple[float, ...]:
+        law = self.terms[name].law
+        if law.scanned is None or law.scanned == ORDER or name == SKEW:
+            return ()
         unit = self.speed_rad_per_s if law.grid_unit == "speed" else self._travel_rad
         return tuple(unit * share for share in law.grid)
 
-    @property
+    @cached_property
     def speed_rad_per_s(self) -> float:
         """RMS speed of the motor over what is fitted."""
-        speeds = np.concatenate(
-            [
-                self.pieces[i].kept(self.motions[i].speed[self.views[i].rows])
-                for i in self._used
-                if not self.views[i].above
-            ]
-        )
-        return math.sqrt(float(np.mean(speeds**2)))
+        speeds = [
+            self.pieces[i].kept(self.motions[i].speed[self.windows[i].rows])
+            for i in self.used
+            if not self.windows[i].above
+        ]
+        return math.sqrt(float(np.mean(np.concatenate(speeds) ** 2)))
 
-    @property
+    @cached_property
     def _travel_rad(self) -> float:
         """Way of the load over what is fitted."""
-        angles = [self.motions[i].angle for i in self._used]
-        way = max(float(np.ptp(angle)) for angle in angles)
+        way = max(float(np.ptp(self.motions[i].angle)) for i in self.used)
         return way / self.bench.value("gear_ratio")
 
-    @property
-    def _period_s(self) -> float:
-        """Sampling period of the recordings."""
-        times = self.motions[0].time_s
-        return float(times[-1] - times[0]) / (times.size - 1)
+    def _linear_columns(self, i: int) -> dict[str, FloatArray]:
+        """Nuisances, effects linear in one amplitude, waves of the orders found, each (n,)."""
+        columns = dict(self._nuisances(i))
+        where = self.pieces[i].name
+        for name, term in self.terms.items():
+            law = term.law
+            if name == SKEW or term.periodic or self.windows[i].above:
+                continue
+            if law.scanned is None and not law.linear:
+                columns[name] = self._signal(i, name, {law.amplitude: 1.0})
+        if not self.load and not self.windows[i].above:
+            columns |= self._position_dependent(i)
+        wave = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
+        if wave is not None:
+            for line in self.orders:
+                order = line.middle
+                sine, cosine = self._waves(i, wave, {ORDER: order}).T
+                columns |= {f"sine {order}@{where}": sine, f"cosine {order}@{where}": cosine}
+        return columns
 
-    def _at_edge(self, effect: ShapedEffect, shaped: ShapedEffects) -> bool:
-        """Whether the scan of an effect's shape ended where it ends or shows nothing."""
-        widest = 0.99 * WIDTH_GRID[-1] * self.speed_rad_per_s
-        if effect.term.has_direction and shaped.width > widest:
-            return True
-        if effect.value is None:
-            return False
-        if effect.name == SKEW and abs(effect.value) < 0.5 * self._period_s:
-            return True  # so far apart are samples and what a controller holds between them
-        if ORDER in effect.shape:
-            return effect.value == NO_ORDER
-        grid = self._grid(effect.term)
-        near = 1e-2 * (grid[1] - grid[0])
-        inside = grid[0] + near < effect.value < grid[-1] - near
-        return not inside or self._extrapolates(effect, shaped)
+    def _position_dependent(self, i: int) -> dict[str, FloatArray]:
+        """Dry friction that varies over the load's angle: else the width of its sign takes that."""
+        period, ratio = self._load_period, self.bench.value("gear_ratio")
+        found = {}
+        for k in range(1, 3):
+            for name, wave in (("cos", np.cos), ("sin", np.sin)):
 
-    def _extrapolates(self, effect: ShapedEffect, shaped: ShapedEffects) -> bool:
-        """Whether no sample shows half of an effect's size: it would be an extrapolation."""
-        term = effect.term
-        if effect.name == SKEW or self.load or term.periodic:
-            return False
-        one = {term.candidate.amplitude: 1.0, **effect.shape}
-        largest = 0.0
-        for i in self._used:
-            signal = term.law.signal(self._motion(i, shaped), self.bench, one)
-            window = self.views[i].window
-            largest = max(
-                largest, float(np.abs(signal if window is None else window * signal).max())
-            )
-        return largest < 0.5
+                def law(motion: Motion, wave: Any = wave, k: int = k) -> FloatArray:
+                    phase = 2.0 * math.pi * k * motion.angle / ratio / period
+                    return np.asarray(wave(phase) * direction(motion))
 
-    def _is_rather_a_torque(self, term: Term, shaped: ShapedEffects) -> bool:
-        """Whether what an error of the encoder makes is explained better by a torque that turns.
+                key = f"friction {name} {k}"
+                found[key] = self._seen(i, key, law, self.width)
+        return found
 
-        The one grows with the square of the speed, the other is the same at all. A ripple may be
-        named already, of another order: then nothing else would speak for the torque.
-        """
-        if self.load or not term.periodic or term.law.scanned is not None:
-            return False
-        others = shaped.only({*shaped.names} - {term.candidate.name})
-        left = []
-        for held, turning in ((shaped, False), (others, True)):
-            tables = [
-                {
-                    **self._kept_columns(i, held),
-                    **(self._kept_turning(i, shaped) if turning else {}),
-                }
-                for i in self._used
-            ]
-            rests = [self._rest(i, held) for i in self._used]
-            along = Staying([{} for _ in tables])
-            explained = along.explained(tables, rests, along.along(rests))
-            left.append(sum(float(rest @ rest) for rest in rests) - explained)
-        return left[1] <= left[0]
-
-    def _kept_turning(self, i: int, shaped: ShapedEffects) -> Columns:
-        """Sine and cosine of the motor's angle, with one phase for whatever shares it."""
-        where = "" if self.phases_shared else f"@{self.pieces[i].name}"
-        waves = replace(self, waves=(1.0,))._allowed_for(i, shaped)
-        return {
-            f"turning {k}{where}": self.pieces[i].kept(wave)
-            for k, wave in enumerate(waves.values())
-        }
-
-    def _with_width(self, shaped: ShapedEffects) -> ShapedEffects:
-        """With the width of least squares."""
-        unit = self.speed_rad_per_s
-        moving = [effect.name for effect in shaped.effects if effect.term.has_direction]
-        return self._best(
-            [unit * share for share in WIDTH_GRID], lambda x: replace(shaped, width=x), moving
-        )
-
-    def _with_shape(
-        self, shaped: ShapedEffects, term: Term, before: EffectsFit
-    ) -> tuple[ShapedEffects, float]:
-        """With an effect in its best shape; the number of independent trials.
-
-        ``before``: a fit without it.
-        """
-        grid: Sequence[float] = self._grid(term)
-        trials, comparison, moving = 3.0, self, [term.candidate.name]
-        if term.scanned == ORDER:
-            line = of_angle(self._clearest(before))
-            if line is None:
-                return shaped.plus(term, NO_ORDER), trials
-            step, trials = self.scan_orders(before).step, line.trials
-            grid = (line.order - step, line.order, line.order + step)
-        elif term.candidate.name == SKEW:
-            moving = [*shaped.names, *moving]
-            if not self.load:
-                # A ripple of a motor that yields to it is in the torque and in the motion out of
-                # step: without it a delay would take its place.
-                orders = tuple(line.order for line in self._clearest(before))
-                comparison = replace(self, waves=orders)
-        return comparison._best(grid, lambda x: shaped.plus(term, x), moving), trials
-
-    def _clearest(self, fit: EffectsFit) -> list[Line]:
-        """Lines that stand out of what a fit leaves; those of the last fit are kept."""
-        if id(fit) not in self.lines:
-            self.lines.clear()
-            self.lines[id(fit)] = fit, self.scan_orders(fit).clearest()
-        return self.lines[id(fit)][1]
-
-    def _best(
-        self,
-        grid: Sequence[float],
-        shaped: Callable[[float], ShapedEffects],
-        moving: Collection[str],
-    ) -> ShapedEffects:
-        """Of least squares over a value: a grid, then a search around its best.
-
-        ``moving``: effects whose columns change with the value. Where those are all, what else is
-        fitted moves too.
-        """
-        cost = self._cost(shaped, shaped(grid[0]), moving)
-        costs = [cost(value) for value in grid]
-        best = int(np.argmin(costs))
-        low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
-        found = minimize_scalar(
-            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)}
-        )
-        return shaped(float(found.x) if found.fun <= costs[best] else float(grid[best]))
-
-    # Least squares
-
-    def _cost(
-        self,
-        shaped: Callable[[float], ShapedEffects],
-        one: ShapedEffects,
-        moving: Collection[str],
-    ) -> Callable[[float], float]:
-        """Sum of squares of the fit over a value; what does not depend on it is fitted once."""
-        used = self._used
-        stay: list[Columns] = [{} for _ in used]
-        if SKEW not in moving:
-            held = {*one.names} - {*moving}
-            stay = [self._kept_columns(i, one, held) for i in used]
-        staying = Staying(stay)
-
-        def cost(value: float) -> float:
-            tried = shaped(value)
-            rests = [self._rest(i, tried) for i in used]
-            along = staying.along(rests)
-            tables = [
-                {n: c for n, c in self._kept_columns(i, tried, moving).items() if n not in table}
-                for i, table in zip(used, stay, strict=True)
-            ]
-            left = sum(float(rest @ rest) for rest in rests) - float(along @ along)
-            return left - staying.explained(tables, rests, along)
-
-        return cost
-
-    def _rest(self, i: int, shaped: ShapedEffects) -> FloatArray:
-        """What the bench leaves of a piece, at the samples that count, shape (k,)."""
-        piece = self.pieces[i]
-        return piece.kept(piece.measured - self._base(i, shaped))
-
-    def _kept_columns(
-        self, i: int, shaped: ShapedEffects, names: Collection[str] | None = None
-    ) -> Columns:
-        """Columns at the samples that count, of all effects or of some."""
-        columns = self._columns(i, shaped, names)
-        return {name: self.pieces[i].kept(column) for name, column in columns.items()}
-
-    def _linear(self, shaped: ShapedEffects) -> Values:
-        """Linear coefficients by name, fitted on all used pieces."""
-        used = self._used
-        tables = [self._kept_columns(i, shaped) for i in used]
+    def _linear_fit(self) -> tuple[list[int], dict[str, float]]:
+        """Used pieces below the cut-off, and coefficients of all that is linear, fitted on them."""
+        chosen = [i for i in self.used if not self.windows[i].above]
+        tables = [self._linear_columns(i) for i in chosen]
         names = list(dict.fromkeys(name for table in tables for name in table))
-        if not names:
-            return {}
-        # A piece of which nothing is modelled says nothing of the coefficients.
-        chosen = [(i, table) for i, table in zip(used, tables, strict=True) if table]
-        matrix = np.vstack([stacked(table, names) for _, table in chosen])
-        rest = np.concatenate([self._rest(i, shaped) for i, _ in chosen])
-        return dict(zip(names, least_squares(matrix, rest).tolist(), strict=True))
+        blocks, targets = [], []
+        for i, table in zip(chosen, tables, strict=True):
+            piece = self.pieces[i]
+            nothing = np.zeros(piece.measured.size)
+            columns = [table.get(name, nothing) for name in names]
+            blocks.append(piece.kept(np.column_stack([*columns, nothing])))
+            known = self.discrepancy[i] if self.discrepancy else 0.0
+            targets.append(piece.kept(piece.measured - self.base(i) - known))
+        values = least_squares(np.vstack(blocks), np.concatenate(targets))[:-1]
+        return chosen, dict(zip(names, values.tolist(), strict=True))
 
-    def _prediction(self, i: int, shaped: ShapedEffects, linear: Mapping[str, float]) -> FloatArray:
-        """All that is modelled of a piece, in units of its channel."""
-        prediction = self._base(i, shaped).copy()
-        for name, column in self._columns(i, shaped).items():
-            prediction += linear[name] * column
-        return prediction
+    def _linear_prediction(self, i: int, values: Mapping[str, float]) -> FloatArray:
+        columns = self._linear_columns(i)
+        parts = (values[name] * column for name, column in columns.items() if name in values)
+        return np.asarray(self.base(i) + sum(parts))
 
-    def _own(
-        self,
-        i: int,
-        shaped: ShapedEffects,
-        linear: Values,
-        found: Mapping[str, Mapping[str, float]],
-    ) -> Values:
-        """Coefficients of a piece; what belongs to a held-out recording alone is fitted on it."""
-        columns = self._columns(i, shaped)
-        own = [name for name in columns if name not in linear]
-        if not own:
-            return linear
-        piece = self.pieces[i]
-        rest = piece.measured - self._base(i, shaped)
-        for name, column in columns.items():
-            if name in linear:
-                rest = rest - linear[name] * column
-        matrix = np.column_stack([columns[name] for name in own])
-        fitted = least_squares(piece.kept(matrix), piece.kept(rest)).tolist()
-        complete = {**linear, **dict(zip(own, fitted, strict=True))}
-        self._share_amplitudes(found, complete)
-        return complete
+    def fitted(self) -> tuple[FloatArray, ...]:
+        """Prediction of every used piece below the cut-off by all that is linear, (n,); of others
+        an empty one."""
+        chosen, values = self._linear_fit()
+        return tuple(
+            self._linear_prediction(i, values) if i in chosen else np.zeros(0)
+            for i in range(len(self.pieces))
+        )
 
-    def _share_amplitudes(self, found: Mapping[str, Mapping[str, float]], linear: Values) -> None:
-        """Waves with a phase for each recording have one amplitude."""
-        for name, parameters in found.items():
-            amplitude = abs(parameters[self.terms[name].candidate.amplitude])
-            for sine in [key for key in linear if key.startswith(f"{name}.sine@")]:
-                cosine = sine.replace(".sine@", ".cosine@")
-                size = math.hypot(linear[sine], linear[cosine])
-                if size > 0.0:
-                    linear[sine] *= amplitude / size
-                    linear[cosine] *= amplitude / size
+    def least_left(self) -> float:
+        """Sum of squares that these leave."""
+        made = self.fitted()
+        return sum(
+            float(np.sum(self.pieces[i].kept(self.pieces[i].measured - made[i]) ** 2))
+            for i in self.used
+            if not self.windows[i].above
+        )
 
-    def _catalogue(self, effect: ShapedEffect, linear: Values) -> Values:
-        """An effect's parameters as the catalogue has them; phases of all recordings or none."""
-        name, term, start = effect.name, effect.term, f"{effect.name}."
-        parameters = effect.shape
-        if not term.periodic:
-            own = {k.removeprefix(start): v for k, v in linear.items() if k.startswith(start)}
-            return parameters | own
-        amplitude = 0.0
-        for sine in [key for key in linear if key.startswith(f"{name}.sine")]:
-            cosine = linear[sine.replace(".sine", ".cosine")]
-            where = sine.partition(".sine")[2]
-            amplitude += math.hypot(linear[sine], cosine) * self._share(where)
-            if not where:
-                parameters[PHASE] = math.atan2(cosine, linear[sine])
-        return {term.candidate.amplitude: amplitude, **parameters}
+    def _with_width(self) -> InverseView:
+        names = (*self.terms, *(e.name for e in self.bench.effects))
+        if self.load or not any("direction" in effect_named(n).depends_on for n in names):
+            return self
+        unit = self.speed_rad_per_s
+        width = _minimum(
+            lambda w: replace(self, width=w).least_left(), [unit * w for w in WIDTH_GRID]
+        )
+        return replace(self, width=width)
 
-    def _share(self, where: str) -> float:
-        """Weight of a recording in an amplitude common to all: its share of the samples."""
-        if not where:
-            return 1.0
-        sizes: Values = {}
-        for i in self._used:
-            key = f"@{self.pieces[i].name}"
-            sizes[key] = sizes.get(key, 0.0) + self.pieces[i].measured.size
-        return sizes[where] / sum(sizes.values())
-
-    # Derivatives
-
-    def _names(self, shaped: ShapedEffects, linear: Values) -> tuple[str, ...]:
-        """Everything fitted, sines and cosines as one amplitude and phases."""
-        names: list[str] = []
-        for name in linear:
-            effect, sine, where = name.partition(".sine")
-            if sine:
-                names += [f"{effect}.{self.terms[effect].candidate.amplitude}"]
-                names += [f"{effect}.{PHASE}{where}"]
-            elif ".cosine" not in name:
-                names.append(name)
-        names += [*shaped.values, *([WIDTH] if self._directional(shaped.names) else [])]
-        return tuple(dict.fromkeys(names))
-
-    def _jacobian(
-        self,
-        i: int,
-        shaped: ShapedEffects,
-        linear: Values,
-        names: Sequence[str],
-    ) -> FloatArray:
-        """∂prediction/∂value, shape (n, p): columns, and differences for what is scanned."""
-        columns, around = self._columns(i, shaped), _around(shaped)
-        nothing = np.zeros(self.pieces[i].measured.size)
+    def _slopes(self) -> tuple[FloatArray, ...]:
+        """Change of the prediction by a second of skew, with all that is linear as it fits."""
+        _, values = self._linear_fit()
+        step = 1e-2 / self.windows[0].low_pass.cutoff_hz
+        ahead, behind = (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
         made = []
-        for name in names:
-            if name in around:
-                value, moved = around[name]
-                step = self._step(name, value)
-                up, down = (self._prediction(i, moved(value + s), linear) for s in (step, -step))
-                # What is rounding alone must be no column: scaled, it would blur the others.
-                is_seen = np.abs(up - down).max() > ROUNDING * np.abs(up).max()
-                made.append((up - down) / (2.0 * step) if is_seen else nothing)
+        for i, piece in enumerate(self.pieces):
+            if self.windows[i].above:
+                made.append(np.zeros(piece.measured.size))
                 continue
-            effect, _, parameter = name.partition("@")[0].partition(".")
-            waves = [k for k in columns if k.startswith(f"{effect}.sine")] if parameter else []
-            if not waves:
-                made.append(columns.get(name, nothing))
-                continue
-            (wave,) = waves
-            where = wave.partition(".sine")[2]
-            sine, cosine = columns[wave], columns[f"{effect}.cosine{where}"]
-            a, b = linear[wave], linear[f"{effect}.cosine{where}"]
-            size = math.hypot(a, b) or 1.0
-            if parameter != PHASE:
-                made.append((a * sine + b * cosine) / size)
-            elif name.partition("@")[1] and f"@{name.partition('@')[2]}" != where:
-                made.append(nothing)
-            else:
-                made.append(a * cosine - b * sine)
-        return np.column_stack(made) if made else np.zeros((nothing.size, 0))
+            two = (view._linear_prediction(i, values) for view in (ahead, behind))
+            first, other = two
+            made.append((first - other) / (2.0 * step))
+        return tuple(made)
 
-    def _step(self, name: str, value: float) -> float:
-        effect, _, parameter = name.partition(".")
-        if effect == SKEW:
-            return 1e-3 / self.views[0].low_pass.cutoff_hz
-        return 1e-5 * value if parameter == ORDER else 1e-2 * value
+    def _rests(self) -> list[OrderedRest]:
+        """What all that is linear leaves, over the motor's angle."""
+        below = replace(self, orders=()).fitted()
+        made = []
+        for i in self.used:
+            piece, motion, window = self.pieces[i], self.motions[i], self.windows[i]
+            rest = piece.measured - (self._base_above(i) if window.above else below[i])
+            made.append(
+                OrderedRest(
+                    piece.name,
+                    piece.kept(piece.time_s),
+                    piece.kept(motion.angle[window.rows]),
+                    piece.kept(np.abs(motion.speed[window.rows])),
+                    piece.kept(rest),
+                    window.low_pass.cutoff_hz,
+                    window.above,
+                    window.low_pass.period_s,
+                    window.step_rad,
+                )
+            )
+        return made
+
+    def _with_lines(self) -> InverseView:
+        """With the orders and frequencies that stand out most."""
+        rests = self._rests()
+        turning = peaks(rests, self.phases_shared, MOST_ORDERS)
+        clock = [
+            replace(
+                r,
+                angle=2.0 * math.pi * (r.time_s - r.time_s[0]),
+                speed=np.full(r.time_s.size, 2.0 * math.pi),
+                step_rad=0.0,
+            )
+            for r in rests
+            if not r.above
+        ]
+        # Speeds are round numbers as mains and clocks are: at one speed what is a whole order may
+        # be such a frequency as well.
+        round_one = max((line.anywhere + line.whole for line in turning), default=0.0)
+        passing = [
+            replace(line, anywhere=max(line.anywhere, round_one))
+            for line in peaks(clock, False, MOST_LINES, whole=False)
+        ]
+        return replace(self, orders=tuple(turning), lines=tuple(passing))
+
+    # What is told
+
+    def reportable(self, inference: Inference, label: str) -> bool:
+        """Not a skew that may be below half a sample, which is what a controller holds between
+        samples; nor a shape at an end of its range, which is another law in disguise."""
+        if label == SKEW:
+            time = self.motions[0].time_s
+            (skew,) = inference.values(label).values()
+            surely = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
+            return surely > 0.5 * float(time[1] - time[0])
+        whole = self._grid(label) if label in self.terms else ()
+        scanned = self.terms[label].law.scanned if whole else None
+        if scanned is None:
+            return True
+        value = inference.values(label)[scanned].value
+        return whole[0] < value < whole[-1]
+
+    def settled(self, labels: Sequence[str]) -> InverseView:
+        """Itself: it is linear but for shapes, which are as the posterior has them."""
+        return self
+
+    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
+        """Predictions without any effect."""
+        return inference.nominal()
+
+    def learned(
+        self, inference: Inference, fitted: Coefficients, group: int
+    ) -> LearnedAnswer | None:
+        """A group as a torque over its variable."""
+        if self.load or group >= len(self._series):
+            return None
+        return learned_answer(self._series[group][1], inference, fitted, group)
+
+    def augmented(
+        self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
+    ) -> Bench | None:
+        """With what was named and learned; ``None`` if a phase of it belongs to a recording."""
+        effects = [
+            BenchEffect(name, {k: EffectParameterValue(v) for k, v in parameters.items()})
+            for name, parameters in named.items()
+        ]
+        if any(effect_named(e.name).is_periodic and PHASE not in e.parameters for e in effects):
+            return None
+        assert answer.learned is not None
+        assert isinstance(answer.learned.term, LearnedTorque)
+        bench = replace(self.bench, learned_torque=answer.learned.term)
+        fitted = {k: v.value for k, v in answer.bench_parameters.items()}
+        return bench.with_parameters(**fitted).with_effects(*bench.effects, *effects)
 
 
-def _around(shaped: ShapedEffects) -> dict[str, tuple[float, Callable[[float], ShapedEffects]]]:
-    """Everything scanned by name: its value, and the effects with another."""
+def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
+    """The value of the least cost: a grid, then a search around its best."""
+    costs = [cost(value) for value in grid]
+    best = int(np.argmin(costs))
+    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    found = minimize_scalar(
+        cost, bounds=(low, high), method="bounded", options={"xatol": 1e-2 * (high - low)}
+    )
+    return float(found.x) if found.fun <= costs[best] else float(grid[best])
 
-    def moved(effect: ShapedEffect) -> Callable[[float], ShapedEffects]:
-        return lambda value: shaped.plus(effect.term, value)
 
-    scanned = [(e, key, value) for e in shaped.effects for key, value in e.shape.items()]
-    return {
-        WIDTH: (shaped.width, lambda value: replace(shaped, width=value)),
-        **{f"{e.name}.{key}": (value, moved(e)) for e, key, value in scanned},
-    }
+LARGEST_SHARE = 0.01
+"""Of noise in the power of the acceleration: so much too small an inertia comes out."""
+
+BANDS_PER_OCTAVE = 3
+FEWEST_LINES = 10
+"""Of a spectrum in a band."""
+
+
+def resolved_hz(positions: Sequence[FloatArray], period_s: float) -> float:
+    """The frequency up to which noise of the position has no more than a share in the acceleration.
+
+    Noise of the acceleration lowers the inertia by its share in the acceleration's power (errors in
+    variables): Σ f⁴ σ² over the frequencies below, over Σ f⁴ |θ|².
+    """
+    frequencies, powers, noises = [], [], []
+    for position in positions:
+        trend = np.linspace(position[0], position[-1], position.size)
+        taper = np.hanning(position.size)
+        frequency = np.fft.rfftfreq(position.size, period_s)
+        frequencies.append(frequency)
+        powers.append(frequency**4 * np.abs(np.fft.rfft(taper * (position - trend))) ** 2)
+        noises.append(frequency**4 * noise_of(position) ** 2 * float(taper @ taper))
+    frequency = np.concatenate(frequencies)
+    order = np.argsort(frequency, kind="stable")
+    power, noise = (np.cumsum(np.concatenate(parts)[order]) for parts in (powers, noises))
+    within = np.flatnonzero(noise <= LARGEST_SHARE * power)
+    # Below four times what the filter carries from the ends nothing would be left to compare.
+    lasting = period_s * max(position.size for position in positions)
+    least = 4.0 * END_PERIODS / lasting
+    return max(least, float(frequency[order][within[-1]]) if within.size else 0.0)
+
+
+def coherent_hz(resolved: InverseView) -> float | None:
+    """The end of the highest third of an octave that the prediction explains more than half of.
+
+    With T the spectrum of the measurement and R that of what all that is linear, and the motor
+    orders that stand out, leave of it: Σ|R|² < ½ Σ|T|². ``None`` if no band has that.
+
+    Parameters
+    ----------
+    resolved
+        The view behind the highest cut-off that resolves the motion.
+    """
+    view = resolved.coarse()
+    predicted = view.fitted()
+    frequencies, measured, left = [], [], []
+    for i in view.used:
+        piece = view.pieces[i]
+        if piece.shown:
+            rest = piece.measured - predicted[i]
+            frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
+            measured.append(_power(piece.measured))
+            left.append(_power(rest))
+    frequency, total = np.concatenate(frequencies), np.concatenate(measured)
+    rest = np.concatenate(left)
+    top = view.windows[0].low_pass.cutoff_hz
+    ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
+    while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
+        if 2.0 * rest[band].sum() < total[band].sum():
+            return top
+        top /= ratio
+    return None
+
+
+def _power(values: FloatArray) -> FloatArray:
+    tapered = np.hanning(values.size) * (values - values.mean())
+    return np.asarray(np.abs(np.fft.rfft(tapered)) ** 2)

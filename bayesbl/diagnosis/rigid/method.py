@@ -10,12 +10,36 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.comparison import EffectsFit, Piece
+from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.rigid.cutoff import coherent_hz, resolved_hz
-from bayesbl.diagnosis.rigid.inverse import InverseComparison
-from bayesbl.diagnosis.rigid.motion import LowPass, Motion, motion_of, reach
-from bayesbl.diagnosis.rigid.order_scan import FEWEST_SAMPLES
+from bayesbl.diagnosis.inference import MOST_EFFECTS, Inference, diagnose
+from bayesbl.diagnosis.rigid.inverse import (
+    POSITION_TERMS,
+    TORQUE_TERMS,
+    InverseView,
+    coherent_hz,
+    resolved_hz,
+    uncomputable,
+    within_turns,
+    without_load_angle,
+)
+from bayesbl.diagnosis.rigid.motion import (
+    WIDEST,
+    LowPass,
+    Motion,
+    Window,
+    inside,
+    motion_of,
+    noise_of,
+    reach,
+    sharper,
+    standstill,
+    step_of,
+    thinned,
+    turns_of,
+)
+from bayesbl.diagnosis.rigid.orders import FEWEST_SAMPLES
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -24,33 +48,10 @@ from bayesbl.diagnosis.rigid.preparation import (
     require_rigid,
     unknown_parameters,
 )
-from bayesbl.diagnosis.rigid.released import (
-    learned_or_gravity,
-    notes_on_released,
-    with_released,
-)
-from bayesbl.diagnosis.rigid.terms import (
-    POSITION_TERMS,
-    TORQUE_TERMS,
-    uncomputable,
-    within_turns,
-    without_load_angle,
-)
-from bayesbl.diagnosis.rigid.view import (
-    WIDEST,
-    View,
-    inside,
-    noise_of,
-    sharper,
-    standstill,
-    step_of,
-    thinned,
-    turns_of,
-)
-from bayesbl.diagnosis.selection import BySelection, Problem
 from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
+from bayesbl.progress import StageProgress
 from bayesbl.recording.evenly import widened
 from bayesbl.recording.types import (
     LOAD_POSITION,
@@ -77,15 +78,26 @@ USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
 )
 """How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
 
-BENCH_ROUNDS = 2
-"""Of fits, each with columns by the bench of the one before: it moves by per cents at most."""
-
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
 
 
-def inverse_problem(task: Task) -> Problem:
-    """The comparison that a configuration asks for.
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a configuration asks for.
+
+    ``view``: behind a cut-off in Hz; ``cutoff_hz``: the one to compare behind. ``scale_sd``:
+    relative standard deviation of the torque constant.
+    """
+
+    view: InverseView
+    candidates: tuple[str, ...]
+    notes: tuple[str, ...]
+    scale_sd: float
+
+
+def asked_of(task: Task) -> Asked:
+    """The view that a configuration asks for.
 
     Raises
     ------
@@ -110,7 +122,7 @@ def inverse_problem(task: Task) -> Problem:
     terms = {name: term for name, term in every.items() if name not in left_out}
     chosen = wanted(config, bench, [term.candidate for term in terms.values()])
 
-    def comparison_below(cutoff_hz: float) -> InverseComparison:
+    def view_below(cutoff_hz: float) -> InverseView:
         found = [
             part
             for entry, recording in zip(config.recordings, recordings, strict=True)
@@ -118,11 +130,11 @@ def inverse_problem(task: Task) -> Problem:
                 recording, channel, USES_OF[entry.use], cutoff_hz, config.comparison.known_torque
             )
         ]
-        made = InverseComparison(
+        made = InverseView(
             tuple(item.piece for item in found),
             tuple(item.motion for item in found),
             tuple(item.known for item in found),
-            tuple(item.view for item in found),
+            tuple(item.window for item in found),
             bench,
             {candidate.name: terms[candidate.name] for candidate in chosen},
             unknown,
@@ -135,10 +147,9 @@ def inverse_problem(task: Task) -> Problem:
         _require_motion(made, recordings)
         return made
 
-    cutoff = asked.cutoff_hz or _cutoff_hz(recordings, comparison_below)
-    stated = comparison_below(cutoff)
-    comparison, released = with_released(stated)
-    pieces, motions = comparison.pieces, comparison.motions
+    cutoff = asked.cutoff_hz or _cutoff_hz(recordings, view_below)
+    view = view_below(cutoff)
+    pieces, motions = view.pieces, view.motions
     notes = [*notes_of(recordings), *_one_way(pieces, motions)]
     notes += _notes_on_sources(motions, cutoff, given=asked.cutoff_hz is not None)
     if load:
@@ -152,19 +163,45 @@ def inverse_problem(task: Task) -> Problem:
             f"{100.0 * unit_tolerance:.2g} %: all torques and inertias found are as uncertain, "
             "together."
         )
-    alarm = config.candidates.false_alarm
-    gravity = bench.value(GRAVITY)
-    used = tuple(dict.fromkeys(piece.name for piece in pieces if piece.use == "used"))
-    return Problem(
-        comparison,
-        lambda fit: comparison.scan_orders(fit).remaining(channel, used, alarm),
-        tuple(notes),
-        lambda made, fit: notes_on_released(made, fit, released, gravity),
-        lambda made, fit, alarm: learned_or_gravity(made, fit, alarm, gravity),
-        unit_tolerance / math.sqrt(3.0),
-        lambda fit: around_fitted(comparison, fit),
-        stated if released else None,
-    )
+    names = tuple(candidate.name for candidate in chosen)
+    return Asked(view, names, tuple(notes), unit_tolerance / math.sqrt(3.0))
+
+
+class Inverse:
+    """The method of diagnosis."""
+
+    name = "inverse"
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        asked = asked_of(task)
+        channel = asked.view.pieces[0].channel
+        return f"{self.name}, {channel}; candidates {', '.join(asked.candidates)}"
+
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        asked = asked_of(task)
+        most = task.config.candidates.max_effects or MOST_EFFECTS
+        return diagnose(
+            asked.view.prepared(),
+            task.bench,
+            most=most,
+            notes=lambda inference: [*asked.notes, *_gravity_notes(inference)],
+            scale_sd=asked.scale_sd,
+            progress=progress,
+        )
+
+
+def _gravity_notes(inference: Inference) -> Iterator[str]:
+    """Of gravity that the bench lacks."""
+    if "gravity" in inference.posterior.named:
+        size = inference.values("gravity")[GRAVITY]
+        yield (
+            "What is left goes with the load's angle as gravity does, though the bench has "
+            f"gravity_torque_nm = 0: {size.value:.3g} N m at the load were fitted, with their "
+            "direction. A balancer that the bench lacks may look the same. Give gravity in the "
+            "bench file, if it is that."
+        )
 
 
 def _torque_per_unit(task: Task, channel: str) -> tuple[float, float]:
@@ -185,7 +222,7 @@ def _torque_per_unit(task: Task, channel: str) -> tuple[float, float]:
 
 
 def _cutoff_hz(
-    recordings: Sequence[Recording], comparison_below: Callable[[float], InverseComparison]
+    recordings: Sequence[Recording], view_below: Callable[[float], InverseView]
 ) -> float:
     """Up to where the bench explains half of what is measured, or the motion is resolved."""
     period = max(recording.sampling_period_s for recording in recordings)
@@ -193,7 +230,7 @@ def _cutoff_hz(
     resolved = WIDEST / period
     if positions:
         resolved = min(resolved_hz(positions, period), resolved)
-    return coherent_hz(with_released(comparison_below(resolved))[0]) or resolved
+    return coherent_hz(view_below(resolved)) or resolved
 
 
 def _notes_on_sources(motions: Sequence[Motion], cutoff_hz: float, *, given: bool) -> Iterator[str]:
@@ -224,24 +261,6 @@ def _not_compared(recordings: Sequence[Recording], gear_ratio: float, cutoff_hz:
     )
 
 
-def around_fitted(
-    comparison: InverseComparison, fit: EffectsFit
-) -> tuple[InverseComparison, EffectsFit]:
-    """The comparison with the bench as it was fitted, and the fit on it.
-
-    An eccentric encoder adds J d²e/dt² and a loaded gear rubs as the load pulls, so their sizes
-    hold for the bench that their columns are made of.
-    """
-    for _ in range(BENCH_ROUNDS):
-        possible = {name: value for name, value in fit.bench.items() if value > 0.0}
-        if not possible:
-            break
-        bench = comparison.bench.with_parameters(**possible)
-        comparison = replace(comparison, bench=bench, seen=())
-        fit = comparison.fit(tuple(fit.effects), fit)
-    return comparison, fit
-
-
 @dataclass(frozen=True, slots=True)
 class Compared:
     """A piece, its motion and known torque over the whole recording, and what is seen of them."""
@@ -249,7 +268,7 @@ class Compared:
     piece: Piece
     motion: Motion
     known: FloatArray
-    view: View
+    window: Window
 
 
 def _read(recording: Recording, channel: str) -> tuple[str, ...]:
@@ -291,10 +310,10 @@ def compared(
     window = None if out is None else np.where(out, 0.0, 1.0)
     low_pass = LowPass(cutoff_hz, period)
     step = 0.0 if position is None else step_of(position)
-    views = [View(low_pass, window, thinned(recording, cutoff_hz), step_rad=step)]
+    windows = [Window(low_pass, window, thinned(recording, cutoff_hz), step_rad=step)]
     if channel != LOAD_POSITION:
-        views.append(View(low_pass, window, inside(recording, cutoff_hz), True, step, noise))
-    compared_samples = len(range(*views[0].rows.indices(recording.samples)))
+        windows.append(Window(low_pass, window, inside(recording, cutoff_hz), True, step, noise))
+    compared_samples = len(range(*windows[0].rows.indices(recording.samples)))
     if compared_samples < FEWEST_SAMPLES:
         raise RecordingError(
             "The cut-off of the filter is too low for so short a recording: its ends reach all of "
@@ -306,7 +325,7 @@ def compared(
     torques = (recording.channels[name] for name in known_torque)
     known = LowPass(sharp, period)(sum(torques, np.zeros(recording.samples)))
     found = []
-    for view in views:
+    for view in windows:
         signal = recording.channels[channel]
         # As sharp as the motion, and no sharper, where the motion has a part in it.
         seen = view(signal if view.above else LowPass(sharp, period)(signal))
@@ -325,22 +344,21 @@ def compared(
     return found
 
 
-def _require_motion(comparison: InverseComparison, recordings: Sequence[Recording]) -> None:
-    """Refuse where nothing moves in a part that is fitted or predicted, of the folds too."""
-    for made in (comparison, *comparison.folds()):
-        for piece in made.pieces:
-            moving = piece.kept(piece.time_s).size
-            if moving < FEWEST_SAMPLES:
-                (place,) = {r.place for r in recordings if r.name == piece.name}
-                raise RecordingError(
-                    "The axis stands or turns round nearly all of the time in a part that is to be "
-                    "fitted or predicted.",
-                    file=place,
-                    where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
-                    found=f"{moving} of {piece.time_s.size} samples of a motion",
-                    expected=f"{FEWEST_SAMPLES} or more: a recording that moves throughout, or one "
-                    "to fit on and another that is held out",
-                )
+def _require_motion(view: InverseView, recordings: Sequence[Recording]) -> None:
+    """Refuse where nothing moves in a part that is fitted or predicted."""
+    for piece in view.pieces:
+        moving = piece.kept(piece.time_s).size
+        if moving < FEWEST_SAMPLES:
+            (place,) = {r.place for r in recordings if r.name == piece.name}
+            raise RecordingError(
+                "The axis stands or turns round nearly all of the time in a part that is to be "
+                "fitted or predicted.",
+                file=place,
+                where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
+                found=f"{moving} of {piece.time_s.size} samples of a motion",
+                expected=f"{FEWEST_SAMPLES} or more: a recording that moves throughout, or one "
+                "to fit on and another that is held out",
+            )
 
 
 def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], load: bool) -> None:
@@ -388,4 +406,4 @@ def _one_way(pieces: tuple[Piece, ...], motions: tuple[Motion, ...]) -> Iterator
         )
 
 
-METHOD = BySelection("inverse", inverse_problem)
+METHOD = Inverse()

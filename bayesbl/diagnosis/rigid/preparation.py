@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.task import Task, piece_of, refused, rows_of, sound
@@ -101,3 +102,12 @@ def unknown_parameters(task: Task, possible: Sequence[str]) -> tuple[str, ...]:
             "load_angle_known = true, or no gravity_torque_nm here",
         )
     return names
+
+
+def believed_sds(bench: Bench, names: Sequence[str]) -> dict[str, float]:
+    """Of parameters that are fitted: as far as the tolerance, or as far as nothing."""
+    return {
+        name: max(bench.tolerances.get(name, 0.0), abs(bench.value(name)))
+        for name in names
+        if bench.value(name) != 0.0
+    }

@@ -22,23 +22,7 @@ from bayesbl.presentation.figures.stored_figure import (
     interval_name,
     stored_figure,
 )
-from bayesbl.presentation.figures.style import (
-    BAND,
-    DOUBLE_COLUMN_IN,
-    GAP,
-    MEASURED,
-    MODEL,
-    NEUTRAL,
-    density,
-    grid,
-    head_panels,
-    legend_above,
-    look,
-    new_figure,
-    one_panel_each,
-    rotation_axis,
-    shade,
-)
+from bayesbl.presentation.figures.style import GAP
 from bayesbl.presentation.words import significant
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import in_words, unit_of
@@ -71,8 +55,8 @@ def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
     """Overlay above, residuals below; the half that was held out is tinted."""
     signals = tree["signals"].to_dataset()
     rows = [i for i, name in enumerate(signals["recording"].values) if str(name) == recording]
-    figure = new_figure(DOUBLE_COLUMN_IN, _HEIGHT_IN)
-    spec = grid(figure, 2, 1, between=(0.35, 0.0))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, _HEIGHT_IN)
+    spec = style.grid(figure, 2, 1, between=(0.35, 0.0))
     upper = figure.add_subplot(spec[0, 0])
     lower = figure.add_subplot(spec[1, 0], sharex=upper)
     for row in rows:
@@ -82,14 +66,14 @@ def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
     name = CHANNELS.get(channel, channel)
     upper.set_ylabel(f"{name.capitalize()} ({unit})")
     lower.set_ylabel(f"Residual ({unit})")
-    lower.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     lower.set_xlabel("Time (s)")
     upper.tick_params(labelbottom=False)
     uses = {str(signals["use"].values[row]) for row in rows}
     words = {"used": "fitted on", "held_out": "held out"}
     whole = " and ".join(words[use] for use in sorted(uses, reverse=True))
-    head_panels([upper, lower], [f"{recording} ({whole})", "measured minus bench"])
-    legend_above(upper)
+    style.head_panels([upper, lower], [f"{recording} ({whole})", "measured minus bench"])
+    style.legend_above(upper)
     return figure
 
 
@@ -104,14 +88,14 @@ def _draw_piece(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, spl
     def label(text: str) -> str | None:
         return text if labelled else None
 
-    upper.plot(time, measured, color=MEASURED, linewidth=0.6, label=label("measured"))
+    upper.plot(time, measured, color=style.MEASURED, linewidth=0.6, label=label("measured"))
     upper.plot(time, before, color=BEFORE, linewidth=0.8, linestyle="--", label=label("before"))
-    upper.plot(time, after, color=MODEL, linewidth=0.8, label=label("after"))
+    upper.plot(time, after, color=style.MODEL, linewidth=0.8, label=label("after"))
     lower.plot(time, measured - before, color=BEFORE, linewidth=0.6, linestyle="--")
-    lower.plot(time, measured - after, color=MODEL, linewidth=0.6)
+    lower.plot(time, measured - after, color=style.MODEL, linewidth=0.6)
     if str(piece["use"].values) == "held_out" and split:
         for axes in (upper, lower):
-            shade(axes, time[0], time[-1])
+            style.shade(axes, time[0], time[-1])
 
 
 _NOISE = "#000000"
@@ -161,8 +145,8 @@ def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) ->
     channels = [str(name) for name in np.atleast_1d(before.attrs["channels"])]
     channels = [n for n in channels if not np.isnan(stages[0][f"{n}_offset"])]
     rows = len(channels)
-    figure = new_figure(DOUBLE_COLUMN_IN, 1.04 + _ROW_IN * rows)
-    spec = grid(figure, rows, 3, left=0.6, top=0.64, between=(0.6, 0.62))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 1.04 + _ROW_IN * rows)
+    spec = style.grid(figure, rows, 3, left=0.6, top=0.64, between=(0.6, 0.62))
     axes: list[Axes] = []
     titles: list[str] = []
     for row, channel in enumerate(channels):
@@ -173,25 +157,27 @@ def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) ->
         _spectrum(spectrum, stages, channel)
         axes += [overlay, maps[0], spectrum]
         titles += [CHANNELS.get(channel, channel), "residuals: before, after", "their spectrum"]
-    head_panels(axes, titles)
+    style.head_panels(axes, titles)
     _legend(figure, stages, channels)
     return figure
 
 
 def _overlay(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
     angle = _values(stages[0], "load_angle_rad")
-    panel.plot(angle, _values(stages[0], f"{channel}_recorded"), color=MEASURED, linewidth=1.6)
+    panel.plot(
+        angle, _values(stages[0], f"{channel}_recorded"), color=style.MEASURED, linewidth=1.6
+    )
     for index, stage in enumerate(stages):
-        style = look(index)
+        look = style.look(index)
         panel.plot(
             angle,
             _values(stage, f"{channel}_simulated"),
-            color=style.colour,
-            linestyle=style.dashes,
+            color=look.colour,
+            linestyle=look.dashes,
             linewidth=0.9,
         )
     panel.set_ylabel(f"{_capital(channel)} ({unit_of(channel)})")
-    rotation_axis(panel, "Load angle (rad)")
+    style.rotation_axis(panel, "Load angle (rad)")
 
 
 def _load_maps(
@@ -204,15 +190,15 @@ def _load_maps(
     for index, stage in enumerate(stages):
         first = panels[0] if panels else None
         panel = figure.add_subplot(spec[index, 0], sharex=first, sharey=first)
-        style = look(index)
+        look = style.look(index)
         mean = _values(stage, f"{channel}_load_map")
         error = float(stage[f"{channel}_map_error"])
-        panel.axhline(0.0, color=NEUTRAL, linewidth=0.6)
+        panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
         panel.fill_between(
-            angle, mean - error, mean + error, color=style.colour, alpha=0.3, linewidth=0.0
+            angle, mean - error, mean + error, color=look.colour, alpha=0.3, linewidth=0.0
         )
-        panel.plot(angle, mean, color=style.colour, linewidth=0.7)
-        rotation_axis(panel, "Load angle (rad)")
+        panel.plot(angle, mean, color=look.colour, linewidth=0.7)
+        style.rotation_axis(panel, "Load angle (rad)")
         panel.label_outer()
         panels.append(panel)
     panels[0].set_ylabel(f"Recorded − simulated ({unit_of(channel)})", y=-0.06)
@@ -226,15 +212,15 @@ def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             for name in ("load_order", f"{channel}_amplitude", f"{channel}_noise_amplitude")
         )
         shown = (order > 0.0) & np.isfinite(amplitude)
-        style = look(index)
+        look = style.look(index)
         panel.plot(
             *_peaks(order[shown], amplitude[shown]),
-            color=style.colour,
-            linestyle=style.dashes,
+            color=look.colour,
+            linestyle=look.dashes,
             linewidth=0.7,
             zorder=1.0,
         )
-        _mark(panel, stage, channel, style.colour)
+        _mark(panel, stage, channel, look.colour)
         if index == len(stages) - 1:
             limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
             panel.plot(order[shown], limit, color=_NOISE, linewidth=0.8)
@@ -294,10 +280,12 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
 
 def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> None:
     panel = figure.axes[0]
-    handles = [Line2D([], [], color=MEASURED, linewidth=1.6, label="recorded, mean of rotations")]
+    handles = [
+        Line2D([], [], color=style.MEASURED, linewidth=1.6, label="recorded, mean of rotations")
+    ]
     for index, name in enumerate(("simulated before", "simulated after")):
-        style = look(index)
-        handles += panel.plot([], [], color=style.colour, linestyle=style.dashes, label=name)
+        look = style.look(index)
+        handles += panel.plot([], [], color=look.colour, linestyle=look.dashes, label=name)
     handles.append(
         Line2D(
             [],
@@ -322,7 +310,7 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
                     linestyle="none",
                     marker=marker,
                     markerfacecolor="none",
-                    markeredgecolor=NEUTRAL,
+                    markeredgecolor=style.NEUTRAL,
                     label=f"significant: {_NAMES[name]}",
                 )
             )
@@ -440,7 +428,7 @@ def _course(
     stored: xr.Dataset, told: LearnedSummary, value: FloatArray, sd: FloatArray, label: str
 ) -> Figure:
     figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0)
-    panel = figure.add_subplot(grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
+    panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
     x = stored["variable"].values * _SCALES.get(told["variable"], 1.0)
     reach = LEVEL_SD * sd
     panel.fill_between(x, value - reach, value + reach, color=style.BAND, linewidth=0.0)
@@ -475,12 +463,12 @@ def named_effects(tree: xr.DataTree) -> Figure:
     posterior = tree["posterior"].to_dataset()
     answer: Answer = json.loads(tree.attrs["diagnosis"])
     shown = [name for name in map(str, posterior) if _is_size(name, answer)]
-    figure, axes = one_panel_each(len(shown), height_in=1.9, shared=False, above=0.2)
+    figure, axes = style.one_panel_each(len(shown), height_in=1.9, shared=False, above=0.2)
     values = [
         _draw_named(panel, tree, posterior[name], _believed(name, answer))
         for panel, name in zip(axes, shown, strict=True)
     ]
-    head_panels(axes, values)
+    style.head_panels(axes, values)
     lines = [line for panel in axes for line in panel.lines]
     by_label = {
         line.get_label(): line for line in lines if not str(line.get_label()).startswith("_")
@@ -517,10 +505,10 @@ def _draw_named(
     factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
     draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
     found = credible_interval(tree, draws)
-    counts, edges = density(panel, draws, MODEL, bins=_DENSITY_BINS)
+    counts, edges = style.density(panel, draws, style.MODEL, bins=_DENSITY_BINS)
     for end in ("low", "median", "high"):
         panel.axvline(
-            found[end], color=NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
+            found[end], color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
             label=f"posterior: median and {interval_name(tree)}",
         )  # fmt: skip
     if believed is not None:
@@ -575,18 +563,18 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
     found = answer["parameters"]
     height = _TOP_IN + _BOTTOM_IN + _LINE_IN * len(found)
-    figure = new_figure(DOUBLE_COLUMN_IN, height)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, height)
     panel = figure.add_axes(
         (
-            _LEFT_IN / DOUBLE_COLUMN_IN,
+            _LEFT_IN / style.DOUBLE_COLUMN_IN,
             _BOTTOM_IN / height,
-            1.0 - (_LEFT_IN + _RIGHT_IN) / DOUBLE_COLUMN_IN,
+            1.0 - (_LEFT_IN + _RIGHT_IN) / style.DOUBLE_COLUMN_IN,
             1.0 - (_TOP_IN + _BOTTOM_IN) / height,
         )
     )
     for line, entry in enumerate(found.values()):
         _draw_parameter(panel, line, entry)
-    panel.axvline(0.0, color=NEUTRAL, linewidth=0.6, zorder=0)
+    panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6, zorder=0)
     panel.set_ylim(len(found) - 0.5, -0.5)
     panel.set_yticks(range(len(found)), [in_words(name).capitalize() for name in found])
     panel.tick_params(axis="y", length=0.0)
@@ -594,8 +582,8 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     panel.set_xlabel("From the data sheet's value (%)")
     level = next(iter(found.values()))["posterior"]["level"]
     handles = [
-        panel.barh(0, 0, color=BAND, label="data sheet with its tolerance"),
-        panel.errorbar([], [], xerr=[], fmt="o", color=MODEL, label=_label(level)),
+        panel.barh(0, 0, color=style.BAND, label="data sheet with its tolerance"),
+        panel.errorbar([], [], xerr=[], fmt="o", color=style.MODEL, label=_label(level)),
     ]
     figure.legend(handles=handles, loc="upper left", ncols=2)
     return figure
@@ -613,10 +601,10 @@ def _draw_parameter(panel: Axes, line: int, entry: ParameterSummary) -> None:
         return scale * (value - prior["value"])
 
     low, high = percent(prior["low"]), percent(prior["high"])
-    panel.barh(line, high - low, left=low, height=0.6, color=BAND, zorder=1)
+    panel.barh(line, high - low, left=low, height=0.6, color=style.BAND, zorder=1)
     ends = (percent(posterior["low"]), percent(posterior["high"]))
-    panel.plot(ends, (line, line), color=MODEL, linewidth=1.4, zorder=2)
-    panel.plot(percent(posterior["median"]), line, "o", color=MODEL, markersize=4.0, zorder=3)
+    panel.plot(ends, (line, line), color=style.MODEL, linewidth=1.4, zorder=2)
+    panel.plot(percent(posterior["median"]), line, "o", color=style.MODEL, markersize=4.0, zorder=3)
     unit = f" {entry['unit']}" if entry["unit"] else ""
     learned = max(0.0, 100.0 * entry["learned"])
     panel.text(

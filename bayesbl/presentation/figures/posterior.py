@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
-from bayesbl.presentation.figures.style import GAP, Scale, scale_of, time_constant
+from bayesbl.presentation.figures.style import GAP, Scale
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY
 
@@ -36,7 +36,7 @@ def corner(snapshot: Snapshot) -> Figure:
     """
     names = snapshot.symbols
     draws = {n: snapshot.values("posterior", n).ravel() for n in names}
-    scales = {n: scale_of(n, draws[n]) for n in names}
+    scales = {n: style.scale_of(n, draws[n]) for n in names}
     shown = {n: scales[n].shown(draws[n]) for n in names}
     ranges = {n: _range(shown[n]) for n in names}
     count = len(names)
@@ -179,7 +179,9 @@ def _explain(figure: Figure, snapshot: Snapshot) -> None:
     count = snapshot.values("posterior", AMPLITUDE).size
     terms = snapshot.groups["posterior"].sizes.get("baseline_term", 0)
     constant = (
-        time_constant(snapshot.values("posterior", DECAY)) if DECAY in snapshot.symbols else ""
+        style.time_constant(snapshot.values("posterior", DECAY))
+        if DECAY in snapshot.symbols
+        else ""
     )
     lines = [
         f"{count} draws; contours hold 50 % and 90 % of them,",
@@ -216,14 +218,14 @@ def trace(snapshot: Snapshot) -> Figure:
         left = figure.add_subplot(inner[0, 0])
         right = figure.add_subplot(inner[0, 1], sharey=left)
         draws = snapshot.values("posterior", name)
-        scale = scale_of(name, draws)
+        scale = style.scale_of(name, draws)
         _draw_trace(left, right, scale.shown(draws))
         if index >= len(names) - 2:
             left.set_xlabel("Draw, ensembles one after the other")
         else:
             left.tick_params(labelbottom=False)
         heads.append(left)
-        constant = f", 1/τ ≈ {time_constant(draws)}" if name == DECAY else ""
+        constant = f", 1/τ ≈ {style.time_constant(draws)}" if name == DECAY else ""
         titles.append(f"{scale.label()}{constant}: {_diagnostics(snapshot, name)}")
     style.head_panels(heads, titles)
     figure.text(0.99, 0.995, snapshot.name, ha="right", va="top")

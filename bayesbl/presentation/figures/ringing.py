@@ -21,7 +21,6 @@ from bayesbl.presentation.figures.stored_figure import (
     snapshots,
     stored_figure,
 )
-from bayesbl.presentation.figures.style import envelope
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WINDOW_START
 
@@ -120,8 +119,8 @@ def impact_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
 
 def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
     """Outlines of the dense traces: every extreme is on the page, not every sample."""
-    time, _, band_high = envelope(data.time, data.high, _BINS)
-    _, band_low, _ = envelope(data.time, data.low, _BINS)
+    time, _, band_high = style.envelope(data.time, data.high, _BINS)
+    _, band_low, _ = style.envelope(data.time, data.low, _BINS)
     upper.fill_between(time, band_low, band_high, color=style.BAND, linewidth=0.0, label="band")
     _outline(upper, data.time, data.speed, style.MEASURED, "measured")
     _outline(upper, data.time, data.model, style.MODEL, "model")
@@ -132,7 +131,7 @@ def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
 
 
 def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str, label: str) -> None:
-    middle, low, high = envelope(time, values, _BINS)
+    middle, low, high = style.envelope(time, values, _BINS)
     axes.fill_between(middle, low, high, color=colour, linewidth=0.5, label=label)
 
 

@@ -19,7 +19,6 @@ from bayesbl.curve.regression import relative_fit
 from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure, values
-from bayesbl.presentation.figures.style import plain_log_axis
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
@@ -74,7 +73,7 @@ def curve(tree: xr.DataTree) -> Figure:
     titles.append("the sweep")
     amplitude = values(tree, "curve", "amplitude")
     for panel in axes[1:]:
-        plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
+        style.plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
         panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
         panel.yaxis.set_label_coords(-0.13, 0.5)
         panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.9, zorder=1.5)
@@ -359,7 +358,7 @@ def _draw_spread(panel: Axes, tree: xr.DataTree) -> None:
             label=f"{len(percent)} bench draws" if index == 0 else None,
         )  # fmt: skip
     panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
-    plain_log_axis(panel.xaxis)
+    style.plain_log_axis(panel.xaxis)
     panel.set_xlim(gap[0], gap[-1])
     panel.set_xlabel("Gap δ (mrad)")
     panel.set_ylabel("Departure of A from the nominal bench (%)")

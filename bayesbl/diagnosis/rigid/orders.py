@@ -3,19 +3,44 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import (
+    Sequence,
+)
+from dataclasses import (
+    dataclass,
+    replace,
+)
 
 import numpy as np
-from scipy import fft
-from scipy.ndimage import median_filter
-from scipy.stats import chi2
+from scipy import (
+    fft,
+)
+from scipy.ndimage import (
+    median_filter,
+)
+from scipy.optimize import (
+    minimize_scalar,
+)
+from scipy.stats import (
+    chi2,
+)
 
-from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
+from bayesbl.recording.types import (
+    BoolArray,
+    ComplexArray,
+    FloatArray,
+)
 
 FEWEST_CYCLES = 3.0
 FEWEST_SAMPLES = 20
 """That an order must pass in to be judged: below, its score is no χ²."""
+
+CHANCE = 0.5
+"""Probability of as strong a line where there is none, up to which it is tried: the search
+decides."""
+
+WHOLE = 0.25
+"""Standard deviation of an order up to which a whole one is told from its neighbours."""
 
 SLOW_SHARE = 0.1
 """Of the time: in the slowest part the highest order still has two samples in a period."""
@@ -209,3 +234,121 @@ def _transform(
         seen[here] += rest.size
         squares[here] += 0.5 * float(rest @ rest)
     return found, seen, squares
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A wave that stands out.
+
+    Attributes
+    ----------
+    values
+        Orders, or frequencies, that are tried, evenly spaced but for a whole one.
+    anywhere, whole
+        Prior weight of all values together, and what a whole order has besides.
+    """
+
+    values: tuple[float, ...]
+    anywhere: float
+    whole: float
+
+    @classmethod
+    def around(cls, centre: float, step: float, anywhere: float, whole: float = 0.0) -> Line:
+        """Values a step apart, and the nearest whole one if it has a weight."""
+        values = set((centre + step * np.arange(-2.0, 3.0)).tolist())
+        if whole:
+            values.add(float(round(centre)))
+        return cls(tuple(sorted(values)), anywhere, whole)
+
+    @property
+    def middle(self) -> float:
+        """Of the values."""
+        return self.values[len(self.values) // 2]
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Of the values."""
+        even = self.anywhere / len(self.values)
+        return tuple(even + self.whole * float(v == round(v)) for v in self.values)
+
+    def finer(self, centre: float, sd: float) -> Line:
+        """Around the likeliest value, as closely as it is known."""
+        step = float(np.median(np.diff(self.values)))
+        return Line.around(centre, _halved(step, max(sd, 0.25 * step)), self.anywhere, self.whole)
+
+
+def _halved(step: float, size: float) -> float:
+    """A step halved or doubled until it is about as large: not to depend on the last digit."""
+    return float(step * 2.0 ** round(math.log2(size / step)))
+
+
+def peaks(
+    rests: Sequence[OrderedRest], shared: bool, most: int, *, whole: bool = True
+) -> list[Line]:
+    """Orders that stand out most, each beneath the stronger ones.
+
+    Beforehand one order is as probable as another as far as these recordings resolve them, but for
+    ``whole`` ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
+    """
+    found: list[Line] = []
+    known: list[float] = []
+    while len(found) < most:
+        spectrum = spectrum_of(rests, shared)
+        if not spectrum.orders.size:
+            break
+        step = float(spectrum.orders[1] - spectrum.orders[0])
+        scores = spectrum.scores.copy()
+        for order in known:
+            scores[np.abs(spectrum.orders - order) <= 2.0 * STEPS_PER_CYCLE * step] = 0.0
+        k = int(np.argmax(scores))
+        score = float(scores[k])
+        if spectrum.trials(score) * chi2.sf(score, spectrum.freedom) > CHANCE:
+            break
+        order, sd = _sharp(rests, shared, spectrum, k)
+        known.append(order)
+        nearest = round(order)
+        near = whole and nearest > 0 and abs(order - nearest) < step and sd < WHOLE
+        # Of one resolved order the values hold as much as lies within them.
+        share = (0.5 if whole else 1.0) * min(1.0, 5.0 * sd / (STEPS_PER_CYCLE * step))
+        special = 0.5 / max(1.0, float(spectrum.orders[-1])) if near else 0.0
+        found.append(Line.around(order, sd, min(1.0, share / spectrum.independent), special))
+        rests = [_without(item, order) for item in rests]
+    return found
+
+
+def _sharp(
+    rests: Sequence[OrderedRest], shared: bool, spectrum: OrderSpectrum, k: int
+) -> tuple[float, float]:
+    """The order near one of a spectrum that scores most, and its standard deviation.
+
+    That of a frequency with score χ² over a time T is √6/(π T √χ²) (Rife and Boorstyn 1974).
+    """
+    order, step = float(spectrum.orders[k]), float(spectrum.orders[1] - spectrum.orders[0])
+
+    def score(at: float) -> float:
+        waves, samples = dict.fromkeys(spectrum.powers, 0.0j), dict.fromkeys(spectrum.powers, 0)
+        for item in rests:
+            shows, owner = item.shows(order), owner_of(item, shared)
+            waves[owner] += item.rest[shows] @ np.exp(1j * at * item.angle[shows])
+            samples[owner] += int(shows.sum())
+        noise = {o: float(p[k]) * samples[o] for o, p in spectrum.powers.items()}
+        return sum(abs(waves[o]) ** 2 / noise[o] for o in waves if noise[o] > 0.0)
+
+    ends = (order - step, order + step)
+    exact = {"xatol": 1e-4 * step}
+    best = minimize_scalar(lambda at: -score(at), bounds=ends, method="bounded", options=exact)
+    sd = math.sqrt(6.0) / math.pi * STEPS_PER_CYCLE * step / math.sqrt(max(1.0, -float(best.fun)))
+    sd = _halved(step, min(sd, 0.5 * step))
+    return sd * round(float(best.x) / sd), sd
+
+
+def _without(item: OrderedRest, order: float) -> OrderedRest:
+    """The residual less its wave of an order, where it shows it."""
+    rows = np.flatnonzero(item.shows(order))
+    if rows.size < FEWEST_SAMPLES:
+        return item
+    phase = order * item.angle[rows]
+    waves = np.column_stack([np.cos(phase), np.sin(phase)])
+    rest = item.rest.copy()
+    rest[rows] -= waves @ np.linalg.lstsq(waves, rest[rows])[0]
+    return replace(item, rest=rest)

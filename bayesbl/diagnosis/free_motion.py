@@ -1,0 +1,592 @@
+"""Free motion of a rigid bench: let go without motor torque, the position simulated and compared.
+
+Start angle and speed of every recording are fitted with the effects, and where the load's zero is
+unless it is known: nonlinear least squares on the simulated position, first with both usual
+frictions, then with what the posterior holds. There the trajectory is linearised: a hypothesis that
+is absent is where the line through the fit crosses zero. On one inertia friction at the motor and
+at the load are the same law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import (
+    Mapping,
+    Sequence,
+)
+from dataclasses import (
+    dataclass,
+    field,
+    replace,
+)
+from functools import (
+    cached_property,
+    partial,
+)
+
+import numpy as np
+from scipy.optimize import (
+    least_squares,
+)
+
+from bayesbl.bench.bench import (
+    Bench,
+)
+from bayesbl.bench.effect_declaration import (
+    EffectParameter,
+    Shape,
+)
+from bayesbl.bench.effects import (
+    EFFECTS,
+    effect_named,
+)
+from bayesbl.bench.kernel import (
+    MOTOR_ANGLE,
+    MOTOR_SPEED,
+    STATES,
+    Slot,
+)
+from bayesbl.bench.learned import (
+    LearnedTorque,
+)
+from bayesbl.bench.simulation import (
+    simulate_states,
+)
+from bayesbl.diagnosis.comparison import (
+    AffineModel,
+    Candidate,
+    Discrepancy,
+    Look,
+    Piece,
+    TestedEffect,
+)
+from bayesbl.diagnosis.diagnosis import (
+    Diagnosis,
+    LearnedAnswer,
+)
+from bayesbl.diagnosis.inference import (
+    MOST_EFFECTS,
+    Coefficients,
+    Inference,
+    Series,
+    diagnose,
+    learned_answer,
+)
+from bayesbl.diagnosis.rigid.inverse import (
+    TORQUE_TERMS,
+)
+from bayesbl.diagnosis.rigid.preparation import (
+    GRAVITY,
+    INERTIAS,
+    believed_sds,
+    compared_channel,
+    even_recordings,
+    pieces_of,
+    require_rigid,
+    unknown_parameters,
+)
+from bayesbl.diagnosis.task import (
+    Task,
+    notes_of,
+    refused,
+    wanted,
+)
+from bayesbl.errors import (
+    BenchError,
+    RecordingError,
+)
+from bayesbl.progress import (
+    StageProgress,
+)
+from bayesbl.recording.types import (
+    MOTOR_POSITION,
+    FloatArray,
+)
+from bayesbl.recording.types import (
+    MOTOR_SPEED as SPEED_CHANNEL,
+)
+from bayesbl.units import (
+    RPM_PER_RAD_PER_S,
+)
+
+ACCURACY = 1e-7
+"""Largest error of the simulated speed, as a share of the largest speed.
+
+The simulation's steps change with the parameters, so its error jumps: at 1e-5 as much as the finite
+differences see of an effect, and searches ended early, each elsewhere.
+"""
+
+WIDTHS = (1e-3, 0.01, 0.3)
+"""Speed over which dry friction changes its sign, in RMS speeds: least, first and largest."""
+
+SHAPE_RANGE = (0.01, 2.0)
+"""Of a fading speed, in RMS speeds."""
+
+SHAPES = tuple(np.geomspace(0.02, 1.0, 6))
+"""Fading speeds that are tried, in RMS speeds."""
+
+ORDERS = 4
+"""Of a torque that nothing explains, over the load's angle and the speed."""
+
+FIRST = ("motor_coulomb_friction", "motor_viscous_friction")
+"""Effects of the first fit: without friction a trajectory is too far off to be linearised."""
+
+STEP = 0.05
+"""Of a size at which its search begins: for derivatives."""
+
+_ZERO, WIDTH = "angle_zero", "friction_width"
+_FIRST_SHARE = 0.03
+_DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_per_s")
+
+
+def free_motion_effects(load_angle_known: bool) -> tuple[TestedEffect, ...]:
+    """Catalogue effects that free motion shows."""
+    return tuple(
+        TORQUE_TERMS[effect.name].candidate
+        for effect in EFFECTS
+        if effect.free_motion and (load_angle_known or "load_angle" not in effect.depends_on)
+    )
+
+
+Values = Mapping[str, float]
+"""Bench parameters, ``effect.parameter``, the zero, the width, and ``angle@i``, ``speed@i``."""
+
+
+@dataclass(frozen=True)
+class FreeMotionView:
+    """Pieces that begin when the motor lets go; position in rad, or speed in rpm, of the motor.
+
+    Attributes
+    ----------
+    starts
+        Angle and speed near each start, shape (2,), rad and rad/s.
+    effects
+        That may take part.
+    unknown
+        Bench parameters that are fitted.
+    fitted, values
+        Effects in the fit that all is linearised around, and its values.
+    without
+        Predictions of the fit without any effect.
+    """
+
+    pieces: tuple[Piece, ...]
+    starts: tuple[FloatArray, ...]
+    bench: Bench
+    effects: tuple[str, ...]
+    unknown: tuple[str, ...] = ()
+    load_angle_known: bool = True
+    fitted: tuple[str, ...] = ()
+    values: Values = field(default_factory=dict)
+    without: tuple[FloatArray, ...] = ()
+
+    def prepared(self) -> FreeMotionView:
+        """Around a fit with the usual frictions."""
+        nothing = self.fit((), {})
+        view = replace(self, without=self.predictions((), nothing))
+        first = tuple(name for name in FIRST if name in self.effects)
+        return replace(view, fitted=first, values=self.fit(first, nothing))
+
+    def refined(self, inference: Inference) -> FreeMotionView:
+        """Around a fit with what is there almost surely."""
+        sure = {members[0] for members in inference.sure}
+        names = tuple(name for name in self.effects if name in sure)
+        start = dict(self.values)
+        for name in names:
+            found = inference.values(name)
+            start |= {f"{name}.{key}": e.value for key, e in found.items()}
+        return replace(self, fitted=names, values=self.fit(names, start))
+
+    def settled(self, labels: Sequence[str]) -> FreeMotionView:
+        """Around the fit with these effects."""
+        names = tuple(name for name in self.effects if name in labels)
+        if names == self.fitted:
+            return self
+        return replace(self, fitted=names, values=self.fit(names, self.values))
+
+    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
+        """Predictions without any effect."""
+        return self.without
+
+    def learned(
+        self, inference: Inference, fitted: Coefficients, group: int
+    ) -> LearnedAnswer | None:
+        """The torque that a group holds."""
+        return learned_answer(self._series[group], inference, fitted, group)
+
+    def augmented(
+        self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
+    ) -> Bench | None:
+        """No file: the friction is known as well as gravity is."""
+        return None
+
+    def reportable(self, inference: Inference, label: str) -> bool:
+        """What ended at the end of its range is no optimum."""
+        low, high = (share * self._speed for share in SHAPE_RANGE)
+        shapes = [v for k, v in self.values.items() if k == f"{label}.speed_rad_per_s"]
+        return all(1.01 * low < value < 0.99 * high for value in shapes)
+
+    def fit(self, effects: tuple[str, ...], start: Values) -> dict[str, float]:
+        """Least squares with these effects, from what ``start`` holds."""
+        shared = self._shared(effects, start)
+        used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+        names = [*shared, *(f"{key}@{i}" for i in used for key in ("angle", "speed"))]
+        own = np.concatenate([self.starts[i] for i in used])
+        first = [
+            *(value for value, _, _ in shared.values()),
+            *(start.get(n, v) for n, v in zip(names[len(shared) :], own, strict=True)),
+        ]
+        low = [*(bound for _, bound, _ in shared.values()), *[-np.inf] * (2 * len(used))]
+        high = [*(bound for _, _, bound in shared.values()), *[np.inf] * (2 * len(used))]
+        # What begins at rest at zero has the size of its motion.
+        scale = np.maximum(np.abs(first), 1e-3 * (np.abs(first).max() or self._speed))
+
+        def misfit(x: FloatArray) -> FloatArray:
+            values = dict(zip(names, x * scale, strict=True))
+            return np.concatenate([self._misfit(i, effects, values) for i in used])
+
+        found = least_squares(
+            misfit,
+            np.clip(np.array(first) / scale, np.array(low) / scale, np.array(high) / scale),
+            bounds=(np.array(low) / scale, np.array(high) / scale),
+            diff_step=1e-4,
+            xtol=1e-6,
+            ftol=1e-8,
+            max_nfev=60,
+        )
+        values = dict(zip(names, (found.x * scale).tolist(), strict=True))
+        for i in range(len(self.pieces)):
+            if i not in used:
+                values |= self._own_start(i, effects, values)
+        return values
+
+    def predictions(self, effects: tuple[str, ...], values: Values) -> tuple[FloatArray, ...]:
+        """Of every piece, (n,)."""
+        return tuple(self._predict(i, effects, values) for i in range(len(self.pieces)))
+
+    @cached_property
+    def model(self) -> AffineModel:
+        """The trajectories around the fit."""
+        at = self.predictions(self.fitted, self.values)
+        base = [prediction.copy() for prediction in at]
+
+        def slope(i: int, step: float, effects: tuple[str, ...], changed: Values) -> FloatArray:
+            values = {**self.values, **changed}
+            return np.asarray((self._predict(i, effects, values) - at[i]) / step)
+
+        nuisances: list[dict[str, FloatArray]] = []
+        for i, piece in enumerate(self.pieces):
+            names = {n: n for n in (*self.unknown, *([_ZERO] if _ZERO in self.values else []))}
+            if WIDTH in self.values:
+                names[WIDTH] = WIDTH
+            names |= {f"{key}@{i}": f"{key}@{piece.name} {i}" for key in ("angle", "speed")}
+            made = {}
+            for name, label in names.items():
+                step = 1e-4 * max(abs(self.values[name]), 1e-2)
+                made[label] = slope(i, step, self.fitted, {name: self.values[name] + step})
+            # Bench parameters are told as what they differ by from the bench's.
+            for name in self.unknown:
+                base[i] -= made[name] * (self.values[name] - self.bench.value(name))
+            nuisances.append(made)
+        candidates = []
+        every = range(len(self.pieces))
+        for name in self.effects:
+            term, effect = TORQUE_TERMS[name], effect_named(name)
+            parameters = (term.law.amplitude, *term.law.linear)
+            shape = term.law.scanned
+            grid: tuple[float | None, ...] = (None,)
+            if shape is not None:
+                grid = tuple(share * self._speed for share in SHAPES)
+                if name in self.fitted:
+                    grid = (self.values[f"{name}.{shape}"],)
+            effects = tuple(dict.fromkeys((*self.fitted, name)))
+            looks = []
+            for value in grid:
+                shapes = {} if shape is None or value is None else {shape: value}
+                at_zero = {f"{name}.{p}": self.values.get(f"{name}.{p}", 0.0) for p in parameters}
+                fixed = {f"{name}.{k}": v for k, v in shapes.items()} | at_zero
+                columns = []
+                for i in every:
+                    own = []
+                    for parameter in parameters:
+                        step = STEP * self._first(effect.parameter(parameter))
+                        key = f"{name}.{parameter}"
+                        own.append(slope(i, step, effects, {**fixed, key: at_zero[key] + step}))
+                        base[i] -= own[-1] * at_zero[key]
+                    columns.append(np.column_stack(own))
+                weight = 1.0 if shape is None else 1.0 / len(SHAPES)
+                looks.append(Look(shapes, tuple(columns), weight))
+            excludes = frozenset({term.law.contains} if term.law.contains else ())
+            candidates.append(
+                Candidate(
+                    name,
+                    "effect",
+                    name,
+                    parameters,
+                    tuple(looks),
+                    term.law.usual,
+                    term.not_negative,
+                    excludes=excludes,
+                    requires=frozenset({term.law.requires} if term.law.requires else ()),
+                    same_as=term.law.same_as,
+                )
+            )
+        discrepancies = tuple(
+            Discrepancy(series.kind, tuple(self._waves(i, at[i], series) for i in every))
+            for series in self._series
+        )
+        return AffineModel(
+            self.pieces,
+            tuple(base),
+            tuple(nuisances),
+            tuple(candidates),
+            discrepancies,
+            believed_sds(self.bench, self.unknown),
+        )
+
+    @cached_property
+    def _series(self) -> list[Series]:
+        """Torques that nothing explains: over the load's angle and the speed."""
+        ratio = self.bench.value("gear_ratio")
+        states = [
+            self._states(i, self.fitted, self.values)
+            for i, piece in enumerate(self.pieces)
+            if piece.use == "used"
+        ]
+        angle = np.concatenate([s[MOTOR_ANGLE] for s in states]) / ratio
+        speed = np.concatenate([s[MOTOR_SPEED] for s in states])
+        over = partial(Series.over, orders=ORDERS)
+        ends = [(float(x.min()), float(x.max())) for x in (angle, speed)]
+        made = []
+        for reverses in (False, True):
+            way, fastest = 2.0 * float(np.ptp(angle)), 4.0 * float(np.abs(speed).max())
+            made.append(over("load_angle", way, reach=ends[0], reverses=reverses))
+            made.append(over("motor_speed", fastest, reach=ends[1], reverses=reverses))
+        return made
+
+    def _waves(self, i: int, at: FloatArray, series: Series) -> FloatArray:
+        """Change of a trajectory by each coefficient of a torque, (n, 2 orders)."""
+        size = STEP * self._torque
+        made = []
+        for k in range(2 * series.orders):
+            coefficients = np.zeros(2 * series.orders)
+            coefficients[k] = size
+            torque = series.torque(coefficients)
+            made.append((self._predict(i, self.fitted, self.values, torque) - at) / size)
+        return np.column_stack(made)
+
+    def _shared(
+        self, effects: tuple[str, ...], start: Values
+    ) -> dict[str, tuple[float, float, float]]:
+        """Name to (first value, lower, upper bound) of what all recordings share."""
+        shared = {}
+        for name in self.unknown:
+            value = self.bench.value(name)
+            shared[name] = (start.get(name, value), 1e-6 * value, np.inf)
+        if not self.load_angle_known:
+            shared[_ZERO] = (start.get(_ZERO, 1e-3), -np.inf, np.inf)
+        if any("direction" in effect_named(name).depends_on for name in effects):
+            low, first, high = (share * self._speed for share in WIDTHS)
+            shared[WIDTH] = (start.get(WIDTH, first), low, high)
+        for name in effects:
+            for item in effect_named(name).parameters:
+                lower = 0.0 if TORQUE_TERMS[name].not_negative else -np.inf
+                upper = np.inf if item.unit else item.high
+                if isinstance(item, Shape):
+                    lower, upper = (share * self._speed for share in SHAPE_RANGE)
+                value = start.get(f"{name}.{item.name}", self._first(item))
+                shared[f"{name}.{item.name}"] = (value, lower, upper)
+        return shared
+
+    def _first(self, parameter: EffectParameter) -> float:
+        """A small share of the torques at work: where a search for an effect starts."""
+        speed = self._speed
+        if isinstance(parameter, Shape):
+            return 0.3 * speed
+        torque = self._torque
+        scales = {
+            "N m": torque,
+            "N m s/rad": torque / speed,
+            "": _FIRST_SHARE,
+            "N m/s": 0.1 * torque,
+        }
+        return scales[parameter.unit]
+
+    @cached_property
+    def _torque(self) -> float:
+        """A small share of the torques at work, N m at the motor."""
+        ratio = self.bench.value("gear_ratio")
+        torque = _FIRST_SHARE * self.bench.value("gravity_torque_nm") / ratio
+        if torque == 0.0:
+            span = max(p.time_s[-1] - p.time_s[0] for p in self.pieces)
+            inertia = self.bench.value("load_inertia_kg_m2") / ratio**2
+            inertia += self.bench.value("motor_inertia_kg_m2")
+            torque = 0.3 * inertia * self._speed / span
+        return torque
+
+    @cached_property
+    def _speed(self) -> float:
+        """Standard deviation of the speed in the fastest piece, rad/s."""
+        if self.pieces[0].channel == SPEED_CHANNEL:
+            return max(float(np.std(p.kept(p.measured))) for p in self.pieces) / RPM_PER_RAD_PER_S
+        return max(
+            float(np.std(np.diff(p.kept(p.measured)) / np.diff(p.kept(p.time_s))))
+            for p in self.pieces
+        )
+
+    def _own_start(self, i: int, effects: tuple[str, ...], values: Values) -> dict[str, float]:
+        """Start of a held-out piece, fitted on it."""
+
+        def at(x: FloatArray) -> dict[str, float]:
+            return {**values, f"angle@{i}": float(x[0]), f"speed@{i}": float(x[1])}
+
+        found = least_squares(
+            lambda x: self._misfit(i, effects, at(x)),
+            self.starts[i],
+            diff_step=1e-4,
+            x_scale=[0.1, 1.0],
+        )
+        return {f"angle@{i}": float(found.x[0]), f"speed@{i}": float(found.x[1])}
+
+    def _misfit(self, i: int, effects: tuple[str, ...], values: Values) -> FloatArray:
+        """Prediction less measurement, shape (k,)."""
+        piece = self.pieces[i]
+        return piece.kept(self._predict(i, effects, values) - piece.measured)
+
+    def _predict(
+        self,
+        i: int,
+        effects: tuple[str, ...],
+        values: Values,
+        torque: LearnedTorque | None = None,
+    ) -> FloatArray:
+        piece = self.pieces[i]
+        try:
+            states = self._states(i, effects, values, torque)
+        except BenchError:
+            # A step of the search beyond what can be simulated: far off, and so turned back.
+            return np.full(piece.measured.size, 1e3)
+        if piece.channel == SPEED_CHANNEL:
+            return np.asarray(states[MOTOR_SPEED] * RPM_PER_RAD_PER_S)
+        return np.asarray(states[MOTOR_ANGLE] - values.get(_ZERO, 0.0))
+
+    def _states(
+        self,
+        i: int,
+        effects: tuple[str, ...],
+        values: Values,
+        torque: LearnedTorque | None = None,
+    ) -> FloatArray:
+        piece = self.pieces[i]
+        settings = {name: values[name] for name in self.unknown}
+        for name in effects:
+            settings |= {
+                key.replace(".", "__"): value
+                for key, value in values.items()
+                if key.startswith(name + ".")
+            }
+        bench = self.bench if torque is None else replace(self.bench, learned_torque=torque)
+        vector = bench.vector(**settings, **dict.fromkeys(_DRIVE, 0.0))[0]
+        state = np.zeros(STATES)
+        state[MOTOR_ANGLE] = values[f"angle@{i}"] + values.get(_ZERO, 0.0)
+        state[MOTOR_SPEED] = values[f"speed@{i}"]
+        vector[Slot.reference_speed_rpm] = self._speed * RPM_PER_RAD_PER_S
+        return simulate_states(
+            vector,
+            state,
+            piece.measured.size,
+            1.0 / piece.period_s,
+            accuracy_rpm=ACCURACY * self._speed * RPM_PER_RAD_PER_S,
+            friction_width_rad_per_s=values.get(WIDTH, WIDTHS[1] * self._speed),
+        )
+
+
+def start_of(piece: Piece) -> FloatArray:
+    """Angle and speed near the first sample, where the fit of the start begins; rad, rad/s."""
+    if piece.channel == SPEED_CHANNEL:
+        return np.array([0.1, piece.measured[0] / RPM_PER_RAD_PER_S])
+    few = max(4, piece.measured.size // 100)
+    slope, angle = np.polyfit(piece.time_s[:few] - piece.time_s[0], piece.measured[:few], 1)
+    return np.array([angle, slope])
+
+
+CHANNELS = (MOTOR_POSITION, SPEED_CHANNEL)
+
+
+def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
+    """The view that a configuration asks for, and what these recordings cannot show.
+
+    Raises
+    ------
+    UserError
+        If bench, recordings or unknowns do not suit the method.
+    """
+    require_rigid(task)
+    config, bench, compared = task.config, task.bench, task.config.comparison
+    channel = compared_channel(task, CHANNELS, "There is no motion to compare.")
+    recordings = even_recordings(task, [(channel,)] * len(task.recordings), ())
+    task.require_no_known_torque("Free motion has no torque but the bench's own.")
+    unknown = config.unknowns.bench_parameters
+    gravity = bench.value(GRAVITY) > 0.0
+    if GRAVITY in unknown and set(INERTIAS) & set(unknown):
+        raise refused(
+            "Without any measured torque all torques and inertias scaled together look the same.",
+            "[unknowns] bench_parameters",
+            ", ".join(unknown),
+            "inertia or gravity, not both",
+        )
+    if GRAVITY not in unknown:
+        unknown_parameters(task, (*INERTIAS, GRAVITY))
+    pieces = pieces_of(task, recordings, channel)
+    every = free_motion_effects(compared.load_angle_known and gravity)
+    view = FreeMotionView(
+        pieces,
+        tuple(start_of(piece) for piece in pieces),
+        bench,
+        tuple(effect.name for effect in wanted(config, bench, every)),
+        unknown,
+        compared.load_angle_known or not gravity,
+    )
+    for piece in pieces:
+        if not np.ptp(piece.kept(piece.measured)) > 0.0:
+            raise RecordingError(
+                "Nothing moves in a part that is to be fitted or predicted.",
+                file=next(r.place for r in recordings if r.name == piece.name),
+                where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
+                found=f"{channel} that never changes",
+                expected="a recording of a motion from its start to its end",
+            )
+    scale = "gravity" if gravity else "the inertia"
+    notes = [
+        *notes_of(recordings),
+        f"No torque is measured: friction is known as well as {scale} of the bench is.",
+        "Torque ripple, encoder and shaft effects are not tried in free motion.",
+    ]
+    if channel == SPEED_CHANNEL:
+        notes.append("Speed alone: the start angle is known only through what gravity does.")
+    return view, notes
+
+
+class FreeMotion:
+    """The method of diagnosis."""
+
+    name = "free_motion"
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        view, _ = view_of(task)
+        channel = view.pieces[0].channel
+        return f"{self.name}, {channel}; candidates {', '.join(view.effects)}"
+
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        view, notes = view_of(task)
+        return diagnose(
+            view.prepared(),
+            task.bench,
+            most=task.config.candidates.max_effects or MOST_EFFECTS,
+            notes=lambda inference: notes,
+            progress=progress,
+        )
+
+
+METHOD = FreeMotion()

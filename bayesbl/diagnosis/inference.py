@@ -1,0 +1,990 @@
+"""From an affine model of recordings to names, sizes and disagreement: one posterior, one rule.
+
+The posterior is :mod:`bayesbl.model_search.linear`'s. Noise is autoregressive, as the model with
+everything in it leaves it, then as the average over the posterior does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import (
+    Callable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
+from dataclasses import (
+    dataclass,
+    replace,
+)
+from functools import (
+    cached_property,
+)
+from typing import (
+    Protocol,
+)
+
+import numpy as np
+
+from bayesbl.bench.bench import (
+    Bench,
+)
+from bayesbl.bench.effect_declaration import (
+    ORDER,
+    PHASE,
+)
+from bayesbl.bench.effects import (
+    effect_named,
+)
+from bayesbl.bench.learned import (
+    LearnedTorque,
+    Variable,
+)
+from bayesbl.bench.parameters import (
+    PARAMETER_INFO,
+)
+from bayesbl.diagnosis.comparison import (
+    AffineModel,
+    Candidate,
+    Look,
+    bounded_least_squares,
+    least_squares,
+)
+from bayesbl.diagnosis.diagnosis import (
+    CURVE_POINTS,
+    Diagnosis,
+    Estimate,
+    LearnedAnswer,
+    LearnedCurve,
+    NamedEffect,
+    ParameterError,
+    PieceSignals,
+    verdict_of,
+)
+from bayesbl.diagnosis.disagreement import (
+    PieceResiduals,
+    disagreement_table,
+    piece_residuals,
+)
+from bayesbl.diagnosis.residual_noise import (
+    ResidualNoise,
+)
+from bayesbl.diagnosis.residuals.unexplained import (
+    Unexplained,
+    What,
+)
+from bayesbl.model_search.constants import (
+    LEARNED_SHARE,
+    NAMED_AT,
+)
+from bayesbl.model_search.linear import (
+    DiscrepancyGroup,
+    Linearised,
+    Priors,
+    Term,
+    search,
+)
+from bayesbl.progress import (
+    StageProgress,
+)
+from bayesbl.recording.types import (
+    FloatArray,
+)
+from bayesbl.units import (
+    unit_of,
+)
+
+SURE_PARAMETER = 3.0
+"""Standard deviations beyond which a value is told: three in a thousand by chance."""
+
+
+def impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
+    """A sentence for each fitted parameter that no joint can have: then nothing is believed.
+
+    Noise alone may carry a value below zero.
+    """
+    for name, found in estimates.items():
+        info = PARAMETER_INFO[name]
+        if info.positive and found.value + SURE_PARAMETER * found.sd <= 0.0:
+            yield (
+                f"The best fit with {name} free has {found.value:.3g} {info.unit} there, which "
+                "nothing has: what the recordings show follows no law that was tried, so nothing "
+                "is named. Faster motion shows the inertia, slow motion in both directions the "
+                "friction."
+            )
+
+
+def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> tuple[ParameterError, ...]:
+    """Those that lie beyond their tolerance by more than their standard deviations explain."""
+    found = []
+    for name, fitted in estimates.items():
+        believed = bench.parameters[name]
+        value = math.exp(fitted.value) if fitted.logarithmic else fitted.value
+        sd = value * fitted.sd if fitted.logarithmic else fitted.sd
+        if abs(value - believed.value) - believed.tolerance > SURE_PARAMETER * sd:
+            found.append(ParameterError(name, believed.value, believed.tolerance, fitted))
+    return tuple(found)
+
+
+TORQUES = ("N m", "kg")
+"""Beginnings of the units of what is in proportion to a torque: coefficients and inertias too."""
+
+
+def with_shared_scale(effect: NamedEffect, scale_sd: float) -> NamedEffect:
+    """An effect with its torques as uncertain as the factor.
+
+    ``scale_sd``: relative standard deviation of the factor, zero if it is known.
+    """
+    units = {p.name: p.unit for p in effect_named(effect.name).parameters}
+    return replace(effect, parameters=_widened(effect.parameters, units, scale_sd))
+
+
+def scaled_parameters(estimates: Mapping[str, Estimate], scale_sd: float) -> Mapping[str, Estimate]:
+    """Parameters of the bench by name, the same way."""
+    units = {name: PARAMETER_INFO[name].unit for name in estimates}
+    return _widened(estimates, units, scale_sd)
+
+
+def _widened(
+    estimates: Mapping[str, Estimate], units: Mapping[str, str], scale_sd: float
+) -> Mapping[str, Estimate]:
+    return {
+        name: replace(found, sd=math.hypot(found.sd, scale_sd * found.value))
+        if units[name].startswith(TORQUES)
+        else found
+        for name, found in estimates.items()
+    }
+
+
+DRAWS = 1000
+"""Of the posterior, from which sizes are told: a standard deviation is good to 2 %."""
+
+DISCREPANCY_SHARE = 0.1
+"""Of the root mean square of what is compared, that a smooth torque usually has which no law of the
+catalogue holds."""
+
+EXCESS = 3.4
+"""Of what a bench leaves over the noise floor, up to which it is taken for noise. Slower noise, and
+drift, is more, and nothing tells it from an effect that is missing. At 2.5 samples in a period of
+the cut-off it is 4 times what does not follow from the samples before: there white noise is 1.16
+times that. Denser samples do not move it."""
+
+CLOSED = 0.9
+"""Of the disagreement before, below which it must be after naming, if it is far above the noise."""
+
+MOST_EFFECTS = 6
+"""Named where a configuration does not say how many."""
+
+MOST_TERMS = 8
+"""Of a set: the rigid benches met so far lack five laws at most, and lines come beside these."""
+
+NONE = 1e-6
+"""Of its usual size: so small a size is none."""
+
+ROUNDS = 3
+"""Of search, noise and finer shapes."""
+
+COLLINEAR = 0.9999
+"""Cosine between what two candidates do, from which it is the same but for a hundredth."""
+
+_RIDGE_ROUNDS = 4
+_TINY = float(np.finfo(float).tiny)
+
+
+class View(Protocol):
+    """Recordings and a bench, linearised."""
+
+    @property
+    def model(self) -> AffineModel:
+        """Around the present fit."""
+
+    def refined(self, inference: Inference) -> View:
+        """Around the fit that an inference gives, with finer shapes."""
+
+    def settled(self, labels: Sequence[str]) -> View:
+        """Around the fit with these candidates and no other; itself where that is linear."""
+
+    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
+        """Predictions of every piece without any effect, (n,)."""
+
+    def learned(
+        self, inference: Inference, fitted: Coefficients, group: int
+    ) -> LearnedAnswer | None:
+        """What a group of the discrepancy holds, if it can be told as a torque."""
+
+    def augmented(
+        self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
+    ) -> Bench | None:
+        """The bench with what was named and learned, if a bench file can hold it."""
+
+    def reportable(self, inference: Inference, label: str) -> bool:
+        """Whether a name says something of the joint."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """A term of the search: a look of a candidate; ``unit``: what one usual size is, (k,)."""
+
+    candidate: Candidate
+    look: Look
+    unit: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coefficients:
+    """Of the nuisances (d,), of every term in the catalogue's units, of every group."""
+
+    nuisances: FloatArray
+    sizes: list[FloatArray]
+    discrepancy: list[FloatArray]
+
+
+class Inference:
+    """The posterior of one affine model.
+
+    Attributes
+    ----------
+    model
+        What was inferred.
+    noises
+        Of every used piece.
+    sizes
+        What the samples of each used piece are counted in, the channel's unit, (n,): one size for
+        all that are shown, one for those that hold lines alone, of the noise where its spectrum is
+        strongest, and more where it is larger than on average. There p'Σp ≤ s² p'p for every
+        prediction p, so that no evidence is counted that is not there. Whitened, or each in its
+        own, recordings would be fitted where they are least noisy, which of a real joint is where
+        the bench happens to be best.
+    posterior
+        Over sets of candidates.
+    """
+
+    def __init__(self, model: AffineModel, noises: Sequence[ResidualNoise] | None = None) -> None:
+        self.model = model
+        used = model.used
+        pieces = [model.pieces[i] for i in used]
+        self._target = [
+            p.kept(p.measured - model.base[i]) for p, i in zip(pieces, used, strict=True)
+        ]
+        self._nuisances = [
+            p.kept(model.nuisance_columns(i)) for p, i in zip(pieces, used, strict=True)
+        ]
+        level = self._level()
+        self.terms: list[_Placed] = []
+        blocks: list[list[FloatArray]] = []
+        for candidate in model.candidates:
+            for look in candidate.looks:
+                raw = [
+                    p.kept(model.candidate_columns(candidate, look, i))
+                    for p, i in zip(pieces, used, strict=True)
+                ]
+                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in raw], axis=0))
+                if not size.any():
+                    continue  # these recordings do not show it
+                usual = candidate.usual * level / np.where(size > 0.0, size, 1.0)
+                unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
+                self.terms.append(_Placed(candidate, look, unit))
+                blocks.append([part * unit for part in raw])
+        self._discrepancy = [
+            [p.kept(d.columns[i]) for d in model.discrepancies]
+            for p, i in zip(pieces, used, strict=True)
+        ]
+        self.groups: list[slice] = []
+        at = 0
+        for d in model.discrepancies:
+            self.groups.append(slice(at, at + d.columns[used[0]].shape[1]))
+            at = self.groups[-1].stop
+        if noises is None:
+            noises = self._noise_beside_everything(blocks)
+        self.noises = tuple(noises)
+        shown = [self.model.pieces[i].shown for i in self.model.used]
+        pairs = list(zip(noises, shown, strict=True))
+        below = max(noise.strongest for noise, is_shown in pairs if is_shown)
+        above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
+        self._shown_size = max(below, _TINY)
+        even = [self._shown_size if is_shown else max(above, _TINY) for is_shown in shown]
+        self.sizes = [
+            np.maximum(noise.local, size) for noise, size in zip(noises, even, strict=True)
+        ]
+        self._burst = np.concatenate(
+            [own / size for own, size in zip(self.sizes, even, strict=True)]
+        )
+        self._search(blocks)
+
+    def _level(self) -> float:
+        """Root mean square of what the shown pieces show beside the nuisances."""
+        parts = [
+            (self._target[k], self._nuisances[k])
+            for k, i in enumerate(self.model.used)
+            if self.model.pieces[i].shown
+        ]
+        target = np.concatenate([t for t, _ in parts])
+        matrix = np.vstack([n for _, n in parts])
+        left = target - matrix @ least_squares(matrix, target) if matrix.shape[1] else target
+        return max(math.sqrt(float(np.mean(left**2))), _TINY)
+
+    def _noise_beside_everything(self, blocks: list[list[FloatArray]]) -> list[ResidualNoise]:
+        """From what all candidates and the discrepancy together leave, by ridge regression."""
+        level = self._level()
+        n = np.vstack(self._nuisances)
+        scale = np.sqrt((n**2).mean(axis=0))
+        parts = [n / np.where(scale > 0.0, scale, 1.0)]
+        parts += [np.vstack(block) for block in blocks]
+        h = np.vstack([np.hstack(own) for own in self._discrepancy])
+        rms = np.sqrt((h**2).mean(axis=0).max(initial=0.0))
+        parts.append(h * (0.3 * level / rms if rms > 0.0 else 0.0))
+        matrix, target = np.hstack(parts), np.concatenate(self._target)
+        gram, right = matrix.T @ matrix, matrix.T @ target
+        free = np.concatenate([np.full(n.shape[1], 1e-12), np.ones(matrix.shape[1] - n.shape[1])])
+        variance = (0.1 * level) ** 2
+        for _ in range(_RIDGE_ROUNDS):
+            inverse = np.linalg.pinv(gram + np.diag(variance * free), 1e-13, True)
+            left = target - matrix @ (inverse @ right)
+            freedom = max(target.size - float(np.sum(inverse * gram)), 0.1 * target.size)
+            variance = float(left @ left) / freedom
+        ends = np.cumsum([t.size for t in self._target])[:-1]
+        return [ResidualNoise.of(part) for part in np.split(left, ends)]
+
+    def _search(self, blocks: list[list[FloatArray]]) -> None:
+        def rows(parts: Sequence[FloatArray]) -> FloatArray:
+            pairs = zip(parts, self.sizes, strict=True)
+            return np.concatenate([(p.T / size).T for p, size in pairs])
+
+        jacobian = rows(self._nuisances)
+        d = jacobian.shape[1]
+        discrepancy = rows(
+            [
+                np.hstack([*own, part[:, :0]])
+                for own, part in zip(self._discrepancy, self._nuisances, strict=True)
+            ]
+        )
+        terms = [
+            Term(
+                placed.candidate.label,
+                rows(block),
+                placed.candidate.not_negative and placed.unit.size == 1,
+                prior_weight=placed.look.weight,
+                excludes=placed.candidate.excludes,
+                requires=placed.candidate.requires,
+            )
+            for placed, block in zip(self.terms, blocks, strict=True)
+        ]
+        kinds = [d.kind for d in self.model.discrepancies]
+        usual = DISCREPANCY_SHARE * self._level() / self._shown_size
+        groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
+        sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
+        prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
+        residual = rows(self._target)
+        linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
+        self.posterior = search(linearised, Priors(), MOST_TERMS)
+        generator = np.random.default_rng(0)
+        draws = self.posterior.draw(generator, DRAWS)
+        scale = np.sqrt((jacobian**2).sum(axis=0))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        precision = (jacobian / scale).T @ (jacobian / scale) + prior / np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(precision)
+        kept = values > 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
+        root = vectors[:, kept] / np.sqrt(values[kept])
+        centre = root @ (root.T @ ((jacobian / scale).T @ residual))
+        noise = generator.standard_normal((DRAWS, int(kept.sum()))) @ root.T
+        self.nuisance_draws = (centre + noise) / scale + draws.shift
+        self.discrepancy_draws = draws.discrepancy
+
+    # What is asked of it
+
+    def of(self, label: str) -> list[_Placed]:
+        """Terms of a candidate."""
+        return [placed for placed in self.terms if placed.candidate.label == label]
+
+    @cached_property
+    def labels(self) -> Mapping[str, Candidate]:
+        """Candidates that show."""
+        return {placed.candidate.label: placed.candidate for placed in self.terms}
+
+    @cached_property
+    def sure(self) -> tuple[tuple[str, ...], ...]:
+        """Candidates that are there almost surely, alone or one of several, in catalogue order."""
+        sets = [*((label,) for label in self.posterior.named), *self.posterior.confounded]
+        return tuple(tuple(n for n in self.labels if n in members) for members in sets)
+
+    def lookalikes(self, label: str) -> Iterator[str]:
+        """Candidates that differ from one by nothing in these recordings but nuisances."""
+        view = self.posterior.linearised
+        basis = np.linalg.qr(view.jacobian / np.maximum(np.abs(view.jacobian).max(axis=0), _TINY))[
+            0
+        ]
+        own: dict[str, list[FloatArray]] = {}
+        for placed, term in zip(self.terms, view.terms, strict=True):
+            if term.columns.shape[1] == 1:
+                apart = term.columns[:, 0] - basis @ (basis.T @ term.columns[:, 0])
+                apart = apart / max(float(np.linalg.norm(apart)), _TINY)
+                own.setdefault(placed.candidate.label, []).append(apart)
+        for other in own:
+            pairs = ((a, b) for a in own.get(label, []) for b in own[other])
+            if other != label and any(abs(float(a @ b)) > COLLINEAR for a, b in pairs):
+                yield other
+
+    def values(self, label: str) -> dict[str, Estimate]:
+        """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
+        candidate = self.labels[label]
+        parts: dict[str, list[tuple[FloatArray, FloatArray, FloatArray]]] = {}
+        for k, placed in enumerate(self.terms):
+            if placed.candidate.label != label or k not in self.posterior.sizes:
+                continue
+            weight, mean, covariance = self.posterior.sizes[k]
+            mean = mean * placed.unit
+            covariance = covariance * np.outer(placed.unit, placed.unit)
+            own: dict[str, tuple[FloatArray, FloatArray]] = {}
+            if candidate.is_wave:
+                own = _of_waves(candidate, mean, covariance)
+            else:
+                for at, name in enumerate(candidate.parameters):
+                    own[name] = (mean[:, at], covariance[:, at, at])
+            for name, shape in placed.look.shapes.items():
+                own[name] = (np.full(weight.size, shape), np.zeros(weight.size))
+            for name, (value, variance) in own.items():
+                parts.setdefault(name, []).append((weight, value, variance))
+        found = {}
+        for name, pieces in parts.items():
+            weight, value, variance = map(np.concatenate, zip(*pieces, strict=True))
+            share = weight / weight.sum()
+            middle = float(share @ value)
+            if name == PHASE:
+                middle = math.atan2(share @ np.sin(value), share @ np.cos(value))
+                value = middle + np.angle(np.exp(1j * (value - middle)))
+            spread = float(share @ (variance + (value - middle) ** 2))
+            found[name] = Estimate(middle, math.sqrt(spread))
+        return found
+
+    def nuisance(self, name: str) -> Estimate:
+        """A nuisance by name."""
+        draws = self.nuisance_draws[:, self.model.nuisance_names.index(name)]
+        return Estimate(float(draws.mean()), float(draws.std()))
+
+    @property
+    def average(self) -> Coefficients:
+        """Of everything, over the posterior."""
+        return Coefficients(
+            self.nuisance_draws.mean(axis=0),
+            [self._mean_size(k) for k in range(len(self.terms))],
+            [self.discrepancy_draws[:, group].mean(axis=0) for group in self.groups],
+        )
+
+    def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
+        """Of what is named, as it fits best with what is learned and nothing else.
+
+        What no name holds is told apart from the names only if the names take all they can: the
+        discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
+        count alike: where a bench is worst is a part of what it has to predict.
+        """
+        view = self.posterior.linearised
+        chosen = [self._likeliest(label) for label in labels]
+        sds = np.concatenate(
+            [
+                [self.model.nuisance_sds.get(n, np.inf) for n in self.model.nuisance_names],
+                *(np.full(self.terms[k].unit.size, np.inf) for k in chosen),
+                *(
+                    np.full(
+                        self.groups[g].stop - self.groups[g].start, self.posterior.discrepancy_sd(g)
+                    )
+                    for g in groups
+                ),
+            ]
+        )
+        matrix = np.hstack(
+            [
+                view.jacobian,
+                *(view.terms[k].columns for k in chosen),
+                *(view.discrepancy[:, self.groups[g]] for g in groups),
+            ]
+        )
+        held = np.isfinite(sds)
+        prior = np.zeros((int(held.sum()), sds.size))
+        prior[np.arange(len(prior)), np.flatnonzero(held)] = 1.0 / np.maximum(sds[held], 1e-300)
+        low = np.full(sds.size, -np.inf)
+        at = view.jacobian.shape[1]
+        for k in chosen:
+            if view.terms[k].positive:
+                low[at] = 0.0
+            at += self.terms[k].unit.size
+        values = bounded_least_squares(
+            np.vstack([(matrix.T * self._burst).T, prior]),
+            np.concatenate([view.residual * self._burst, np.zeros(len(prior))]),
+            low,
+        )
+        sizes = [np.zeros(placed.unit.size) for placed in self.terms]
+        at = view.jacobian.shape[1]
+        nuisances = values[:at]
+        for k in chosen:
+            unit = self.terms[k].unit
+            sizes[k] = values[at : at + unit.size] * unit
+            at += unit.size
+        discrepancy = [np.zeros(group.stop - group.start) for group in self.groups]
+        for g in groups:
+            discrepancy[g] = values[at : at + discrepancy[g].size]
+            at += discrepancy[g].size
+        return Coefficients(nuisances, sizes, discrepancy)
+
+    def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
+        """Linear parameters of a candidate."""
+        candidate = self.labels[label]
+        size = fitted.sizes[self._likeliest(label)]
+        if not candidate.is_wave:
+            return dict(zip(candidate.parameters, size.tolist(), strict=True))
+        pairs = size.reshape(-1, 2)
+        made = {candidate.parameters[0]: float(np.hypot(*pairs.T).mean())}
+        if not candidate.own_phase:
+            made[PHASE] = math.atan2(pairs[0, 1], pairs[0, 0])
+        return made
+
+    def is_none(self, fitted: Coefficients, label: str) -> bool:
+        """Whether a candidate whose sign is known would rather have the other one."""
+        place = self._likeliest(label)
+        size, unit = fitted.sizes[place], self.terms[place].unit
+        return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
+
+    def likeliest(self, label: str) -> _Placed:
+        """The look of a candidate that is most probable."""
+        return self.terms[self._likeliest(label)]
+
+    def _likeliest(self, label: str) -> int:
+        """The term of a candidate that is most probable."""
+        places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
+        sizes = self.posterior.sizes
+        return max(places, key=lambda k: sizes[k][0].sum() if k in sizes else 0.0)
+
+    def _mean_size(self, k: int) -> FloatArray:
+        """Of a term, in the catalogue's units."""
+        if k not in self.posterior.sizes:
+            return np.zeros(self.terms[k].unit.size)
+        weight, mean, _ = self.posterior.sizes[k]
+        return np.asarray(weight @ mean * self.terms[k].unit)
+
+    def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
+        """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
+        return tuple(self._predicted(i, coefficients) for i in range(len(self.model.pieces)))
+
+    def _predicted(self, i: int, found: Coefficients) -> FloatArray:
+        model, piece = self.model, self.model.pieces[i]
+        total = model.base[i] + model.nuisance_columns(i) @ found.nuisances
+        own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
+        waves: list[tuple[float, FloatArray]] = []
+        for placed, size in zip(self.terms, found.sizes, strict=True):
+            if not size.any():
+                continue
+            if placed.candidate.own_phase and piece.name not in model.recordings:
+                pair_size = float(np.hypot(*size.reshape(-1, 2).T).mean())
+                waves.append((pair_size, placed.look.columns[i]))
+            else:
+                total = total + model.candidate_columns(placed.candidate, placed.look, i) @ size
+        for discrepancy, size in zip(model.discrepancies, found.discrepancy, strict=True):
+            if not (discrepancy.own and piece.use != "used"):
+                total = total + discrepancy.columns[i] @ size
+        if own or waves:
+            matrix = np.column_stack([*own, *(columns for _, columns in waves)])
+            values = least_squares(piece.kept(matrix), piece.kept(piece.measured - total))
+            for k, (pair_size, _) in enumerate(waves):
+                pair = values[len(own) + 2 * k : len(own) + 2 * k + 2]
+                pair *= pair_size / max(float(np.hypot(*pair)), 1e-12 * pair_size)
+            total = total + matrix @ values
+        return np.asarray(total)
+
+    def nominal(self) -> tuple[FloatArray, ...]:
+        """Of every piece (n,): base and nuisances alone, by least squares on the shown ones."""
+        model = self.model
+        shown = [k for k, i in enumerate(model.used) if model.pieces[i].shown]
+        matrix = np.vstack([self._nuisances[k] for k in shown])
+        target = np.concatenate([self._target[k] for k in shown])
+        values = least_squares(matrix, target) if matrix.shape[1] else np.zeros(0)
+        made = []
+        for i, piece in enumerate(model.pieces):
+            total = model.base[i] + model.nuisance_columns(i) @ values
+            own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
+            if own:
+                columns = np.column_stack(own)
+                rest = piece.kept(piece.measured - total)
+                total = total + columns @ least_squares(piece.kept(columns), rest)
+            made.append(np.asarray(total))
+        return tuple(made)
+
+    def discrepancy(self) -> tuple[FloatArray, ...]:
+        """Of every piece what nothing explains, averaged, (n,)."""
+        known = list(zip(self.model.discrepancies, self.average.discrepancy, strict=True))
+        return tuple(
+            np.asarray(sum((d.columns[i] @ size for d, size in known), np.zeros(p.measured.size)))
+            for i, p in enumerate(self.model.pieces)
+        )
+
+    def noise_left(self) -> list[ResidualNoise]:
+        """Of what the average over the posterior leaves of every used piece."""
+        every = self.predicted(self.average)
+        pieces = self.model.pieces
+        return [
+            ResidualNoise.of(pieces[i].kept(pieces[i].measured - every[i])) for i in self.model.used
+        ]
+
+    def probability(self, names: Sequence[str]) -> float:
+        """That one of some candidates is there, by their labels or their effects' names."""
+        labels = {n for n, c in self.labels.items() if {n, c.name} & set(names)}
+        posterior = self.posterior
+        held = (p for terms, p in posterior.sets.items() if labels & posterior.labels(terms))
+        return min(1.0, sum(held))
+
+    def presence(self, group: int) -> float:
+        """Probability that a group of the discrepancy is there."""
+        return sum(
+            math.exp(m.log_posterior) for m in self.posterior.models if m.scales[group] > 0.0
+        )
+
+    def taken(self, group: int) -> float:
+        """χ² of a group's mean, as a share of the disagreement at the nominal fit."""
+        mean = self.discrepancy_draws[:, self.groups[group]].mean(axis=0)
+        signal = self.posterior.linearised.discrepancy[:, self.groups[group]] @ mean
+        return float(signal @ signal) / max(self.posterior.disagreement.before, 1.0)
+
+
+def _of_waves(
+    candidate: Candidate, mean: FloatArray, covariance: FloatArray
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Amplitude, over all pairs of sine and cosine, and phase, if there is one, with variances."""
+    pairs = mean.reshape(len(mean), -1, 2)
+    size = np.maximum(np.hypot(pairs[..., 0], pairs[..., 1]), _TINY)
+    along = (pairs / size[..., None] / size.shape[1]).reshape(mean.shape)
+    variance = np.einsum("mi,mij,mj->m", along, covariance, along)
+    made = {candidate.parameters[0]: (size.mean(axis=1), variance)}
+    if not candidate.own_phase:
+        across = np.stack([-pairs[:, 0, 1], pairs[:, 0, 0]], axis=1) / size**2
+        variance = np.einsum("mi,mij,mj->m", across, covariance, across)
+        made[PHASE] = (np.arctan2(pairs[:, 0, 1], pairs[:, 0, 0]), variance)
+    return made
+
+
+def inferred(view: View, progress: StageProgress | None = None) -> tuple[View, Inference]:
+    """A view around its best fit, and the posterior there."""
+    inference = Inference(view.model)
+    for done in range(1, ROUNDS):
+        if progress is not None:
+            progress("Comparing sets of effects", done, ROUNDS)
+        noises = inference.noise_left()
+        view = view.refined(inference)
+        inference = Inference(view.model, noises)
+    return view, inference
+
+
+def diagnose(
+    view: View,
+    bench: Bench,
+    *,
+    most: int,
+    notes: Callable[[Inference], Sequence[str]],
+    scale_sd: float = 0.0,
+    progress: StageProgress | None = None,
+) -> Diagnosis:
+    """Name what is missing; the disagreement before and after.
+
+    Parameters
+    ----------
+    bench
+        The one believed, for the tolerances of parameters that were fitted.
+    most
+        Effects named at most, the strongest.
+    scale_sd
+        Relative standard deviation of a factor that all torques and inertias have in common.
+    """
+    view, inference = inferred(view, progress)
+    told, remaining = _told(view, inference, most)
+    group = _learned_group(inference)
+    view, at = view.settled([label for label, _ in told]), inference
+    if view.model is not inference.model:
+        at = Inference(view.model, inference.noises)
+    told, fitted = _fitted(at, told, [] if group is None else [group])
+    labels = [label for label, _ in told]
+    learned = None if group is None else view.learned(at, fitted, group)
+    kinds = {label: inference.labels[label].kind for label in labels}
+    estimates = {
+        name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
+        for name, value in zip(at.model.nuisance_names, fitted.nuisances, strict=True)
+        if name in PARAMETER_INFO
+    }
+    for label in (label for label, kind in kinds.items() if kind == "parameter"):
+        (size,) = at.of_projection(fitted, label).values()
+        estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
+    before, after = view.nominal(at), at.predicted(fitted)
+    denied = tuple(impossible(estimates))
+    if denied:
+        remaining = []
+    if denied or not _closes(at.model, before, after):
+        told, estimates, learned, after = [], {}, None, before
+    named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
+    estimates = dict(scaled_parameters(estimates, scale_sd))
+    named.sort(key=lambda pair: -_squares_without(at, labels, pair[0]))
+    effects = [
+        _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
+        for label, alike in named
+    ]
+    errors = parameter_errors(bench, estimates)
+    table = disagreement_table(_residuals(inference.model, before, after), in_units_of_noise=False)
+    lines = tuple(_line(inference, *item) for item in remaining)
+    left = table.overall["used"]
+    is_much = left.after > EXCESS * left.noise_floor
+    remains = bool(lines or denied or group is not None or "gravity" in kinds.values()) or is_much
+    if effects and is_much:
+        denied = (
+            f"What is named leaves {left.after / left.noise_floor:.0f} times the noise: something "
+            "else is missing too, and the sizes may hold part of it.",
+        )
+    answer = Diagnosis(
+        verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
+        tuple(effects),
+        errors,
+        lines,
+        table,
+        (*denied, *notes(inference)),
+        bench_parameters=estimates,
+        signals=_signals(inference.model, before, after),
+        learned=learned,
+    )
+    if learned is None:
+        return answer
+    sizes = {e.name: {k: v.value for k, v in e.parameters.items()} for e in effects}
+    return replace(answer, augmented_bench=view.augmented(sizes, answer))
+
+
+def _closes(model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]) -> bool:
+    """Whether what is told explains anything to speak of: it would be an accident of a fit that is
+    far from what was recorded."""
+    left = disagreement_table(_residuals(model, before, after), in_units_of_noise=False)
+    used = left.overall["used"]
+    return used.after < CLOSED * used.before or used.after < EXCESS * used.noise_floor
+
+
+def _told(
+    view: View, inference: Inference, most: int
+) -> tuple[list[tuple[str, tuple[str, ...]]], list[tuple[str, What]]]:
+    """Labels that are named, each with what it is confounded with; lines that remain."""
+    labels = inference.labels
+    told: list[tuple[str, tuple[str, ...]]] = []
+    remaining: list[tuple[str, What]] = []
+    waves: list[str] = []
+    for members in inference.sure:
+        kinds = {labels[m].kind for m in members}
+        ripple = [m for m in members if labels[m].kind == "effect" and ORDER in _shapes(labels[m])]
+        if "line" in kinds:
+            remaining.append(
+                (ripple[0] if ripple else members[0], "angle or time" if ripple else "time")
+            )
+        elif ripple and len(ripple) == len(members):
+            waves.append(ripple[0])
+        elif all(view.reportable(inference, m) for m in members):
+            first, *others = members
+            names = dict.fromkeys(labels[m].name for m in (*others, *inference.lookalikes(first)))
+            told.append((first, tuple(n for n in names if n != labels[first].name)))
+    waves.sort(key=lambda m: -_share(inference, m))
+    told += [(m, ()) for m in waves[:1]]
+    remaining += [(m, "motor angle") for m in waves[1:]]
+    told.sort(key=lambda pair: -_share(inference, pair[0]))
+    effects = [p for p in told if labels[p[0]].kind == "effect"][most:]
+    return [p for p in told if p not in effects], remaining
+
+
+def _fitted(
+    inference: Inference, told: list[tuple[str, tuple[str, ...]]], groups: Sequence[int]
+) -> tuple[list[tuple[str, tuple[str, ...]]], Coefficients]:
+    """What is told, as it fits best; without what is none then, and what requires that."""
+    while True:
+        fitted = inference.projection([label for label, _ in told], groups)
+        none = {label for label, _ in told if inference.is_none(fitted, label)}
+        none |= {label for label, _ in told if inference.labels[label].requires & none}
+        if not none:
+            return told, fitted
+        told = [pair for pair in told if pair[0] not in none]
+
+
+def _shapes(candidate: Candidate) -> Mapping[str, float]:
+    return candidate.looks[0].shapes
+
+
+def _squares_without(inference: Inference, labels: Sequence[str], label: str) -> float:
+    """Sum of squares that all but one of what is told leaves of what is shown."""
+    model = inference.model
+    every = inference.predicted(inference.projection([n for n in labels if n != label]))
+    shown = ((model.pieces[i], every[i]) for i in model.used if model.pieces[i].shown)
+    return sum(float(np.sum(p.kept(p.measured - made) ** 2)) for p, made in shown)
+
+
+def _share(inference: Inference, label: str) -> float:
+    """χ² of what a candidate makes, averaged."""
+    linearised = inference.posterior.linearised
+    total = np.zeros(linearised.residual.size)
+    sizes = inference.posterior.sizes
+    for k, (placed, term) in enumerate(zip(inference.terms, linearised.terms, strict=True)):
+        if placed.candidate.label == label and k in sizes:
+            total += term.columns @ (sizes[k][0] @ sizes[k][1])
+    return float(total @ total)
+
+
+def _learned_group(inference: Inference) -> int | None:
+    """The group of the discrepancy that is told: there almost surely, and no small share."""
+    sure = [
+        g
+        for g in range(len(inference.groups))
+        if inference.presence(g) >= NAMED_AT and inference.taken(g) > LEARNED_SHARE
+    ]
+    return max(sure, key=inference.taken, default=None)
+
+
+def _effect(
+    inference: Inference,
+    label: str,
+    fitted: Mapping[str, float],
+    alike: tuple[str, ...],
+    scale_sd: float,
+) -> NamedEffect:
+    candidate = inference.labels[label]
+    parameters = inference.values(label)
+    for name, value in fitted.items():
+        parameters[name] = Estimate(value, parameters[name].sd)
+    size = parameters[candidate.parameters[0]]
+    sure = inference.probability((label, *alike))
+    z = abs(size.value) / max(size.sd, _TINY)
+    effect = NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
+    return with_shared_scale(effect, scale_sd)
+
+
+def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
+    """A wave that is told and not named."""
+    candidate = inference.labels[label]
+    values = inference.values(label)
+    order = values[ORDER].value if ORDER in values and dependence != "time" else math.nan
+    hertz = values["frequency_hz"].value if "frequency_hz" in values else math.nan
+    channel = inference.model.pieces[0].channel
+    if dependence == "angle or time":
+        rival = [m for m in inference.labels if inference.labels[m].kind == "line"]
+        best = max(rival, key=lambda m: inference.posterior.inclusion[m])
+        hertz = _shapes(inference.labels[best])["frequency_hz"]
+    return Unexplained(
+        channel,
+        dependence,
+        values[candidate.parameters[0]].value,
+        unit_of(channel),
+        order,
+        order,
+        hertz if dependence != "motor angle" else math.nan,
+        inference.model.recordings,
+        _share(inference, label),
+    )
+
+
+def _residuals(
+    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
+) -> list[PieceResiduals]:
+    return [
+        piece_residuals(
+            piece.name,
+            piece.channel,
+            piece.use,
+            piece.kept(piece.measured - first),
+            piece.kept(piece.measured - last),
+            white=piece.white,
+        )
+        for piece, first, last in zip(model.pieces, before, after, strict=True)
+        if piece.shown
+    ]
+
+
+def _signals(
+    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
+) -> tuple[PieceSignals, ...]:
+    return tuple(
+        PieceSignals(
+            piece.name,
+            piece.channel,
+            piece.use,
+            *map(piece.kept, (piece.time_s, piece.measured, *made)),
+        )
+        for piece, *made in zip(model.pieces, before, after, strict=True)
+        if piece.shown
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A torque over a variable, its amplitudes falling as 1/k.
+
+    Attributes
+    ----------
+    means
+        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
+        is an effect's.
+    reach
+        Of the variable, as recorded.
+    """
+
+    variable: Variable
+    period: float
+    reverses: bool
+    orders: int
+    means: FloatArray
+    reach: tuple[float, float]
+
+    @classmethod
+    def over(
+        cls,
+        variable: Variable,
+        period: float,
+        *,
+        reverses: bool,
+        orders: int,
+        reach: tuple[float, float],
+    ) -> Series:
+        """With the means over this reach of its variable."""
+        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
+        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
+        return replace(made, means=made.waves(x).mean(axis=0))
+
+    @property
+    def kind(self) -> str:
+        """What it is a torque over."""
+        return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
+
+    def waves(self, x: FloatArray) -> FloatArray:
+        """Cosines, then sines, less their means, (n, 2 orders)."""
+        k = np.arange(1, self.orders + 1)
+        phase = 2.0 * math.pi * x[:, None] * k / self.period
+        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
+
+    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTorque:
+        """With coefficients of the waves, (2 orders,), and their standard deviations."""
+        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
+        waves = coefficients * decay
+        sd: tuple[float, ...] = ()
+        if sds is not None:
+            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
+            sd = (constant, *(sds * decay).tolist())
+        return LearnedTorque(
+            "motor",
+            self.variable,
+            self.period,
+            -float(coefficients @ self.means),
+            tuple(waves[: self.orders].tolist()),
+            tuple(waves[self.orders :].tolist()),
+            self.reverses,
+            sd,
+        )
+
+
+def learned_answer(
+    series: Series, inference: Inference, fitted: Coefficients, group: int
+) -> LearnedAnswer:
+    """A group of the discrepancy as a torque over its variable."""
+    draws = inference.discrepancy_draws[:, inference.groups[group]]
+    value = fitted.discrepancy[group]
+    term = series.torque(value, draws.std(axis=0))
+    low, high = series.reach
+    if high - low > term.period:
+        low, high = -0.5 * term.period, 0.5 * term.period
+    x = np.linspace(low, high, CURVE_POINTS)
+    waves = series.waves(x)
+    curve = LearnedCurve(x, waves @ value, (waves @ draws.T).std(axis=1))
+    size = curve.value if term.reverses else curve.value - curve.value.mean()
+    return LearnedAnswer(term, float(np.abs(size).max()), (), curve)
