@@ -32,8 +32,8 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.naming.candidates import Candidate, candidates
-from bayesbl.naming.explanation import columns_of
+from bayesbl.model_search.catalogue import Candidate, candidates
+from bayesbl.model_search.refit import columns_of
 
 UNSEEN = 3.0
 PARAMETER_SHARE = 0.25

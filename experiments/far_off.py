@@ -26,7 +26,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.naming.criteria import GROSS
+from bayesbl.model_search.refit import GROSS
 
 STRENGTH = (0.02, 1.0)
 LEFT_OUT = ("backlash", "gravity_phase")

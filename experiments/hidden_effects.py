@@ -43,9 +43,8 @@ from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown
 from bayesbl.matching.signals import start_angle_unknown as start_angle
-from bayesbl.naming.candidates import candidates
-from bayesbl.naming.explanation import Explanation, distance, explain
-from bayesbl.naming.motor_orders import OrderPeak
+from bayesbl.model_search.catalogue import OrderPeak, candidates
+from bayesbl.model_search.refit import Explanation, refit
 from bayesbl.sampling.chains import SamplerSettings
 
 HELD_OUT_RPM = 1600.0
@@ -400,23 +399,29 @@ def _signature(found: Findings, hidden: Hidden) -> tuple[float, float]:
     nominal, own = found.naming.nominal, _own_fit(found, hidden)
     if own is None:
         return math.nan, math.nan
-    others = [e for e in found.naming.alone if e.names != own.names]
+    others = [e.explanation for e in found.naming.alone if e.explanation.names != own.names]
     gain = max(0.0, nominal.fit.chi_square - own.fit.chi_square)
-    return math.sqrt(gain), min((distance(own, other) for other in others), default=math.nan)
+    return math.sqrt(gain), min((_distance(own, other) for other in others), default=math.nan)
+
+
+def _distance(a: Explanation, b: Explanation) -> float:
+    """|z| between the best fits of two explanations: their difference in units of noise."""
+    return float(np.linalg.norm(a.fit.residual - b.fit.residual))
 
 
 def _own_fit(found: Findings, hidden: Hidden) -> Explanation | None:
     """The truth's fit; made here if the diagnosis saw no order to begin with."""
     nominal, name = found.naming.nominal, hidden.names[0]
-    for explanation in found.naming.alone:
-        if explanation.names == (name,):
-            return explanation
+    for own in found.naming.alone:
+        if own.explanation.names == (name,):
+            return own.explanation
     order = TYPICAL[name].get("order", 1.0)
     peaks = [OrderPeak(order, 0.0)]
     known = candidates(nominal.fit.model.bench, nominal.fit.model.recordings, [name], peaks)
     for candidate in known:
         if candidate.name == name:
-            return explain(nominal, candidate)
+            size = candidate.neutral + np.nan_to_num(candidate.usual)
+            return refit(nominal, [(candidate, size)], np.zeros(nominal.fit.point.size))
     return None
 
 

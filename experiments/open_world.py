@@ -39,8 +39,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
 from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
-from bayesbl.naming.criteria import repeating_misfit
-from bayesbl.naming.law_forms import laws_of_shaft
+from bayesbl.model_search.closed_loop import laws_of_shaft, weighed
 
 MOTOR_FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "motor_stribeck_friction")
 LOAD_FRICTION = ("load_coulomb_friction", "load_viscous_friction")
@@ -159,9 +158,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         "form_share": math.nan,
         "diagnosis_s": seconds,
     }
-    if laws_of_shaft(found.naming):
-        remaining = repeating_misfit(found.naming.final.fit)
-        score["form_share"] = remaining / repeating_misfit(found.naming.nominal.fit)
+    if laws_of_shaft(found.naming.final):
+        before, after = (weighed(e).excess for e in (found.naming.nominal, found.naming.final))
+        score["form_share"] = after / max(before, 1e-300)
     for stage, estimate in (
         ("before", diagnosis.delta_before),
         ("after", diagnosis.delta_after),
@@ -202,7 +201,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
         errors = errors[np.isfinite(errors)]
         line[f"cover_90_{stage}"] = _mean(np.abs(errors) < LEVEL_SD)
         line[f"delta_given_{stage}"] = float(errors.size)
-    # What naming/law_forms.py takes a law's form to leave, and to do to δ.
+    # What a law's form leaves, and does to δ.
     error = np.log(column["delta_ratio_after"])
     moved = np.log(column["delta_ratio_before"]) - error
     for law in SHAFT_LAWS if row.laws == 1 else ():

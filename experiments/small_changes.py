@@ -41,7 +41,7 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_unknowns
 from bayesbl.model_search.always_in import beside, directions, settled
-from bayesbl.naming.joint_change import FALSE_ALARM, Rival, find_changes
+from bayesbl.model_search.joint_change import FALSE_ALARM, Rival, find_changes
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import FloatArray
 

@@ -17,7 +17,7 @@ FLOW = {
         progress probabilities compiled""",
     "recordings, and the virtual bench": "recording noise bench sampling",
     "optimum and posterior": "ramps two_encoders ringing matching",
-    "which laws explain a misfit": "model_search naming",
+    "which laws explain a misfit": "model_search",
     "curve, configuration, result files": "curve config results",
     "gap and change": "measurement",
     "what a bench lacks, and many joints": "diagnosis identification fleet",

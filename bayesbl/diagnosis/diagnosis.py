@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
-
-import numpy as np
-from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
@@ -20,11 +17,8 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.naming.naming import RankedCandidate
+from bayesbl.model_search.closed_loop import RankedCandidate
 from bayesbl.recording.types import FloatArray
-
-GOLDEN_RATIO = 0.5 * (math.sqrt(5.0) - 1.0)
-"""Its multiples modulo 1 fill the unit interval evenly."""
 
 CURVE_POINTS = 181
 """Of a :class:`LearnedCurve`: one for every two degrees of a turn."""
@@ -49,36 +43,6 @@ class Estimate:
     sd: float
     draws: FloatArray | None = None
     logarithmic: bool = False
-
-    def normal_draws(self, count: int) -> FloatArray:
-        """Evenly spaced quantiles of the normal approximation, in the value's unit, (count,)."""
-        quantiles = norm.ppf((np.arange(count) + 0.5) / count)
-        coordinate = self.value + self.sd * quantiles
-        return np.asarray(np.exp(coordinate) if self.logarithmic else coordinate)
-
-    def widened(self, factor: float, sd: float) -> Estimate:
-        """A positive value so many times as wide, with a normal error more of its logarithm.
-
-        ``factor`` multiplies the standard deviation; ``sd``, a pure number, is that of the error.
-        """
-        draws = self.draws
-        if draws is not None:
-            logs = np.log(draws)
-            # In an order of their own, so that errors and draws are independent.
-            scrambled = np.argsort(np.arange(draws.size) * GOLDEN_RATIO % 1.0)
-            error = sd * norm.ppf((scrambled + 0.5) / draws.size).reshape(draws.shape)
-            draws = np.exp(logs.mean() + factor * (logs - logs.mean()) + error)
-        own = sd if self.logarithmic else sd * self.value
-        return replace(self, sd=math.hypot(factor * self.sd, own), draws=draws)
-
-    def shifted(self, shifts: FloatArray) -> Estimate:
-        """A positive value with an independent error of its logarithm, by draws of that, (n,)."""
-        draws = self.draws
-        if draws is not None:
-            draws = draws * np.exp(np.resize(shifts, draws.shape))
-        scale = 1.0 if self.logarithmic else self.value
-        sd = math.hypot(self.sd, scale * float(shifts.std()))
-        return replace(self, value=self.value + scale * float(shifts.mean()), sd=sd, draws=draws)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,6 @@ import numpy as np
 
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
-from bayesbl.naming.criteria import CHANCE_LOSS
 from bayesbl.recording.types import FloatArray
 
 ORDERS = (1, 2, 3, 4, 6, 8, LEARNED_HARMONICS)
@@ -34,6 +33,9 @@ ORDERS = (1, 2, 3, 4, 6, 8, LEARNED_HARMONICS)
 LEAST_OF_ITS_OWN = 1e-3
 """Share of a column's power that nothing else fitted makes, below which it is not fitted: its
 coefficient would be thirty times as uncertain as alone."""
+
+CHANCE_LOSS = 6.6
+"""χ² that one recording may lose by chance: once in a hundred, with one degree of freedom."""
 
 _ROUNDS = 4
 _FINER = 16

@@ -32,7 +32,7 @@ from bayesbl.identification.verdict import reason_of
 from bayesbl.identification.wrong_by_far import is_plausible
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.signals import GAP
-from bayesbl.naming.explanation import Explanation, nominal_explanation
+from bayesbl.model_search.refit import Explanation, nominal_explanation
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED

@@ -1,11 +1,10 @@
 """From a data sheet and recordings to the joint posterior of a bench's parameters.
 
 Every parameter that is not known exactly is free within its tolerance, beside the gap and each
-recording's start angle; the match and its posterior are those of the direct route. What the
-parameters cannot explain within their tolerances is sought beyond one of them, and then among the
-effects of the catalogue. Where they seem to explain all, a delay in the controller's loop or in
-what it records may be hidden in them: every drive has one, few data sheets, and the gap is wrong
-with them. So may one wrong value be, where others have gone to their edges.
+recording's start angle; the match and its posterior are those of the direct route. Hypotheses of
+what the sheet lacks are the effects of the catalogue, a delay of the drive among them, which the
+tolerances would absorb, and each value beyond its tolerance. One posterior over their sets says
+what is there (:mod:`bayesbl.model_search.closed_loop`).
 """
 
 from __future__ import annotations
@@ -22,38 +21,39 @@ from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.identification.beyond_data_sheet import (
-    BeyondDataSheet,
-    WiderTolerances,
-    beyond_an_edge,
-    beyond_data_sheet,
-    far_beyond_data_sheet,
-    with_wider_tolerances,
-)
-from bayesbl.identification.problem import FALSE_ALARM, Problem, is_explained
-from bayesbl.identification.wrong_by_far import may_be_far_off
+from bayesbl.identification.problem import Problem, is_explained
+from bayesbl.identification.wrong_by_far import explanations_from_afar, freed, may_be_far_off
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
-from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
+from bayesbl.matching.least_squares import SimulatedFit, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
+from bayesbl.matching.signals import GAP
 from bayesbl.matching.standstill import believed, in_motion
-from bayesbl.naming.candidates import Candidate, candidates, steady_torque
-from bayesbl.naming.criteria import are_alike, is_gross
-from bayesbl.naming.explanation import (
+from bayesbl.model_search.catalogue import (
+    Candidate,
+    OrderPeak,
+    candidates,
+    order_peaks,
+    steady_torque,
+)
+from bayesbl.model_search.closed_loop import (
+    FittedSet,
+    NamedCandidate,
+    Naming,
+    name_missing,
+    weighed,
+)
+from bayesbl.model_search.constants import FALSE_ALARM, NAMED_AT
+from bayesbl.model_search.refit import (
     Explanation,
-    explain,
     from_afar,
-    gain_threshold,
-    gains_more_than_chance,
-    linear_gains,
+    is_gross,
     nominal_explanation,
     polished,
+    refit,
     with_noise,
     with_own_noise,
 )
-from bayesbl.naming.motor_orders import order_peaks
-from bayesbl.naming.naming import Naming
-from bayesbl.naming.search import WORTH_FITTING, name_missing
 from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
@@ -66,10 +66,44 @@ AFAR = "Seeking a value wrong by far"
 DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
 """Those of the drive: between the motor and the controller, and the recording."""
 
-STEADY_EFFECTS = tuple(
-    e.name for e in EFFECTS if e.enters == "motor" and e.sought_in_loop and not e.is_periodic
-)
-"""Those that may be a constant torque at constant speed, or nearly."""
+DOUBTFUL = 0.05
+"""Probability of a value beyond its tolerance from which on its gap is held against the answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeyondDataSheet:
+    """A value of the data sheet that the recordings contradict.
+
+    Attributes
+    ----------
+    believed, tolerance
+        By the data sheet.
+    found
+        By the recordings.
+    deviations
+        From the nearer end of its tolerance to what was found, in standard deviations.
+    could_be
+        Other parameters that would explain the recordings as well, each alone.
+    """
+
+    name: str
+    believed: float
+    tolerance: float
+    found: float
+    deviations: float
+    could_be: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DoubtfulValues:
+    """Values that may lie beyond their tolerances, too improbable to be named.
+
+    ``gaps_rad``: δ of each gap with all values within, and with the likeliest beyond, (gap, 2).
+    """
+
+    names: tuple[str, ...]
+    probability: float
+    gaps_rad: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +123,8 @@ class Identification:
         Effects that the bench lacks, by name, each with those it cannot be told from.
     check
         What still repeats.
-    wider
-        The match with wider tolerances; ``None`` where no value lies at the edge of its own, or one
-        was found beyond it.
+    doubtful
+        Values that may be wrong, too improbable to be named; ``None`` without any.
     """
 
     nominal: Explanation
@@ -100,7 +133,7 @@ class Identification:
     beyond: BeyondDataSheet | None
     missing: tuple[tuple[str, ...], ...]
     check: tuple[RepeatingPower, ...]
-    wider: WiderTolerances | None
+    doubtful: DoubtfulValues | None
     posterior: DirectPosterior
 
     @property
@@ -115,7 +148,7 @@ def identify(
     seed: np.random.SeedSequence,
     progress: StageProgress | None = None,
 ) -> Identification:
-    """Match, complete where nothing else explains the recordings, and sample.
+    """Match, complete where something else explains the recordings, and sample.
 
     Raises
     ------
@@ -127,76 +160,70 @@ def identify(
         # A match with this sheet would take minutes or fail, only to be further off.
         far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
         if far is not None:
-            found, value = far
-            posterior = _posterior(found.fit, sampler, seed, progress)
-            check = tuple(disagreements(found.fit))
-            return Identification(found, found, "agrees", value, (), check, None, posterior)
+            return _identification(far[0], far[0], far[1], (), None, sampler, seed, progress)
     nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
-    beyond: BeyondDataSheet | None = None
-    if is_explained(nominal):
-        final, missing = _delayed(nominal, problem)
-    else:
-        final, beyond, missing = _completed(nominal, problem, far_off, progress)
-    check = tuple(disagreements(final.fit))
-    explained = agrees(list(check), FALSE_ALARM)
-    verdict: Verdict = "agrees" if explained and not missing else "unexplained"
-    if missing:
-        verdict = "missing_effect"
-    wider = None if beyond is not None else with_wider_tolerances(final.fit, problem)
-    completed = final.names != nominal.names
-    if wider is not None and explained and (completed or not missing):
-        # The other parameters, pressed to their edges, may hide the one that is wrong.
-        wrong = beyond_an_edge(final, wider, problem)
-        if wrong is not None:
-            final, beyond, wider = *wrong, None
-            check = tuple(disagreements(final.fit))
-    posterior = _posterior(final.fit, sampler, seed, progress)
-    return Identification(nominal, final, verdict, beyond, missing, check, wider, posterior)
-
-
-def _completed(
-    nominal: Explanation, problem: Problem, far_off: bool, progress: StageProgress | None
-) -> tuple[Explanation, BeyondDataSheet | None, tuple[tuple[str, ...], ...]]:
-    """What explains recordings that the data sheet within its tolerances does not.
-
-    The likeliest first: steady friction, a value a little beyond its tolerance, an effect of the
-    catalogue, and a value wrong by far unless that has been sought already (``far_off``).
-    """
-    naming = of_stage(progress, "Naming what is missing")
-    steady = _with_steady_torque(problem)
-    rubs = steady is not None and is_explained(steady)
-    if rubs:
-        named, missing = _named(nominal, steady, problem, naming)
-        if missing:
-            return _asked_for(nominal, named, problem), None, missing
-    near = beyond_data_sheet(nominal, problem)
-    if near is not None:
-        return *near, ()
-    if rubs:
-        return nominal, None, ()
-    named, missing = _named(nominal, steady, problem, naming)
-    if not (far_off or is_explained(named)):
+    naming: Naming = name_missing(
+        _to_name_from(nominal, problem),
+        partial(_hypotheses, problem, nominal),
+        progress=of_stage(progress, "Naming what is missing"),
+    )
+    if naming.repeats and not far_off:
         far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
         if far is not None:
-            return *far, ()
-    return _asked_for(nominal, named, problem), None, missing
+            return _identification(nominal, far[0], far[1], (), None, sampler, seed, progress)
+    final, beyond = nominal, None
+    missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
+    if naming.effects:
+        named = with_own_noise(naming.final)
+        named = replace(named, fit=believed(named.fit, FALSE_ALARM))
+        asked = problem.effects == "catalogue" or all(
+            set(members) <= set(DELAYS) for members in missing
+        )
+        final = named if asked else nominal
+        wrong = [e for e in naming.effects if e.candidate.kind == "parameter"]
+        if wrong and asked:
+            beyond = _beyond(final, wrong[0], problem)
+    return _identification(
+        nominal, final, beyond, missing, _doubtful(naming, problem), sampler, seed, progress
+    )
 
 
-def _asked_for(nominal: Explanation, named: Explanation, problem: Problem) -> Explanation:
-    """With what was named in the bench, if that was asked for."""
-    return named if problem.effects == "catalogue" else nominal
-
-
-def _posterior(
-    fit: SimulatedFit,
+def _identification(
+    nominal: Explanation,
+    final: Explanation,
+    beyond: BeyondDataSheet | None,
+    missing: tuple[tuple[str, ...], ...],
+    doubtful: DoubtfulValues | None,
     sampler: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: StageProgress | None,
-) -> DirectPosterior:
-    """Draws about a fit, as wide as impacts that are not alike ask for."""
+) -> Identification:
+    """With draws about the fit, as wide as impacts that are not alike ask for."""
+    check = tuple(disagreements(final.fit))
+    verdict: Verdict = "agrees" if agrees(list(check), FALSE_ALARM) else "unexplained"
+    if missing:
+        verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
-    return widened(sample_direct(fit, sampler, seed, drawing, simulating), *seed.spawn(1))
+    posterior = sample_direct(final.fit, sampler, seed, drawing, simulating)
+    posterior = widened(posterior, *seed.spawn(1))
+    return Identification(nominal, final, verdict, beyond, missing, check, doubtful, posterior)
+
+
+def _hypotheses(
+    problem: Problem, nominal: Explanation, peaks: Sequence[OrderPeak]
+) -> list[Candidate]:
+    """What the data sheet may lack: effects, and each value beyond its tolerance."""
+    effects = candidates(nominal.fit.model.bench, problem.used, "all", peaks)
+    # A reference that was sampled has round corners, as by a delay.
+    moving = all(seen.motion is not None for seen in problem.used)
+    found = [c for c in effects if c.kind == "effect" and not (moving and c.name in DELAYS)]
+    for name in problem.parameters:
+        value, half = problem.bench.value(name), problem.bench.tolerances[name]
+        if value > half:
+            usual = np.array([math.log1p(half / value)])
+            found.append(replace(freed(name, nominal.fit.value(name)), usual=usual))
+    return found
 
 
 def _nominal(problem: Problem, progress: Progress | None) -> Explanation:
@@ -205,12 +232,15 @@ def _nominal(problem: Problem, progress: Progress | None) -> Explanation:
     found = nominal_explanation(fit)
     if problem.effects in ("catalogue", ()):
         return found
-    asked = _effects(problem, fit, problem.effects)
-    for candidate in asked:
-        tried = [explain(found, candidate)]
+    asked = candidates(problem.bench, problem.used, problem.effects, order_peaks(fit))
+    for candidate in (c for c in asked if c.kind == "effect"):
+        starts = [candidate.neutral + np.nan_to_num(candidate.usual), *candidate.starts]
+        unmoved = np.zeros(found.fit.point.size)
+        tried = [refit(found, [(candidate, start)], unmoved) for start in starts]
         if is_gross(found) and candidate.scanned:
-            tried.append(from_afar(found, candidate))
-        found = min(filter(None, tried), key=lambda e: e.fit.chi_square, default=found)
+            tried += from_afar(found, [candidate])
+        fits = [e for e in tried if e is not None]
+        found = min(fits, key=lambda e: e.fit.chi_square, default=found)
     found = with_noise(polished(found), remaining_noise(found.fit))
     return with_own_noise(found)
 
@@ -226,122 +256,82 @@ def _believed(nominal: Explanation) -> Explanation:
     return replace(nominal, fit=fit)
 
 
-def _effects(
-    problem: Problem, fit: SimulatedFit, names: Sequence[str] | Literal["all"]
-) -> list[Candidate]:
-    """Candidates of these names; those that turn with the motor at the orders that stand out."""
-    found = candidates(problem.bench, problem.used, names, order_peaks(fit))
-    return [c for c in found if c.kind == "effect"]
+def _to_name_from(nominal: Explanation, problem: Problem) -> SimulatedFit:
+    """Where the search begins.
 
-
-def _delayed(
-    nominal: Explanation, problem: Problem
-) -> tuple[Explanation, tuple[tuple[str, ...], ...]]:
-    """With a delay in loop or recording beside the parameters, if the recordings show one.
-
-    Those at constant speed must: a reference that was sampled has round corners, as by a delay.
-    """
-    if all(seen.motion is not None for seen in problem.used):
-        return nominal, ()
-    turning = _at_constant_speed(nominal)
-    delays = _effects(problem, nominal.fit, DELAYS)
-    found = []
-    for candidate, promise in zip(delays, linear_gains(turning, delays), strict=True):
-        asked = gain_threshold(len(candidate.unknowns), len(delays), FALSE_ALARM)
-        if promise < WORTH_FITTING * asked:
-            continue
-        fitted = _with(turning, candidate)
-        if fitted is None or not gains_more_than_chance(turning, fitted, len(delays), FALSE_ALARM):
-            continue
-        if turning is not nominal:
-            fitted = _with(nominal, candidate)
-        if fitted is not None:
-            found.append(fitted)
-    if not found:
-        return nominal, ()
-    best, *others = sorted(found, key=lambda e: -e.log_evidence)
-    alike = [e.candidates[-1].name for e in others if are_alike(best, e)]
-    return with_own_noise(best), ((best.candidates[-1].name, *alike),)
-
-
-def _with(base: Explanation, candidate: Candidate) -> Explanation | None:
-    """One candidate more, fitted to the end."""
-    rough = explain(base, candidate)
-    return None if rough is None else polished(rough)
-
-
-def _at_constant_speed(explanation: Explanation) -> Explanation:
-    """The same bench fitted to the recordings that are of no motion alone."""
-    fit, model = explanation.fit, explanation.fit.model
-    kept = [i for i, seen in enumerate(model.recordings) if seen.motion is None]
-    if len(kept) == len(model.recordings):
-        return explanation
-    recordings = [model.recordings[i] for i in kept]
-    names = (None, *(seen.name for seen in recordings))
-    own = [k for k, unknown in enumerate(model.unknowns) if unknown.recording in names]
-    turning = replace(
-        model,
-        recordings=recordings,
-        unknowns=[model.unknowns[k] for k in own],
-        noise=[model.noise[i] for i in kept],
-    )
-    return nominal_explanation(fit_simulated(turning, fit.point[own], fit.steps[own]))
-
-
-def _with_steady_torque(problem: Problem) -> Explanation | None:
-    """The parameters beside a constant torque in each recording; ``None`` if the bench has one.
-
-    At constant speed that is what all friction of the motor looks like, which real joints have and
-    data sheets lack: without it the parameters are drawn to the ends of their tolerances. In a
-    motion friction reverses: ``None`` where all are of one.
+    At constant speed all friction of the motor is a constant torque, which real joints have and
+    data sheets lack: without it the parameters are drawn to the ends of their tolerances. Where
+    such torques explain more, the search begins at their parameters, the torques taken away and
+    nothing fitted again.
     """
     candidate = steady_torque(problem.bench, problem.used)
-    if candidate is None or all(seen.motion is not None for seen in problem.used):
-        return None
+    moving = all(seen.motion is not None for seen in problem.used)
+    if candidate is None or moving or nominal.candidates or is_explained(nominal):
+        return nominal.fit
     unknowns = [*problem.unknowns, *candidate.unknowns]
-    bench = candidate.bench(problem.bench)
-    fit = fit_aligned(bench, problem.used, unknowns, problem.workers)
-    return Explanation((candidate,), fit)
-
-
-def _named(
-    nominal: Explanation,
-    steady: Explanation | None,
-    problem: Problem,
-    progress: Progress | None,
-) -> tuple[Explanation, tuple[tuple[str, ...], ...]]:
-    """With the effects that the recordings name."""
-    naming: Naming = name_missing(
-        _to_name_from(nominal, steady),
-        partial(
-            candidates,
-            nominal.fit.model.bench,
-            problem.used,
-            "all" if steady is None or not is_explained(steady) else STEADY_EFFECTS,
-            declared=problem.parameters,
-        ),
-        false_alarm=FALSE_ALARM,
-        progress=progress,
-    )
-    missing = tuple(effect.members for effect in naming.effects)
-    if not missing:
-        return nominal, missing
-    named = with_own_noise(naming.final)
-    return replace(named, fit=believed(named.fit, FALSE_ALARM)), missing
-
-
-def _to_name_from(nominal: Explanation, steady: Explanation | None) -> SimulatedFit:
-    """The nominal comparison where the search begins.
-
-    Where constant torques explain more, that is at their parameters, the torques taken away and
-    nothing fitted again: so that friction, once added, finds them as they are.
-    """
-    if steady is None or steady.fit.chi_square >= nominal.fit.chi_square or nominal.candidates:
+    fit = fit_aligned(candidate.bench(problem.bench), problem.used, unknowns, problem.workers)
+    if fit.chi_square >= nominal.fit.chi_square:
         return nominal.fit
     own = nominal.fit.point.size
-    model = replace(nominal.fit.model, noise=steady.fit.model.noise)
-    begun = replace(steady.fit, point=steady.fit.point[:own], steps=steady.fit.steps[:own])
-    return with_model(begun, model)
+    model = replace(nominal.fit.model, noise=fit.model.noise)
+    return with_model(replace(fit, point=fit.point[:own], steps=fit.steps[:own]), model)
+
+
+def far_beyond_data_sheet(
+    problem: Problem, progress: Progress | None = None
+) -> tuple[Explanation, BeyondDataSheet] | None:
+    """One value beyond its tolerance that explains all, wherever in its whole range it lies.
+
+    ``progress``: called with (places scanned, places in all).
+    """
+    rough = sorted(explanations_from_afar(problem, progress), key=lambda e: e.fit.chi_square)
+    fitted = [with_noise(polished(e), remaining_noise(e.fit)) for e in rough[:3]]
+    own = [weighed(e) for e in fitted if is_explained(e) and _is_outside(e, problem)]
+    if not own:
+        return None
+    chosen = max(own, key=lambda one: one.log_evidence)
+    near = chosen.log_evidence + math.log(1.0 - NAMED_AT)
+    others = [e.explanation for e in own if e is not chosen and e.log_evidence > near]
+    alike = tuple((e.candidates[-1], e) for e in others)
+    name = NamedCandidate(chosen.explanation.candidates[-1], math.inf, 1.0, alike)
+    return chosen.explanation, _beyond(chosen.explanation, name, problem)
+
+
+def _is_outside(explanation: Explanation, problem: Problem) -> bool:
+    """Whether the parameter freed last is beyond its tolerance."""
+    name = explanation.candidates[-1].name
+    found = float(explanation.fit.model.unknowns[-1].value(explanation.fit.point[-1]))
+    return abs(found - problem.bench.value(name)) > problem.bench.tolerances[name]
+
+
+def _beyond(final: Explanation, named: NamedCandidate, problem: Problem) -> BeyondDataSheet:
+    name, fit = named.name, final.fit
+    (place,) = final.places(named.candidate)
+    value, half = problem.bench.value(name), problem.bench.tolerances[name]
+    ends = [math.log(end) for end in (value - half, value + half) if end > 0.0]
+    sd = math.sqrt(float(weighed(final).alone.covariance()[place, place]))
+    at = float(fit.point[place])
+    return BeyondDataSheet(
+        name, value, half, math.exp(at), min(abs(at - end) for end in ends) / sd, named.members[1:]
+    )
+
+
+def _doubtful(naming: Naming, problem: Problem) -> DoubtfulValues | None:
+    """Values that may lie beyond their tolerances, with the gap of the likeliest such set."""
+
+    def beyond(own: FittedSet) -> list[str]:
+        return [c.name for c in own.explanation.candidates if c.kind == "parameter"]
+
+    sure = {e.name for e in naming.effects}
+    sets = [(own, p) for own, p in naming.sets if set(beyond(own)) - sure]
+    probability = sum(p for _, p in sets)
+    if probability < DOUBTFUL or naming.repeats:
+        return None
+    likeliest = max(sets, key=lambda item: item[1])[0]
+    gaps = [None] if problem.shares_gap else [seen.name for seen in problem.used]
+    values = [[f.value(GAP, g) for f in (naming.final.fit, likeliest.fit)] for g in gaps]
+    names = dict.fromkeys(name for own, _ in sets for name in beyond(own) if name not in sure)
+    return DoubtfulValues(tuple(names), probability, np.array(values))
 
 
 def parameter_draws(found: Identification, names: Sequence[str]) -> FloatArray:

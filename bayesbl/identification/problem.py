@@ -16,10 +16,8 @@ from bayesbl.matching.signals import (
     reference_delay_unknown,
     start_angle_unknown,
 )
-from bayesbl.naming.explanation import Explanation
-
-FALSE_ALARM = 0.01
-"""Of the predictive check and of naming, each over all that it tests."""
+from bayesbl.model_search.constants import FALSE_ALARM
+from bayesbl.model_search.refit import Explanation
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,11 @@ import numpy as np
 
 from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import Identification
-from bayesbl.identification.problem import FALSE_ALARM, Problem
+from bayesbl.identification.problem import Problem
 from bayesbl.identification.well_known_factors import guess_of
 from bayesbl.matching.predictive_check import RepeatingPower, agrees
 from bayesbl.matching.signals import GAP
+from bayesbl.model_search.constants import FALSE_ALARM
 from bayesbl.units import in_words
 
 
@@ -28,7 +29,6 @@ def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> st
             "several values of the data sheet are wrong, or the gap was not the same in all "
             "recordings (give their dates). "
             f"{left_over(found.check)} Check the data sheet, or widen its tolerances."
-            f"{_stopped(found)}"
         )
     if found.posterior.diagnostics.outcome == "withheld":
         return " ".join(found.posterior.diagnostics.reasons)
@@ -73,30 +73,21 @@ def _decided_by_edges(
     found: Identification, gaps: Sequence[str | None], level: float
 ) -> str | None:
     """Why δ is one of the tolerances, not of the recordings; ``None`` where it is not."""
-    wider = found.wider
-    if wider is None or not wider.explain_more:
+    doubtful = found.doubtful
+    if doubtful is None:
         return None
-    for gap, (before, after) in zip(gaps, wider.gaps_rad, strict=True):
+    for gap, (before, after) in zip(gaps, doubtful.gaps_rad, strict=True):
         draws = found.posterior.values(GAP, gap)
         low, high = np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
         if abs(after - before) > 0.5 * (high - low):
-            names = " and ".join(map(in_words, wider.at_edges))
-            lie = "lies" if len(wider.at_edges) == 1 else "lie"
+            names = " or ".join(map(in_words, doubtful.names))
             return (
-                f"The edges of tolerances decide δ: {names} {lie} at an edge, and with "
-                "all tolerances half as wide again the recordings are explained better (χ² "
-                f"falls by {wider.gain:.2g}) with δ = {1e3 * after:.3g} mrad instead of "
-                f"{1e3 * before:.3g} mrad. Correct the data sheet, or widen its tolerances."
+                f"The edges of tolerances decide δ: with a probability of "
+                f"{100.0 * doubtful.probability:.0f} % {names} lies beyond its own, and then δ is "
+                f"about {1e3 * after:.3g} mrad instead of {1e3 * before:.3g} mrad. Correct the "
+                "data sheet, or widen its tolerances."
             )
     return None
-
-
-def _stopped(found: Identification) -> str:
-    """Values that only their tolerances held, behind a space; the wrong one is often among them."""
-    if found.wider is None:
-        return ""
-    names = ", ".join(map(in_words, found.wider.at_edges))
-    return f" At the edges of their tolerances: {names}."
 
 
 def left_over(check: Sequence[RepeatingPower]) -> str:

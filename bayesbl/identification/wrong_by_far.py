@@ -22,9 +22,9 @@ from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.naming.candidates import Candidate, steady_torque
-from bayesbl.naming.criteria import contends, is_gross
-from bayesbl.naming.explanation import SCANNED_GAPS, Explanation, extended
+from bayesbl.model_search.catalogue import Candidate, steady_torque
+from bayesbl.model_search.constants import LEAVES_MOST, SLACK
+from bayesbl.model_search.refit import SCANNED_GAPS, Explanation, extended, is_gross
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
@@ -57,7 +57,8 @@ def freed(name: str, value: float) -> Candidate:
     """A parameter on its own, sought about a value."""
     at, reach = math.log(value), math.log(REACH)
     unknown = Unknown(name, at - reach, at + reach, logarithmic=True)
-    return Candidate(name, "parameter", (unknown,), np.array([at]))
+    usual = np.array([math.log(STEP)])
+    return Candidate(name, "parameter", (unknown,), np.array([at]), usual=usual)
 
 
 def is_plausible(problem: Problem) -> bool:
@@ -102,7 +103,7 @@ def explanations_from_afar(problem: Problem, progress: Progress | None) -> list[
     least = min((place.left for place in best.values()), default=math.inf)
     fits: list[Explanation] = []
     for place in best.values():
-        if contends(place.left, least):
+        if place.left < LEAVES_MOST * max(least, 0.0) + SLACK:
             with suppress(BenchError):
                 beside = extended(model, place.candidate)
                 fit = fit_simulated(beside, place.point, rough=True)

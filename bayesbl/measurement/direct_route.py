@@ -72,7 +72,12 @@ from bayesbl.measurement.motion_verdict import (
     unseen_gap,
 )
 from bayesbl.model_search.always_in import Beside, beside, directions, marginalised, settled
-from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, changed_beside, find_changes
+from bayesbl.model_search.joint_change import (
+    FALSE_ALARM,
+    JointFindings,
+    changed_beside,
+    find_changes,
+)
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage

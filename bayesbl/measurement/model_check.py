@@ -1,6 +1,6 @@
 """What a comparison with the bench says of the joint: items, sentences, what is withheld.
 
-From what :mod:`bayesbl.naming.joint_change` finds to the checks of a snapshot and of a comparison.
+From what :mod:`bayesbl.model_search.joint_change` finds to the checks of snapshot and comparison.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import compared, folded_signal
 from bayesbl.model_search.always_in import CHANGED_TOGETHER
-from bayesbl.naming.joint_change import (
+from bayesbl.model_search.joint_change import (
     FRICTION,
     MOTOR_FRICTION,
     ChangedParameter,

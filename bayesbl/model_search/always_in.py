@@ -17,6 +17,7 @@ is made one of its unknowns, fitted and sampled as any other; linear is the rest
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -312,6 +313,23 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
         for residual, jacobian, own, by in zip(residuals, jacobians, acting, columns, strict=True)
     ]
     return Beside(labels, posterior, drawn.sizes, np.concatenate(left))
+
+
+def always_terms(
+    fit: SimulatedFit, among: Sequence[Direction]
+) -> tuple[tuple[Label, ...], list[FloatArray]]:
+    """Laws and drift beside a fit with their columns, (N, k) each; without causes of a change."""
+    labels = tuple(label for label in _labels(fit.model, among) if not label.cause)
+    ends = np.cumsum([0, *(len(label.directions) for label in labels)])
+    parts = fit.model.by_recording(fit.residual)
+    rows = []
+    for place, part in enumerate(parts):
+        own, by = _columns(fit, place, labels)
+        row = np.zeros((part.size, int(ends[-1])))
+        row[:, own] = by
+        rows.append(row)
+    every = np.concatenate(rows)
+    return labels, [every[:, a:b] for a, b in itertools.pairwise(ends)]
 
 
 def _labels(model: SimulatedSignals, among: Sequence[Direction]) -> tuple[Label, ...]:

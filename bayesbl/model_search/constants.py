@@ -42,6 +42,23 @@ WEIGHED_SHARE = 0.999
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
 
+FALSE_ALARM = 0.01
+"""Of the check whether anything repeats, over all that it tests."""
+
+UNEXPLAINED_SHARE = 0.05
+"""Of the disagreement: what no hypothesis holds, from which on nothing is named."""
+
+FORM_SHARE = 0.1
+"""Of a law's own signal: what it may be off by for its form. Of eleven joints whose shaft follows
+Bouc-Wen's law, Dahl's left up to the square of that in χ²."""
+
+LEAVES_MOST, SLACK = 2.0, 100.0
+"""χ² beyond noise that what is fitted in full promises to leave, at most: a multiple of what the
+best leaves, and an amount more. Far from its optimum a promise is no better."""
+
+MEAN_SHARE = 0.01
+"""Usual error of a channel's mean, over its largest line. Three means alone would not tell friction
+from offsets of any size."""
 
 LEARNED_SHARE = 0.01
 """Of the excess chi-square that a discrepancy must hold to be told: less than a hundredth of what

@@ -105,6 +105,30 @@ class DiscrepancyGroup:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MisfitBand:
+    """Rows in which anything may be off besides noise: errors alike in size, and no more is known.
+
+    The same as a group with a column for each row, at the price of a factor for each.
+
+    Attributes
+    ----------
+    kind
+        What the rows are: ``"load orders up to 8"``, …
+    rows
+        Of the residual, the columns and the derivatives.
+    freedom
+        Independent values that they stand for, where they are a triangle of more.
+    usual
+        As :attr:`DiscrepancyGroup.usual`.
+    """
+
+    kind: str
+    rows: slice
+    freedom: int
+    usual: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
     """A view at its fit.
 
@@ -124,6 +148,8 @@ class Linearised:
         (N, m) columns, in any unit; each group is scaled to a root mean square of one.
     groups
         What these columns are.
+    bands
+        Rows that nothing is known of; no two overlap.
     """
 
     residual: FloatArray
@@ -133,6 +159,12 @@ class Linearised:
     terms: Sequence[Term]
     discrepancy: FloatArray
     groups: Sequence[DiscrepancyGroup] = ()
+    bands: Sequence[MisfitBand] = ()
+
+    @property
+    def scaled(self) -> tuple[DiscrepancyGroup | MisfitBand, ...]:
+        """All that has a scale, in the order of :attr:`Model.scales`."""
+        return (*self.groups, *self.bands)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +193,8 @@ class Model:
     terms
         Indices into :attr:`Linearised.terms`, those always there left out.
     scales
-        Standard deviation of each discrepancy group in units of a sample's noise; 0: absent.
+        Standard deviation of each discrepancy group, then of each misfit band, in units of a
+        sample's noise; 0: absent.
     log_posterior
         ln of the probability.
     """
@@ -244,13 +277,50 @@ def orthant(
     return np.asarray(log_site.sum(1) + normal), mu, np.asarray(sigma, dtype=float)
 
 
-def _factor(gram: FloatArray) -> FloatArray:
-    """A⁻¹ of a positive semidefinite matrix of columns in any unit; directions without data: 0."""
+def _factor(gram: FloatArray) -> tuple[FloatArray, float]:
+    """A⁻¹ of a positive semidefinite matrix of columns in any unit, and ln |A|; of directions
+    without data 0."""
     scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > 1e-12 * max(1.0, float(values[-1]) if values.size else 1.0)
     part = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
-    return np.asarray(part @ part.T)
+    log_det = float(np.log(values[kept]).sum()) + 2.0 * float(np.log(scale).sum())
+    return np.asarray(part @ part.T), log_det
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Base:
+    """Gram matrices at one scale of the misfit bands: of the nuisance (u and what is always there),
+    between it and the other columns, and of those with it marginalised."""
+
+    nuisance_gram: FloatArray
+    inverse: FloatArray
+    cross: FloatArray
+    nuisance_pull: FloatArray
+    gram: FloatArray
+    right: FloatArray
+    squares: float
+    chi_square: float
+    log_volume: float
+
+    @classmethod
+    def of(cls, total: FloatArray, prior: FloatArray, pull: FloatArray, log_volume: float) -> _Base:
+        q = len(prior)
+        nuisance_gram, cross = total[:q, :q] + prior, total[:q, q:-1]
+        inverse, log_det = _factor(nuisance_gram)
+        nuisance_pull = total[:q, -1] + pull
+        squares = float(total[-1, -1])
+        return cls(
+            nuisance_gram,
+            inverse,
+            cross,
+            nuisance_pull,
+            total[q:-1, q:-1] - cross.T @ inverse @ cross,
+            total[q:-1, -1] - cross.T @ (inverse @ nuisance_pull),
+            squares,
+            squares - float(nuisance_pull @ inverse @ nuisance_pull),
+            log_volume - 0.5 * log_det,
+        )
 
 
 class _Grams:
@@ -278,23 +348,20 @@ class _Grams:
         prior[: self.d, : self.d] = view.prior_precision
         pull = np.zeros(q)
         pull[: self.d] = view.prior_pull
-        self.k, self.m, self.q = columns.shape[1], h.shape[1], q
-        self.nuisance_gram = nuisance.T @ nuisance + prior
-        self.inverse = _factor(self.nuisance_gram)
-        self.cross = nuisance.T @ rest
-        self.nuisance_pull = nuisance.T @ view.residual + pull
-        self.raw_gram = rest.T @ rest
-        self.gram = self.raw_gram - self.cross.T @ self.inverse @ self.cross
-        self.right = rest.T @ view.residual - self.cross.T @ (self.inverse @ self.nuisance_pull)
-        self.chi_square = float(view.residual @ view.residual) - float(
-            self.nuisance_pull @ self.inverse @ self.nuisance_pull
-        )
-        gram_u = self.nuisance_gram[: self.d, : self.d]
-        self.inverse_u = _factor(gram_u)
-        pull_u = self.nuisance_pull[: self.d]
-        self.chi_square_alone = float(view.residual @ view.residual) - float(
-            pull_u @ self.inverse_u @ pull_u
-        )
+        self.k, self.m = columns.shape[1], h.shape[1]
+        everything = np.hstack([nuisance, rest, view.residual[:, None]])
+        self.prior, self.pull = prior, pull
+        self.parts = [everything[b.rows].T @ everything[b.rows] for b in view.bands]
+        self.rest_part = everything.T @ everything - sum(self.parts, np.zeros(()))
+        self._bases: dict[tuple[int, ...], _Base] = {}
+        lowest = 1.0 / math.sqrt(max(1, self.size))
+        steps = math.ceil(math.log(DISCREPANCY_LARGEST / lowest) / math.log(DISCREPANCY_SPACING))
+        self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
+        alone = self.base((0,) * len(view.scaled))
+        gram_u = alone.nuisance_gram[: self.d, : self.d]
+        self.inverse_u, _ = _factor(gram_u)
+        self.pull_u = alone.nuisance_pull[: self.d]
+        self.chi_square_alone = alone.squares - float(self.pull_u @ self.inverse_u @ self.pull_u)
         effective = float(np.sum(self.inverse_u * (gram_u - view.prior_precision)))
         self.freedom = self.size - effective
         self.widths = np.array([widths[i] for i in range(len(terms))], dtype=int)
@@ -312,10 +379,20 @@ class _Grams:
         self.apart = self._apart()
         there = {terms[i].hypothesis for i in range(len(terms))}
         self.requires = [term.requires & there for term in terms]
-        lowest = 1.0 / math.sqrt(max(1, self.size))
-        steps = math.ceil(math.log(DISCREPANCY_LARGEST / lowest) / math.log(DISCREPANCY_SPACING))
-        self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
         self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float, float]] = {}
+
+    def base(self, level: tuple[int, ...]) -> _Base:
+        """Everything with u and what is always there marginalised, at the scales of the bands."""
+        own = level[len(self.view.groups) :]
+        if own not in self._bases:
+            total = self.rest_part.copy()
+            log_volume = 0.0
+            for index, band, part in zip(own, self.view.bands, self.parts, strict=True):
+                variance = 1.0 + float(self.lattice[index]) ** 2
+                total += part / variance
+                log_volume -= 0.5 * band.freedom * math.log(variance)
+            self._bases[own] = _Base.of(total, self.prior, self.pull, log_volume)
+        return self._bases[own]
 
     def _discrepancy_scale(self) -> FloatArray:
         squares = (self.view.discrepancy**2).sum(axis=0)
@@ -337,7 +414,7 @@ class _Grams:
     def precision_of_h(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         """Columns of h that are there, and their prior precision."""
         there, precision = [], []
-        for index, group in zip(level, self.view.groups, strict=True):
+        for index, group in zip(level, self.view.groups, strict=False):
             if index:
                 inside = np.arange(self.m)[group.columns]
                 there.append(inside[self.scale_of_column[inside] > 0.0])
@@ -350,24 +427,24 @@ class _Grams:
         """Gram and right side of the terms with h marginalised, its ln evidence, and χ²
         that it takes."""
         if level not in self._cache:
-            k = self.k
-            gram, right = self.gram[:k, :k], self.right[:k]
-            log_evidence = taken = 0.0
+            k, base = self.k, self.base(level)
+            gram, right = base.gram[:k, :k], base.right[:k]
+            log_evidence, taken = base.log_volume - 0.5 * base.chi_square, 0.0
             there, precision = self.precision_of_h(level)
             if there.size:
                 at = there + k
                 root = np.sqrt(precision)
                 # (R⁻¹ G R⁻¹ + I), R² the precision: well scaled at every scale.
-                inside = self.gram[np.ix_(at, at)] / np.outer(root, root) + np.eye(there.size)
+                inside = base.gram[np.ix_(at, at)] / np.outer(root, root) + np.eye(there.size)
                 lower = np.linalg.cholesky(inside)
-                cross = np.linalg.solve(lower, self.gram[np.ix_(at, np.arange(k))] / root[:, None])
-                own = np.linalg.solve(lower, self.right[at] / root)
+                cross = np.linalg.solve(lower, base.gram[np.ix_(at, np.arange(k))] / root[:, None])
+                own = np.linalg.solve(lower, base.right[at] / root)
                 gram = gram - cross.T @ cross
                 right = right - cross.T @ own
                 taken = float(own @ own)
-                log_evidence = 0.5 * taken - float(np.log(np.diag(lower)).sum())
+                log_evidence += 0.5 * taken - float(np.log(np.diag(lower)).sum())
             absent = self.priors.discrepancy_absent
-            for index, group in zip(level, self.view.groups, strict=True):
+            for index, group in zip(level, self.view.scaled, strict=True):
                 weight = absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
                 log_evidence += math.log(weight)
                 log_evidence -= 0.5 * float(self.lattice[index] / group.usual) ** 2
@@ -459,8 +536,7 @@ def search(
     neighbours. All pairs are tried, larger sets continued from the best.
     """
     grams = _Grams(linearised, priors or Priors())
-    groups = len(linearised.groups)
-    nowhere = (0,) * groups
+    nowhere = (0,) * len(linearised.scaled)
     levels = list(dict.fromkeys([nowhere, _climb(grams, (), nowhere)]))
     pool: dict[tuple[int, ...], float] = {}
     done = 0
@@ -489,7 +565,7 @@ def search(
         Model(terms, tuple(float(grams.lattice[i]) for i in level), score - total, level)
         for score, terms, level in sorted(scored, key=lambda item: -item[0])
     )
-    return ModelPosterior(linearised, models, grams)
+    return ModelPosterior(linearised, models, total, grams)
 
 
 def _enumerate(
@@ -556,10 +632,14 @@ class ModelPosterior:
         What was searched.
     models
         Sets at their scales, the most probable first; probabilities sum to one.
+    log_evidence
+        ln of the sum of all their priors times evidences, up to a constant of the residual's size
+        and of the prior of u.
     """
 
     linearised: Linearised
     models: tuple[Model, ...]
+    log_evidence: float
     _grams: _Grams
 
     @cached_property
@@ -591,27 +671,43 @@ class ModelPosterior:
     @cached_property
     def confounded(self) -> tuple[tuple[str, ...], ...]:
         """Smallest sets of hypotheses, none named, one of which is there almost surely."""
-        result: list[tuple[str, ...]] = []
-        used = set(self.named)
-        while members := self._smallest_cover(used):
-            result.append(members)
-            used |= set(members)
-        return tuple(result)
+        sets = {terms: (self.labels(terms), p) for terms, p in self.sets.items()}
+        return confounded(list(sets.values()), self.named)
 
-    def _smallest_cover(self, used: set[str]) -> tuple[str, ...]:
-        """Hypotheses, none of those used, of which the sets hold one almost surely; or none."""
-        left = [(self.labels(terms) - used, p) for terms, p in self.sets.items()]
-        members: list[str] = []
-        while len(members) < CONFOUNDED_MOST and sum(p for _, p in left) > 1.0 - NAMED_AT:
-            gain: dict[str, float] = {}
-            for labels, probability in left:
-                for label in labels:
-                    gain[label] = gain.get(label, 0.0) + probability
-            if not gain:
-                return ()
-            members.append(max(gain, key=lambda label: gain[label]))
-            left = [(labels, p) for labels, p in left if members[-1] not in labels]
-        return tuple(members) if sum(p for _, p in left) <= 1.0 - NAMED_AT else ()
+    def mean_of(self, terms: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+        """Most probable sizes of the columns of a set in their order, (k,), and the shift of u
+        with them, (d,)."""
+        grams = self._grams
+        level = next(m._level for m in self.models if m.terms == terms)
+        base = grams.base(level)
+        columns, _, precision = grams.normal(terms, level)
+        right = grams.at(level)[1][columns]
+        sizes = _within(right, precision, grams.is_positive[columns])
+        centre = base.inverse @ (base.nuisance_pull - base.cross[:, columns] @ sizes)
+        return sizes[: columns.size - grams.bound_columns.size], centre[: grams.d]
+
+    def mean_of_all(self) -> tuple[FloatArray, FloatArray]:
+        """Sizes of what is always there with either sign, (k,), and the shift of u, (d,), in the
+        most probable model."""
+        base = self._grams.base(self.models[0]._level)
+        centre = base.inverse @ base.nuisance_pull
+        return centre[self._grams.d :], centre[: self._grams.d]
+
+    def single_gains(self) -> dict[int, float]:
+        """ln of prior times evidence that each selected term adds alone, were there no misfit."""
+        grams = self._grams
+        added = grams.extensions((), (0,) * len(self.linearised.scaled))
+        return dict(zip(grams.selected, added.tolist(), strict=True))
+
+    def covariance(self) -> FloatArray:
+        """(d, d) of u beside what the terms and the discrepancy move it by, of the average."""
+        total = np.zeros((self._grams.d, self._grams.d))
+        for model in self.models:
+            gram = self._grams.base(model._level).nuisance_gram
+            total += (
+                math.exp(model.log_posterior) * _factor(gram[: self._grams.d, : self._grams.d])[0]
+            )
+        return total
 
     @cached_property
     def disagreement(self) -> Disagreement:
@@ -631,9 +727,9 @@ class ModelPosterior:
                 taken.append(by_h + 2.0 * float(b @ solved) - float(solved @ precision @ solved))
             there, prior = grams.precision_of_h(model._level)
             at = there + grams.k
-            gram = grams.gram[np.ix_(at, at)]
+            gram = grams.base(model._level).gram[np.ix_(at, at)]
             freedom = float(np.trace(np.linalg.solve(gram + np.diag(prior), gram)))
-            left = grams.chi_square - grams.freedom
+            left = grams.base(model._level).chi_square - grams.freedom
             beside_terms += weight * (left - taken[0])
             beside_all += weight * (left - taken[1] + freedom)
         return Disagreement(grams.chi_square_alone - grams.freedom, beside_terms, beside_all)
@@ -717,7 +813,8 @@ class ModelPosterior:
             [np.zeros(0, int), *(np.arange(starts[i], starts[i + 1]) for i in grams.free)]
         )
         sizes, h = np.zeros((n, int(starts[-1]))), np.zeros((n, grams.m))
-        at = 0
+        shift = np.zeros((n, grams.d))
+        at, unshifted = 0, grams.inverse_u @ grams.pull_u
         for model, count in zip(self.models, counts, strict=True):
             if not count:
                 continue
@@ -725,6 +822,7 @@ class ModelPosterior:
             at += count
             (own_generator,) = generator.spawn(1)
             columns, mean, precision = grams.normal(model.terms, model._level)
+            base = grams.base(model._level)
             a = _truncated(
                 mean,
                 np.asarray(np.linalg.inv(precision), dtype=float),
@@ -737,26 +835,59 @@ class ModelPosterior:
             both = np.concatenate([columns, there + grams.k])
             if there.size:
                 inside = there + grams.k
-                gram = grams.gram[np.ix_(inside, inside)] + np.diag(prior)
-                right = grams.right[inside] - a @ grams.gram[np.ix_(columns, inside)]
+                gram = base.gram[np.ix_(inside, inside)] + np.diag(prior)
+                right = base.right[inside] - a @ base.gram[np.ix_(columns, inside)]
                 lower = np.linalg.cholesky(gram)
                 centre = np.linalg.solve(gram, right.T).T
                 noise = own_generator.standard_normal((count, there.size))
                 h[rows, there] = centre + np.linalg.solve(lower.T, noise.T).T
             if grams.free:
                 values = np.concatenate([a, h[rows, there]], axis=1)
-                centre = (grams.nuisance_pull - values @ grams.cross[:, both].T) @ grams.inverse
-                block = grams.inverse[grams.d :, grams.d :]
+                centre = (base.nuisance_pull - values @ base.cross[:, both].T) @ base.inverse
+                block = base.inverse[grams.d :, grams.d :]
                 root = np.linalg.cholesky(block)
                 noise = own_generator.standard_normal((count, block.shape[0]))
                 sizes[rows, place_free] = centre[:, grams.d :] + noise @ root.T
+            inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
+            signal = sizes[rows][:, place] @ base.cross[: grams.d, : grams.k].T
+            signal += h[rows] @ base.cross[: grams.d, grams.k :].T
+            signal += sizes[rows][:, place_free] @ base.nuisance_gram[grams.d :, : grams.d]
+            shift[rows] = (base.nuisance_pull[: grams.d] - signal) @ inverse_u - unshifted
         order = generator.permutation(n)
-        sizes, h = sizes[order], h[order]
-        signal = sizes[:, place] @ grams.cross[: grams.d, : grams.k].T
-        signal += h @ grams.cross[: grams.d, grams.k :].T
-        signal += sizes[:, place_free] @ grams.nuisance_gram[grams.d :, : grams.d]
-        shift = -signal @ grams.inverse_u
-        return Draws(sizes, h * grams.scale_of_column, shift)
+        return Draws(sizes[order], h[order] * grams.scale_of_column, shift[order])
+
+
+def confounded(
+    sets: Sequence[tuple[frozenset[str], float]], named: Iterable[str] = ()
+) -> tuple[tuple[str, ...], ...]:
+    """Smallest groups of hypotheses, none named, one of which is there almost surely.
+
+    ``sets``: of hypotheses that are there together, each with its probability.
+    """
+    result: list[tuple[str, ...]] = []
+    used = set(named)
+    while members := _smallest_cover(sets, used):
+        result.append(members)
+        used |= set(members)
+    return tuple(result)
+
+
+def _smallest_cover(
+    sets: Sequence[tuple[frozenset[str], float]], used: set[str]
+) -> tuple[str, ...]:
+    """Hypotheses, none of those used, of which the sets hold one almost surely; or none."""
+    left = [(labels - used, p) for labels, p in sets]
+    members: list[str] = []
+    while len(members) < CONFOUNDED_MOST and sum(p for _, p in left) > 1.0 - NAMED_AT:
+        gain: dict[str, float] = {}
+        for labels, probability in left:
+            for label in labels:
+                gain[label] = gain.get(label, 0.0) + probability
+        if not gain:
+            return ()
+        members.append(max(gain, key=lambda label: gain[label]))
+        left = [(labels, p) for labels, p in left if members[-1] not in labels]
+    return tuple(members) if sum(p for _, p in left) <= 1.0 - NAMED_AT else ()
 
 
 def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:

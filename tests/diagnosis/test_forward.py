@@ -33,7 +33,7 @@ from bayesbl.matching.signals import (
     gap_unknown,
     start_angle_unknown,
 )
-from bayesbl.naming.motor_orders import order_peaks
+from bayesbl.model_search.catalogue import order_peaks
 from bayesbl.noise.process import NoiseModel
 from bayesbl.presentation.diagnosis import headline, residuals_in_words, wear
 from bayesbl.recording.readers import read_recording

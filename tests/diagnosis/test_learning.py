@@ -26,7 +26,7 @@ from bayesbl.diagnosis.rigid.inverse import InverseView
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.naming.explanation import Explanation, nominal_explanation
+from bayesbl.model_search.refit import Explanation, nominal_explanation
 from bayesbl.recording.types import MOTOR_TORQUE
 
 pytestmark = pytest.mark.long

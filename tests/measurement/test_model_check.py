@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesbl.measurement.model_check import undecided_gap
-from bayesbl.naming.joint_change import ChangedParameter, JointFindings, Rival
+from bayesbl.model_search.joint_change import ChangedParameter, JointFindings, Rival
 
 DAMPING = "shaft_damping_nm_s_per_rad"
 

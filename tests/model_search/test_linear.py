@@ -14,6 +14,7 @@ from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.model_search.linear import (
     DiscrepancyGroup,
     Linearised,
+    MisfitBand,
     Priors,
     Term,
     orthant,
@@ -309,3 +310,54 @@ def test_the_scale_of_a_discrepancy_is_told_in_the_callers_unit() -> None:
     size = rng.standard_normal(20) * 50.0
     posterior = search(view(h @ size + rng.standard_normal(1000), [], discrepancy=h))
     assert posterior.discrepancy_sd(0) == pytest.approx(50.0, rel=0.6)
+
+
+def banded(triangle):
+    """A view whose first rows may be off; these rows, or a triangle of them."""
+    rng = np.random.default_rng(11)
+    everything = rng.standard_normal((60, 7))
+    everything[:40, -1] *= 3.0
+    rows, freedom = everything[:40], 40
+    if triangle:
+        rows = np.linalg.qr(rows, mode="r")
+    everything = np.concatenate([rows, everything[40:]])
+    terms = [Term(f"h{i}", everything[:, 2 + i : 3 + i]) for i in range(4)]
+    lin = view(everything[:, -1], terms, jacobian=everything[:, :2])
+    return replace(lin, bands=[MisfitBand("low", slice(0, len(rows)), freedom)])
+
+
+def test_a_misfit_band_is_more_variance_of_its_rows():
+    """ln N(r; 0, D + J P⁻¹ Jᵀ) with D the rows' variances: an independent way to the evidence."""
+    lin = banded(triangle=False)
+    posterior = search(replace(lin, terms=[]), None, 0)
+    expected = []
+    for model in posterior.models:
+        variance = np.where(np.arange(60) < 40, 1.0 + model.scales[0] ** 2, 1.0)
+        cov = np.diag(variance) + lin.jacobian @ lin.jacobian.T
+        own = stats.multivariate_normal(np.zeros(60), cov).logpdf(lin.residual)
+        absent = model.scales[0] == 0.0
+        expected.append(
+            own + math.log(0.5 if absent else 0.5 / (len(posterior._grams.lattice) - 1))
+        )
+    found = np.array([m.log_posterior for m in posterior.models])
+    np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], atol=1e-6)
+    assert posterior.models[0].scales[0] == pytest.approx(math.sqrt(8.0), rel=0.5)
+
+
+def test_a_triangle_of_a_band_says_what_its_rows_say():
+    rows, triangle = (search(banded(t), None, 2) for t in (False, True))
+    # The lattice of scales begins at the number of rows: the same to its spacing.
+    for some, probability in rows.sets.items():
+        assert triangle.sets.get(some, 0.0) == pytest.approx(probability, abs=0.02)
+
+
+def test_where_a_band_may_be_off_its_rows_name_nothing():
+    """A misfit of three standard deviations in forty rows, on which a column happens to lie."""
+    lin = banded(triangle=False)
+    some = lin.residual[:40] * (np.arange(40) < 4)
+    columns = np.zeros((60, 1))
+    columns[:40, 0] = some
+    lin = replace(lin, terms=[Term("chance", columns)])
+    with_band, without = search(lin, None, 1), search(replace(lin, bands=[]), None, 1)
+    assert without.inclusion["chance"] > NAMED_AT
+    assert with_band.inclusion["chance"] < NAMED_AT

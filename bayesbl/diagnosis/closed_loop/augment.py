@@ -11,7 +11,7 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import START_ANGLE
-from bayesbl.naming.explanation import Explanation
+from bayesbl.model_search.refit import Explanation
 
 
 def augmented_bench(explanation: Explanation) -> Bench:

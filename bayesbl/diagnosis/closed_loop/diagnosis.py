@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from bayesbl.diagnosis.closed_loop.prediction import (
 )
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
-    GOLDEN_RATIO,
     Diagnosis,
     Estimate,
     LearnedAnswer,
@@ -27,18 +27,10 @@ from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP
-from bayesbl.naming.criteria import misfit_scale
-from bayesbl.naming.explanation import (
-    Explanation,
-)
-from bayesbl.naming.law_forms import (
-    FORM_SHARE,
-    form_of_gap,
-    form_sd,
-    is_within_form,
-    laws_of_shaft,
-)
-from bayesbl.naming.naming import Naming
+from bayesbl.model_search.closed_loop import Naming, laws_of_shaft, log_gap_of
+from bayesbl.model_search.constants import FORM_SHARE
+from bayesbl.model_search.refit import Explanation
+from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
 AVERAGED_DRAWS = 4000
@@ -68,10 +60,14 @@ def diagnosis_of(
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
     kinds = {candidate.kind for candidate in final.candidates}
     withheld = _why_no_gap(found, posterior, level)
-    form = 0.0 if found.learned else form_sd(naming)
-    misfit = math.sqrt(misfit_scale(final.fit))
     gap_is_given = not withheld and GAP in [u.name for u in final.fit.model.unknowns]
-    doubts = _doubts_in_words(found, form, misfit) if gap_is_given else ()
+    doubts = _doubts_in_words(found) if gap_is_given else ()
+    after = None if withheld else _delta_after(found, sampled)
+    if sampled is not None and after is not None and after.draws is not None:
+        # What is stored is what is told.
+        draws = sampled.draws.copy()
+        draws[..., final.fit.model.index(GAP)] = np.log(after.draws)
+        posterior = replace(sampled, draws=draws)
     pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
@@ -83,7 +79,7 @@ def diagnosis_of(
             NamedEffect(
                 effect.name,
                 fitted,
-                _probability(naming, effect.name),
+                effect.probability,
                 math.sqrt(max(effect.gain, 0.0)),
                 effect.members[1:],
             )
@@ -106,7 +102,7 @@ def diagnosis_of(
         (*notes, *doubts),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
-        delta_after=None if withheld else _delta_after(found, sampled, form, misfit),
+        delta_after=after,
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
@@ -162,74 +158,83 @@ def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> 
     }
 
 
-def _probability(naming: Naming, name: str) -> float:
-    """Of this name, by evidence over every explanation that was fitted, nothing included."""
-    return sum(w for e, w in _weighted(naming) if name in e.names)
-
-
-def _weighted(naming: Naming) -> list[tuple[Explanation, float]]:
-    """Every explanation that was fitted, nothing included, with its share of the evidence.
-
-    All were fitted with the noise of the nominal fit, as evidences of different noise do not
-    compare.
-    """
-    rivals = [rival for effect in naming.effects for rival in effect.indistinguishable]
-    found: dict[frozenset[str], Explanation] = {}
-    for explanation in (naming.final, *rivals, *naming.alone, naming.nominal):
-        found.setdefault(frozenset(explanation.names), explanation)
-    logs = np.array([explanation.log_evidence for explanation in found.values()])
-    weights = np.exp(logs - logs.max())
-    return list(zip(found.values(), map(float, weights / weights.sum()), strict=True))
-
-
-def _doubts_in_words(found: Findings, form: float, misfit: float) -> Iterator[str]:
+def _doubts_in_words(found: Findings) -> Iterator[str]:
     """What the form of a law that is named, and what is left, do to δ."""
-    laws = " and ".join(in_words(law.name) for law in laws_of_shaft(found.naming))
-    if form > 0.0:
-        known = 100.0 * form_of_gap(found.naming)
+    laws = [c.name for c in laws_of_shaft(found.naming.final)]
+    if laws and found.form_sd > 0.0:
         yield (
-            f"No real shaft follows the law of {laws} exactly. How far it moves the gap is taken "
-            f"as known to {known:.0f} %. That is a standard deviation of "
-            f"{100.0 * form:.2g} % of the gap, and the gap's interval includes it."
+            f"No real shaft follows the law of {' and '.join(map(in_words, laws))} exactly. How "
+            f"far it moves the gap is taken as known to {100.0 * FORM_SHARE:.0f} %. That is a "
+            f"standard deviation of {100.0 * found.form_sd:.2g} % of the gap, and the gap's "
+            "interval includes it."
         )
-    if found.remaining and is_within_form(found.naming):
+    wider = _misfit_factor(found)
+    if wider > 1.05:
         yield (
-            f"What is left is less than {100.0 * FORM_SHARE:.1g} % of what {laws} explains. The "
-            "form of that law may leave as much, so no other name is given for it."
-        )
-    if misfit > 1.0:
-        yield (
-            "What is left still repeats. It counts as noise for the gap, whose interval is "
-            f"{misfit:.1f} times as wide for it."
+            "Something repeats that no name explains. The gap's interval is "
+            f"{wider:.2g} times as wide for it."
         )
 
 
-def _delta_after(
-    found: Findings, sampled: DirectPosterior | None, form: float, misfit: float
-) -> Estimate | None:
-    """δ with what was named and learned; ``None`` where it is known.
+def _misfit_factor(found: Findings) -> float:
+    """Standard deviation of ln δ with the misfit over that by noise alone."""
+    own, place = found.chosen, found.final.fit.model.index(GAP)
+    by_noise = float(own.fit.covariance[place, place])
+    return max(1.0, math.sqrt(float(own.alone.covariance()[place, place]) / by_noise))
 
-    ``form``: standard deviation of ln δ that the form of the shaft's named laws adds. ``misfit``:
-    of what is left over that of noise. Laws that nothing shows are always included.
-    """
-    if found.learned is None:
-        estimate = _averaged_delta(found.naming, found.final, sampled)
-    else:
-        estimate = _delta(found.final, sampled)
-    if estimate is None or found.law_shifts is None:
-        return estimate
-    return estimate.widened(misfit, form).shifted(found.law_shifts)
+
+def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate | None:
+    """δ of the average over all sets, with laws that nothing shows; ``None`` where it is known."""
+    chosen = _delta(found.final, sampled)
+    if chosen is None or found.law_shifts is None:
+        return chosen
+    rng, naming = np.random.default_rng(0), found.naming
+    shape = (AVERAGED_DRAWS,) if chosen.draws is None else chosen.draws.shape
+    size = math.prod(shape)
+    own = log_gap_of(found.chosen, rng, size)
+    if chosen.draws is not None:
+        logs = np.log(chosen.draws.ravel())
+        own = logs.mean() + _misfit_factor(found) * (logs - logs.mean())
+    averaged = own if found.learned else _averaged(naming, own, found.final.keys, rng)
+    averaged = averaged + rng.permutation(np.resize(found.law_shifts, size))
+    averaged = averaged + found.form_sd * rng.standard_normal(size)
+    draws = None if chosen.draws is None else np.exp(averaged).reshape(shape)
+    return Estimate(float(averaged.mean()), float(averaged.std()), draws, logarithmic=True)
+
+
+def _averaged(
+    naming: Naming,
+    own: FloatArray,
+    keys: frozenset[tuple[str, float | None]],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Draws of ln δ of the chosen set, with each other one in its share of them, (n,)."""
+    averaged, begin = own.copy(), 0
+    order = rng.permutation(own.size)
+    for other, weight in naming.sets:
+        count = round(weight * own.size)
+        if other.explanation.keys == keys or count == 0:
+            continue
+        averaged[order[begin : begin + count]] = log_gap_of(other, rng, count)
+        begin += count
+    return averaged
 
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
-    """What was learned leaves δ open, or a tolerance decides it; empty where neither does."""
+    """What is missing or was learned leaves δ open, or a tolerance decides it; else empty."""
     told = _learned_answer(found)
     if told is not None:
         return told.gap_withheld
     names = [u.name for u in found.final.fit.model.unknowns]
-    if posterior is None or GAP not in names:
+    if GAP not in names:
         return ""
-    return posterior.beyond_tolerance(None, level) or ""
+    if found.naming.repeats:
+        return (
+            "Something repeats that neither the bench nor the catalogue explains. It may move the "
+            "gap by more than anything else, so no gap is given. Record another speed or "
+            "direction, and look at what is left."
+        )
+    return "" if posterior is None else posterior.beyond_tolerance(None, level) or ""
 
 
 def _learned_answer(found: Findings) -> LearnedAnswer | None:
@@ -239,34 +244,3 @@ def _learned_answer(found: Findings) -> LearnedAnswer | None:
     # Noise is told from what remains by its tests, not by a share of little.
     remains = bool(found.remaining) or not agrees(disagreements(found.final.fit))
     return answer_of(found.learned, closed, remains)
-
-
-def _averaged_delta(
-    naming: Naming, final: Explanation, posterior: DirectPosterior | None
-) -> Estimate | None:
-    """δ over every explanation that the recordings do not exclude, by evidence.
-
-    Of the chosen one the draws, where it was sampled. Each other explanation takes a share of them
-    as large as its weight, spread evenly, and puts its normal approximation there.
-    """
-    chosen = _delta(final, posterior)
-    if chosen is None:
-        return None
-    draws = chosen.normal_draws(AVERAGED_DRAWS) if chosen.draws is None else chosen.draws
-    averaged = draws.ravel().copy()
-    order, begin = np.argsort(np.arange(averaged.size) * GOLDEN_RATIO % 1.0), 0
-    for explanation, weight in _weighted(naming):
-        other, count = _delta(explanation), round(weight * averaged.size)
-        if explanation is naming.final or other is None or count == 0:
-            continue
-        averaged[order[begin : begin + count]] = other.normal_draws(count)
-        begin += count
-    if begin == 0:
-        return chosen
-    coordinate = np.log(averaged) if chosen.logarithmic else averaged
-    return Estimate(
-        float(coordinate.mean()),
-        float(coordinate.std()),
-        averaged.reshape(draws.shape),
-        chosen.logarithmic,
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -25,18 +26,21 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.model_search.always_in import beside, laws
-from bayesbl.naming.candidates import candidates
-from bayesbl.naming.criteria import ENOUGH_CLOSED, enough_closed, left
-from bayesbl.naming.explanation import (
+from bayesbl.model_search.catalogue import candidates
+from bayesbl.model_search.closed_loop import (
+    FittedSet,
+    Naming,
+    laws_of_shaft,
+    name_missing,
+    weighed,
+)
+from bayesbl.model_search.constants import FALSE_ALARM, FORM_SHARE, UNEXPLAINED_SHARE
+from bayesbl.model_search.refit import (
     Explanation,
-    effects_alone,
     nominal_explanation,
     reduced,
     with_own_noise,
 )
-from bayesbl.naming.law_forms import is_within_form, without_mends
-from bayesbl.naming.naming import Naming
-from bayesbl.naming.search import name_missing
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
@@ -54,7 +58,7 @@ class ForwardSettings:
 
     effects: Sequence[str] | None = None
     max_effects: int = MOST_EFFECTS
-    false_alarm: float = 0.01
+    false_alarm: float = FALSE_ALARM
     load_angle_known: bool = False
     motor_angle_known: bool = False
     workers: int = field(default=1, compare=False)
@@ -68,27 +72,36 @@ class Findings:
     ----------
     believed
         The bench as its file says.
-    final
-        With everything that is named, its noise estimated without what was missing.
+    chosen
+        The set of everything that is named, its noise estimated without what was missing; with what
+        was learned, if anything was.
     pairs
         Recordings, those that were held out too, beside both simulations.
     remaining
         What still stands out after naming.
     learned
-        What was learned from what naming left; ``final`` has it.
+        What was learned from what naming left; ``chosen`` has it.
     law_shifts
         Draws of what laws that nothing shows add to ln δ; ``None`` where no gap is sought.
+    form_sd
+        Standard deviation of ln δ for the forms of the shaft's laws that are named.
     """
 
     believed: Bench
     naming: Naming
-    final: Explanation
+    chosen: FittedSet
     pairs: tuple[SimulatedPair, ...]
     residuals_before: ResidualAnalysis
     residuals_after: ResidualAnalysis
     remaining: tuple[Unexplained, ...]
     learned: Learned | None = None
     law_shifts: FloatArray | None = None
+    form_sd: float = 0.0
+
+    @property
+    def final(self) -> Explanation:
+        """The fit of what is named."""
+        return self.chosen.explanation
 
 
 def search(
@@ -128,13 +141,15 @@ def search(
         name_missing,
         candidates=catalogue,
         max_effects=settings.max_effects,
-        false_alarm=settings.false_alarm,
         progress=progress,
     )
     compared = partial(_compared, nominal_explanation(nominal), held_out)
-    naming, final = _enough_closed(missing(nominal), compared)
-    result, learned = compared(final), None
-    if naming.repeats or (result.remaining and not is_within_form(naming)):
+    naming, learned = missing(nominal), None
+    # What was missing is not noise: intervals rest on the noise estimated without it.
+    final = with_own_noise(naming.final) if naming.final.candidates else naming.final
+    result = compared(final)
+    # What does not repeat with the load, a line of the motor or in time, is in no band.
+    if naming.repeats or (result.remaining and not laws_of_shaft(naming.final)):
         beside = _with_learned(naming, final, compared, missing, settings)
         if beside is not None:
             naming, learned = beside
@@ -143,14 +158,30 @@ def search(
     return Findings(
         bench,
         naming,
-        final,
+        weighed(final),
         result.pairs,
         _analysis(result.pairs, naming.nominal, "before"),
         result.after,
         result.remaining,
         learned,
         _law_shifts(final.fit),
+        0.0 if learned else _form_sd(naming),
     )
+
+
+def _form_sd(naming: Naming) -> float:
+    """A share of what the shaft's laws that are named do to ln δ.
+
+    Parameters named beside a law may stand in for its form: what they do counts as its own.
+    """
+    final, laws = naming.final, laws_of_shaft(naming.final)
+    if not laws or GAP not in [u.name for u in final.fit.model.unknowns]:
+        return 0.0
+    without = [k for k, c in enumerate(final.candidates) if c in laws or c.kind == "parameter"]
+    rest = reduced(naming.nominal, final, without)
+    if rest is None:
+        return 0.0
+    return FORM_SHARE * abs(math.log(final.fit.value(GAP) / rest.fit.value(GAP)))
 
 
 def _law_shifts(fit: SimulatedFit) -> FloatArray | None:
@@ -161,28 +192,6 @@ def _law_shifts(fit: SimulatedFit) -> FloatArray | None:
     rest = beside(fit, laws(fit.model.bench))
     drawn = rest.posterior.draw(np.random.default_rng(0), SHIFTS_DRAWN)
     return np.asarray(drawn.shift[:, gaps[0]])
-
-
-def _enough_closed(naming: Naming, compared: _Compared) -> tuple[Naming, Explanation]:
-    """The names that remove enough of what is no noise, and the explanation by them.
-
-    What was missing is not noise: intervals rest on the noise estimated without it.
-    """
-    if not naming.final.candidates:
-        return naming, naming.final
-    final = with_own_noise(naming.final)
-    if _is_closed(naming.nominal, compared(final), final):
-        return naming, final
-    # More is asked of parameters: the effects may do without them.
-    fewer = effects_alone(naming.nominal, naming.final)
-    if fewer is not None:
-        final = with_own_noise(fewer)
-        naming = _with_candidates(replace(naming, final=fewer), final)
-        if _is_closed(naming.nominal, compared(final), final):
-            return naming, final
-    # It helps a little, as a parameter may where a line in time remains: no explanation.
-    nearest, nominal = naming.final, naming.nominal
-    return replace(naming, repeats=True, final=nominal, effects=(), nearest=nearest), nominal
 
 
 def _with_learned(
@@ -196,14 +205,14 @@ def _with_learned(
     learned = _learned(final, naming, compared, settings)
     if learned is None:
         return None
-    names = _with_candidates(naming, learned.explanation)
-    if not names.effects and not agrees(disagreements(learned.explanation.fit)):
+    kept = () if naming.repeats else naming.effects
+    names = replace(naming, final=learned.explanation, effects=kept)
+    if not kept and not agrees(disagreements(learned.explanation.fit)):
         # Behind what was learned a law of the catalogue may have been hidden.
-        explained = left(naming.nominal) - left(learned.explanation)
-        beside = without_mends(missing(learned.explanation.fit), explained)
+        beside = missing(learned.explanation.fit)
         if beside.effects:
             learned = learned.beside(with_own_noise(beside.final))
-            names = replace(beside, nominal=naming.nominal, alone=naming.alone)
+            names = replace(beside, nominal=naming.nominal)
     closed = share_closed(compared(final).after, compared(learned.explanation).after)
     return None if closed < LEAST_LEARNED else (names, learned)
 
@@ -218,10 +227,10 @@ def _learned(
     """
     best, most = None, LEAST_LEARNED
     bases = [final]
-    if naming.nearest is not None and naming.nearest.candidates:
+    if naming.nearest is not None:
         bases.append(with_own_noise(naming.nearest))
     for base in bases:
-        if most >= ENOUGH_CLOSED:
+        if most >= 1.0 - UNEXPLAINED_SHARE:
             break
         without = compared(base)
         learned = learned_term(
@@ -257,24 +266,6 @@ def _compared(
     pairs = tuple(simulated_pairs(nominal, explanation, held_out))
     after = _analysis(pairs, explanation, "after")
     return _Comparison(pairs, after, tuple(describe_unexplained(after)))
-
-
-def _is_closed(nominal: Explanation, result: _Comparison, final: Explanation) -> bool:
-    """Whether an explanation leaves nothing, or removes enough of what is no noise."""
-    if not result.remaining or not final.candidates:
-        return True
-    before = _analysis(result.pairs, nominal, "before")
-    return share_closed(before, result.after) >= enough_closed(final)
-
-
-def _with_candidates(naming: Naming, final: Explanation) -> Naming:
-    """Without the names that what was learned has made superfluous."""
-    idle = [k for k, name in enumerate(naming.final.names) if name not in final.names]
-    if idle:
-        less = reduced(naming.nominal, naming.final, idle)
-        naming = replace(naming, final=less or naming.nominal)
-    kept = tuple(e for e in naming.effects if e.candidate.label in naming.final.names)
-    return replace(naming, effects=kept)
 
 
 def _analysis(

@@ -22,12 +22,11 @@ from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, Wha
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
-from bayesbl.matching.loop_noise import factors_of_estimates
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.naming.candidates import Candidate, amplitude_places
-from bayesbl.naming.criteria import ENOUGH_CLOSED
-from bayesbl.naming.explanation import Explanation, gain_threshold, with_own_noise
+from bayesbl.model_search.catalogue import Candidate
+from bayesbl.model_search.constants import UNEXPLAINED_SHARE
+from bayesbl.model_search.refit import Explanation, with_own_noise
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -108,10 +107,9 @@ def learned_term(
     trials = alike(learn(found, fit.model.prior_precision(), false_alarm), false_alarm)
     for trial in trials:
         with suppress(BenchError):
-            fitted = _fitted(base, trial)
-            if fitted is None:
+            explanation = _fitted(base, trial)
+            if explanation is None:
                 continue
-            explanation = _without_idle(fitted, false_alarm)
             fit = explanation.fit
             others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
             term = _learned(fit, _kind_of(trial.hypothesis))
@@ -120,36 +118,10 @@ def learned_term(
     return None
 
 
-def _without_idle(explanation: Explanation, false_alarm: float) -> Explanation:
-    """Leave out named candidates, the faintest first, that beside the torque no longer stand out.
-
-    They stood in for it.
-    """
-    fit = explanation.fit
-    faintest: tuple[float, Candidate] | None = None
-    for candidate in explanation.candidates:
-        at = _places(fit, candidate)
-        away = fit.point[at] - candidate.neutral
-        amplitudes = amplitude_places(candidate)
-        some = np.ix_([at[k] for k in amplitudes], [at[k] for k in amplitudes])
-        size = away[amplitudes]
-        weights = np.zeros(fit.point.size)
-        weights[some[0].ravel()] = np.linalg.solve(fit.covariance[some], size)
-        gain = float(weights[some[0].ravel()] @ size)
-        # Noise in the speed loop may have more variance along it than is counted.
-        gain /= float(np.mean(factors_of_estimates(fit, weights)))
-        enough = gain_threshold(len(at), len(explanation.candidates), false_alarm)
-        if gain < enough and (faintest is None or gain < faintest[0]):
-            faintest = gain, candidate
-    if faintest is None:
-        return explanation
-    return _without_idle(_without(explanation, faintest[1]), false_alarm)
-
-
 def _without(explanation: Explanation, idle: Candidate) -> Explanation:
     """Less one of its candidates, fitted again; what was learned stays."""
     fit = explanation.fit
-    at = _places(fit, idle)
+    at = explanation.places(idle)
     kept = [i for i in range(fit.point.size) if i not in at]
     bench = fit.model.bench
     model = replace(
@@ -159,12 +131,6 @@ def _without(explanation: Explanation, idle: Candidate) -> Explanation:
     )
     left = tuple(c for c in explanation.candidates if c is not idle)
     return Explanation(left, fit_simulated(model, fit.point[kept], fit.steps[kept]))
-
-
-def _places(fit: SimulatedFit, candidate: Candidate) -> list[int]:
-    """Of a candidate's unknowns among all."""
-    names = {(u.name, u.recording) for u in candidate.unknowns}
-    return [i for i, u in enumerate(fit.model.unknowns) if (u.name, u.recording) in names]
 
 
 def _kind_of(hypothesis: Hypothesis) -> type[LearnedTerm]:
@@ -393,10 +359,10 @@ def answer_of(learned: Learned, closed: float, remains: bool) -> LearnedAnswer:
             "What was learned repeats with the load at orders that reach the ringing of an "
             "impact: it could be taken for impacts, so no gap is given."
         )
-    elif remains and closed < ENOUGH_CLOSED:
+    elif remains and closed < (1.0 - UNEXPLAINED_SHARE):
         withheld = (
             f"What was learned removes {100.0 * closed:.0f} % of what repeats; from "
-            f"{100.0 * ENOUGH_CLOSED:g} % on a gap would be given."
+            f"{100.0 * (1.0 - UNEXPLAINED_SHARE):g} % on a gap would be given."
         )
     elif len({other.block for other in (term, *learned.alike)}) > 1:
         withheld = (

@@ -20,7 +20,7 @@ from bayesbl.matching.signals import (
     shift_unknowns,
     start_angle_unknown,
 )
-from bayesbl.naming.explanation import Explanation
+from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 
 

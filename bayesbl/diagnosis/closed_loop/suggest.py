@@ -13,8 +13,8 @@ from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_setting
 from bayesbl.diagnosis.diagnosis import Suggestion
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import START_ANGLE
-from bayesbl.naming.explanation import Explanation
-from bayesbl.naming.naming import NamedCandidate
+from bayesbl.model_search.closed_loop import NamedCandidate
+from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 
 SPEED_SHARES = (1.0, 0.6, 0.3, 1.5)
@@ -32,7 +32,7 @@ def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> 
     Every explanation is simulated with what it was fitted to; what a start angle or an offset of
     the phase could hide is projected out. Noise as in the first recording.
     """
-    rivals = [rival for effect in named for rival in effect.indistinguishable]
+    rivals = [rival for effect in named for _, rival in effect.indistinguishable]
     if not rivals:
         return None
     separates = tuple(effect.members for effect in named if effect.indistinguishable)

@@ -23,11 +23,17 @@ from bayesbl.matching.loop_noise import noise_along
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction
-from bayesbl.naming.candidates import Candidate, amplitude_places, candidates
-from bayesbl.naming.explanation import Explanation, columns_of, gain_threshold, with_own_noise
-from bayesbl.naming.motor_orders import OrderPeak, order_peaks
-from bayesbl.naming.search import name_missing
-from bayesbl.probabilities import normal_isf
+from bayesbl.model_search.catalogue import (
+    USUAL_SHARE,
+    Candidate,
+    OrderPeak,
+    amplitude_places,
+    candidates,
+    order_peaks,
+)
+from bayesbl.model_search.closed_loop import name_missing
+from bayesbl.model_search.refit import Explanation, columns_of, with_own_noise
+from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
@@ -39,6 +45,9 @@ gap be wrong by what the rest of it does. Without the current a constant torque 
 """
 
 MOTOR_FRICTION = "motor_friction"
+
+OWN_EFFECT_SHARE = 0.3
+"""Of what an effect of the bench is: usual size by which it is more or less."""
 
 FURTHEST_CHANGE = 3.0
 """Factor by which a parameter may have changed, up or down."""
@@ -179,9 +188,9 @@ def find_changes(
     nominal
         All recordings of a joint fitted together with the bench as believed.
     false_alarm
-        Of the predictive check and of the search, each over all that it tests.
+        Of the predictive check, over all that it tests.
     among
-        What is marginalised beside the fit that is made here, and so is no blind spot.
+        What is marginalised beside every fit, and so is no blind spot.
     progress
         Called with (fits made, fits expected).
 
@@ -193,8 +202,7 @@ def find_changes(
         nominal,
         partial(_candidates, nominal),
         max_effects=MOST_CHANGES,
-        false_alarm=false_alarm,
-        screened=True,
+        among=among,
         progress=progress,
     )
     final = naming.final
@@ -209,9 +217,9 @@ def find_changes(
         tuple(_parameters(final)) if explained else (),
         tuple(dict.fromkeys(name for found in naming.effects for name in found.members)),
         tuple(
-            Rival(rival.candidates[-1].name, rival.candidates[-1].recording, _gaps(rival.fit))
+            Rival(other.name, other.recording, _gaps(rival.fit))
             for found in naming.effects
-            for rival in found.indistinguishable
+            for other, rival in found.indistinguishable
         ),
         tuple(blind_spots(fit, false_alarm, among)) if explained else (),
         tuple(_motor_orders(nominal)),
@@ -413,6 +421,7 @@ def _with_friction_together(found: Sequence[Candidate]) -> list[Candidate]:
         "parameter",
         tuple(u for c in parts for u in c.unknowns),
         np.concatenate([c.neutral for c in parts]),
+        usual=np.concatenate([c.usual for c in parts]),
     )
     return [*(c for c in found if c.name not in FRICTION), together]
 
@@ -423,7 +432,7 @@ def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
         Unknown(parameter, *_furthest(value, bench.tolerances.get(parameter, 0.0)))
         for parameter, value in zip(parameters, values, strict=True)
     )
-    return Candidate(name, "parameter", unknowns, values)
+    return Candidate(name, "parameter", unknowns, values, usual=USUAL_SHARE * np.abs(values))
 
 
 def _furthest(value: float, tolerance: float) -> tuple[float, float]:
@@ -449,7 +458,8 @@ def _own_effects(bench: Bench) -> list[Candidate]:
         for name, (low, high) in ranges.items():
             unknown = Unknown(f"{present.name}__{name}", low, high)
             neutral = np.array([values[name]])
-            found.append(Candidate(present.name, "parameter", (unknown,), neutral))
+            usual = np.array([OWN_EFFECT_SHARE * max(abs(values[name]), high - low)])
+            found.append(Candidate(present.name, "parameter", (unknown,), neutral, usual=usual))
     return found
 
 
@@ -472,7 +482,7 @@ def blind_spots(
     toward = np.zeros(fit.point.size)
     toward[model.index(GAP, last)] = fit.value(GAP, last)
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
-    least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
+    least = math.sqrt(float(chi2_isf(false_alarm / len(_candidates(fit, ())), 1)))
     least += normal_isf(MISSED)
     derivatives, noise = fit.derivatives(), noise_along(fit)
     # That something was changed by people is only a small probability.

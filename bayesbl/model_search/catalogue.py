@@ -1,4 +1,8 @@
-"""What could be missing: the catalogue's effects and wrong bench parameters, made ready to fit."""
+"""Hypotheses of what a bench lacks: the catalogue's effects and wrong bench parameters.
+
+Each has a usual size. Its prior is a Cauchy one of that scale, half of one where physics gives a
+sign: what is there may be much stronger than usual.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +25,24 @@ from bayesbl.bench.effect_declaration import (
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
+from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, Unknown
-from bayesbl.naming.motor_orders import OrderPeak
+from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 
 Kind = Literal["effect", "parameter"]
 
 HARMONICS = (2.0, 3.0, 4.0)
 """Multiples of an order that may be its harmonics: an eccentricity has them, and a ripple."""
+
+LOWEST_ORDER = 0.45
+PADDING = 4
+SIDEBANDS = 2.5
+"""Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
+
+USUAL_SHARE = 0.1
+"""Of a parameter's value: usual size by which it is wrong."""
 
 PARAMETER_RANGE = 0.5
 """Half-width of the range a wrong parameter is sought in, as a share of its value."""
@@ -56,6 +69,9 @@ class Candidate:
         far off.
     recording
         The only one that it acts in; ``None`` for all.
+    usual
+        Size of each unknown that changes something at the neutral point, shape (k,); NaN for what
+        only says how.
     """
 
     name: str
@@ -66,6 +82,7 @@ class Candidate:
     scanned: Mapping[int, FloatArray] = field(default_factory=dict)
     effect: BenchEffect | None = field(default=None)
     recording: str | None = None
+    usual: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def label(self) -> str:
@@ -77,6 +94,27 @@ class Candidate:
         """Label and, of what turns with the motor, the order: what tells candidates apart."""
         order = None if self.effect is None else self.effect.parameters.get("order")
         return self.label, None if order is None else order.value
+
+    @property
+    def is_positive(self) -> bool:
+        """It has one size, which is not negative."""
+        places = amplitude_places(self)
+        return len(places) == 1 and self.unknowns[places[0]].low >= self.neutral[places[0]]
+
+    def log_prior(self, coordinates: FloatArray) -> float:
+        """ln of the density at its unknowns' coordinates, shape (k,)."""
+        total = 0.0
+        for unknown, x, zero, usual in zip(
+            self.unknowns, coordinates, self.neutral, self.usual, strict=True
+        ):
+            if math.isfinite(usual):
+                total -= math.log(math.pi * usual) + math.log1p(((x - zero) / usual) ** 2)
+                total += math.log(2.0) if unknown.low >= zero else 0.0
+            elif math.isfinite(unknown.high - unknown.low):
+                total -= math.log(unknown.high - unknown.low)
+            else:
+                total -= math.log(2.0 * math.pi)
+        return total
 
     def bench(self, bench: Bench) -> Bench:
         """The bench with this effect at its neutral value."""
@@ -93,7 +131,64 @@ class Candidate:
             neutral=self.neutral[kept],
             starts=tuple(start[kept] for start in self.starts),
             recording=recording,
+            usual=self.usual[kept],
         )
+
+
+@dataclass(frozen=True, slots=True)
+class OrderPeak:
+    """A line in the spectrum of whitened residuals over motor revolutions.
+
+    Attributes
+    ----------
+    order
+        Cycles per motor revolution.
+    power
+        Summed over recordings and channels, in units of the noise's mean power.
+    """
+
+    order: float
+    power: float
+
+
+def order_peaks(fit: SimulatedFit, count: int = 3, false_alarm: float = 1e-3) -> list[OrderPeak]:
+    """The strongest motor orders above the noise, at a stated false-alarm rate for all together."""
+    spectra = [_spectrum(fit, i) for i in range(len(fit.model.recordings))]
+    highest = max(order[-1] for order, _, _ in spectra)
+    step = min(order[1] - order[0] for order, _, _ in spectra)
+    grid = np.arange(LOWEST_ORDER, highest, step)
+    power, degrees = np.zeros(grid.size), np.zeros(grid.size)
+    for order, values, channels in spectra:
+        within = grid <= order[-1]
+        power[within] += np.interp(grid[within], order, values)
+        degrees[within] += 2.0 * channels
+
+    # Under noise alone twice the summed power is χ² with two degrees per recording and channel.
+    limit = 0.5 * chi2_isf(false_alarm / grid.size, np.maximum(degrees, 1.0))
+    found: list[OrderPeak] = []
+    excess = np.where(power > limit, power, 0.0)
+    while len(found) < count and excess.max() > 0.0:
+        k = int(np.argmax(excess))
+        peak, nearest = float(grid[k]), round(float(grid[k]))
+        if nearest and abs(peak - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):
+            peak = float(nearest)
+        found.append(OrderPeak(peak, float(power[k])))
+        excess[np.abs(grid - grid[k]) < 0.05] = 0.0
+    return found
+
+
+def _spectrum(fit: SimulatedFit, recording: int) -> tuple[FloatArray, FloatArray, int]:
+    """Orders, power summed over channels (mean 1 per channel for white noise), channels."""
+    model = fit.model
+    seen = model.recordings[recording]
+    rows = model.by_recording(fit.residual)[recording]
+    n = rows.shape[1]
+    window = np.hanning(n)
+    window /= np.sqrt(np.sum(window**2))
+    spectrum = np.abs(np.fft.rfft(rows * window, PADDING * n, axis=1)) ** 2
+    frequency = np.fft.rfftfreq(PADDING * n, 1.0 / seen.sampling_hz)
+    order = frequency / (abs(seen.reference_speed_rpm) / 60.0)
+    return np.asarray(order), np.asarray(spectrum.sum(axis=0)), len(seen.signals)
 
 
 def candidates(
@@ -161,7 +256,27 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
     for i, own in ((i, p.starts) for i, p in enumerate(sought) if isinstance(p, Shape)):
         starts += tuple(np.where(np.arange(neutral.size) == i, start, neutral) for start in own)
     return Candidate(
-        effect.name, "effect", unknowns, neutral, starts, scanned, _neutral_effect(effect)
+        effect.name,
+        "effect",
+        unknowns,
+        neutral,
+        starts,
+        scanned,
+        _neutral_effect(effect),
+        usual=_usual(bench, effect, [p.name for p in sought]),
+    )
+
+
+def _usual(bench: Bench, effect: Effect, names: Sequence[str]) -> FloatArray:
+    """Usual sizes of an effect's parameters on a bench."""
+    found = [effect.parameter(name) for name in names]
+    return np.array(
+        [
+            abs(search_scale(bench, effect, p) * p.typical)
+            if isinstance(p, Amplitude)
+            else math.nan
+            for p in found
+        ]
     )
 
 
@@ -191,14 +306,19 @@ def _periodic(
         unknowns += [Unknown(f"{effect.name}__{PHASE}", recording=owner) for owner in owners]
         at_peak = _neutral_effect(effect, order=peak.order)
         neutral = np.zeros(len(unknowns))
-        found.append(Candidate(effect.name, "effect", tuple(unknowns), neutral, effect=at_peak))
+        usual = np.full(len(unknowns), math.nan)
+        usual[0] = _usual(bench, effect, [amplitude.name])[0]
+        found.append(
+            Candidate(effect.name, "effect", tuple(unknowns), neutral, effect=at_peak, usual=usual)
+        )
     return found
 
 
 def _parameter(bench: Bench, name: str) -> Candidate:
     value = bench.value(name)
     unknown = Unknown(name, (1.0 - PARAMETER_RANGE) * value, (1.0 + PARAMETER_RANGE) * value)
-    return Candidate(name, "parameter", (unknown,), np.array([value]))
+    usual = np.array([USUAL_SHARE * abs(value)])
+    return Candidate(name, "parameter", (unknown,), np.array([value]), usual=usual)
 
 
 def _unknown(effect: Effect, parameter: EffectParameter, low: float, high: float) -> Unknown:
@@ -234,8 +354,15 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
     unknowns = tuple(
         Unknown(name, torque.low, torque.high, recording=seen.name) for seen in recordings
     )
-    neutral = np.zeros(len(unknowns))
-    return Candidate(effect.name, "effect", unknowns, neutral, effect=_neutral_effect(effect))
+    usual = np.repeat(_usual(bench, effect, [torque.name]), len(unknowns))
+    return Candidate(
+        effect.name,
+        "effect",
+        unknowns,
+        np.zeros(len(unknowns)),
+        effect=_neutral_effect(effect),
+        usual=usual,
+    )
 
 
 def is_periodic(candidate: Candidate) -> bool:

@@ -17,7 +17,7 @@ from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.measurement.model_check import against_the_bench
-from bayesbl.naming.joint_change import find_changes
+from bayesbl.model_search.joint_change import find_changes
 from bayesbl.sampling.chains import SamplerSettings
 
 pytestmark = pytest.mark.long

@@ -10,9 +10,8 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
-from bayesbl.naming.candidates import candidates
-from bayesbl.naming.explanation import nominal_explanation
-from bayesbl.naming.motor_orders import OrderPeak
+from bayesbl.model_search.catalogue import OrderPeak, candidates
+from bayesbl.model_search.refit import nominal_explanation
 
 
 def test_candidates_of_one_name_are_told_apart() -> None:

@@ -1,0 +1,729 @@
+"""What a two-mass bench lacks, from recordings beside their simulation.
+
+The view of the closed loop for :mod:`.linear`: derivatives of the simulation by everything unknown
+and by every hypothesis, and bands of load orders in which anything may be off. Whitened residuals
+are averaged over the rotations first, as all that repeats is in the average; what does not repeat
+is noise. Beside a law of the shaft a tenth of its own signal, free in every band of every channel,
+is always there: no real shaft follows the catalogue's laws to the last digit.
+
+A linearisation holds near its fit. So sets are fitted in full from what it promises, the best of
+them is linearised again, until nothing promises more; where a fit is far off, the whole range of
+the gap is scanned too. The posterior is that of all sets that were fitted.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bayesbl.bench.effects import effect_named
+from bayesbl.matching.least_squares import SimulatedFit, prior_pull
+from bayesbl.matching.loop_noise import loop_noise
+from bayesbl.matching.observed import ROUNDING, Observed, begin_of
+from bayesbl.matching.predictive_check import BANDS, agrees, disagreements
+from bayesbl.matching.signals import GAP, SimulatedSignals
+from bayesbl.model_search.always_in import Direction, always_terms
+from bayesbl.model_search.catalogue import (
+    Candidate,
+    OrderPeak,
+    amplitude_places,
+    held_by,
+    is_harmonic,
+    is_periodic,
+    order_peaks,
+)
+from bayesbl.model_search.constants import (
+    FALSE_ALARM,
+    FORM_SHARE,
+    LEAVES_MOST,
+    MEAN_SHARE,
+    NAMED_AT,
+    SLACK,
+    UNEXPLAINED_SHARE,
+)
+from bayesbl.model_search.linear import (
+    Linearised,
+    MisfitBand,
+    ModelPosterior,
+    Priors,
+    Term,
+    confounded,
+    search,
+)
+from bayesbl.model_search.refit import (
+    Explanation,
+    columns_of,
+    from_afar,
+    is_gross,
+    nominal_explanation,
+    polished,
+    promised,
+    reduced,
+    refit,
+)
+from bayesbl.progress import Progress
+from bayesbl.recording.types import FloatArray
+
+CONTENDERS = 4
+"""Sets that are fitted from one linearisation, the most promising."""
+
+LOOP_COLUMNS = 10
+"""Of the noise in the loop of one recording, the strongest."""
+
+MOST_FITS = 16
+MOST_ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shape:
+    """A term's candidate, the coordinates it starts from, and the units of its columns, (k,)."""
+
+    candidate: Candidate
+    start: FloatArray
+    usual: FloatArray
+
+
+@dataclass(eq=False)
+class FittedSet:
+    """A set of hypotheses at its fit.
+
+    Attributes
+    ----------
+    log_evidence
+        ln of its prior times evidence, anything beside it left out.
+    alone
+        The posterior of what is always beside it.
+    excess
+        χ² beyond noise of what repeats, and what of it lies in bands that have a misfit.
+    """
+
+    explanation: Explanation
+    log_evidence: float
+    alone: ModelPosterior
+    excess: float
+    misfit: float
+
+    @property
+    def fit(self) -> SimulatedFit:
+        """Of everything unknown."""
+        return self.explanation.fit
+
+    @cached_property
+    def explains_all(self) -> bool:
+        """Whether nothing repeats any more."""
+        return agrees(disagreements(self.fit), FALSE_ALARM)
+
+
+@dataclass(frozen=True, slots=True)
+class NamedCandidate:
+    """A name, with those that these recordings cannot tell from it.
+
+    ``gain``: fall of χ² by it; ``indistinguishable``: others, each with the set that has it.
+    """
+
+    candidate: Candidate
+    gain: float
+    probability: float
+    indistinguishable: tuple[tuple[Candidate, Explanation], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Of the effect or parameter."""
+        return self.candidate.name
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """The set of names, the most probable first."""
+        return tuple(dict.fromkeys((self.name, *(c.name for c, _ in self.indistinguishable))))
+
+
+@dataclass(frozen=True, slots=True)
+class RankedCandidate:
+    """What one candidate alone gains over the bench as believed."""
+
+    candidate: str
+    chi_square_gain: float
+    log_evidence_gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """What a bench lacks.
+
+    Attributes
+    ----------
+    nominal, final
+        Before and after adding what is named; the same where nothing is.
+    sets
+        All that were fitted, each with its probability.
+    repeats
+        Whether something repeats that nothing explains.
+    nearest
+        The most probable set, where it explains too little to be named.
+    """
+
+    nominal: Explanation
+    final: Explanation
+    effects: tuple[NamedCandidate, ...]
+    sets: tuple[tuple[FittedSet, float], ...]
+    repeats: bool
+    nearest: Explanation | None = None
+
+    @property
+    def alone(self) -> list[FittedSet]:
+        """Each candidate that was fitted alone, most probable first."""
+        return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
+
+    @property
+    def ranking(self) -> tuple[RankedCandidate, ...]:
+        """What each of ``alone`` gains over the nominal bench."""
+        nominal = next(own for own, _ in self.sets if not own.explanation.candidates)
+        return tuple(
+            RankedCandidate(
+                own.explanation.candidates[0].name,
+                nominal.fit.chi_square - own.fit.chi_square,
+                own.log_evidence - nominal.log_evidence,
+            )
+            for own in self.alone
+        )
+
+
+def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatArray:
+    """Draws of ln δ beside one set, (n,)."""
+    place = own.fit.model.index(GAP)
+    spread = math.sqrt(float(own.alone.covariance()[place, place]))
+    return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n))
+
+
+def name_missing(
+    nominal_fit: SimulatedFit,
+    candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
+    *,
+    max_effects: int = 3,
+    among: Sequence[Direction] = (),
+    progress: Progress | None = None,
+) -> Naming:
+    """The posterior over sets of candidates, and the names that it gives.
+
+    Parameters
+    ----------
+    candidates
+        All that come into question, given the motor orders that stand out. Orders are looked for
+        again in what the best set leaves: they may have stood behind it.
+    among
+        What is always beside each set, beyond its unknowns.
+    progress
+        Called with (fits made, fits expected).
+    """
+    posterior = _Search(nominal_explanation(nominal_fit), candidates, max_effects, among, progress)
+    posterior.climb()
+    return posterior.answer()
+
+
+class _Search:
+    """Sets that were fitted, and what they promise."""
+
+    def __init__(
+        self,
+        nominal: Explanation,
+        candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
+        most: int,
+        among: Sequence[Direction],
+        progress: Progress | None,
+    ) -> None:
+        self._catalogue, self._most, self._among = candidates, most, among
+        self._progress = progress
+        self._candidates = {c.key: c for c in candidates(order_peaks(nominal.fit))}
+        self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
+        self._explored: set[frozenset[tuple[str, float | None]]] = set()
+        # As many hypotheses as there are at the start: those found later raise no odds.
+        labels = {c.label for c in self._candidates.values()}
+        self._log_odds = next(iter(Priors().log_odds(labels).values()), 0.0)
+        self.nominal = self._add(nominal)
+
+    @property
+    def best(self) -> FittedSet:
+        """The most probable set."""
+        return max(self._sets.values(), key=lambda own: own.log_evidence)
+
+    def climb(self) -> None:
+        """Fit what is promised, from the best set on, until nothing promises more."""
+        for _ in range(MOST_ROUNDS):
+            best = self.best
+            self._find_orders(best)
+            self._explore(best)
+            if not best.explanation.candidates and self._is_far(self.best):
+                self._scan()
+            if self.best is not best:
+                continue
+            # What was added first may only have stood in for what came after it.
+            for less in list(self._reduced(best)):
+                self._explore(less)
+            if self.best is best or len(self._sets) > MOST_FITS:
+                break
+
+    def _scan(self) -> None:
+        """Candidates that move the gap, from their whole range and the gap's."""
+        for found in from_afar(self.nominal.explanation, list(self._candidates.values())):
+            self._add(polished(found))
+            # Where another law is missing too, alone it is drawn away again.
+            self._explore(weighed(found, self._among))
+
+    def answer(self) -> Naming:
+        """Names by the one rule."""
+        fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
+        top = fitted[0].log_evidence
+        weights = np.exp([own.log_evidence - top for own in fitted])
+        sets = tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+        best = fitted[0]
+        if not best.explanation.candidates:
+            nominal = self.nominal.explanation
+            return Naming(nominal, nominal, (), sets, not best.explains_all)
+        if self._is_unexplained(best):
+            nominal = self.nominal.explanation
+            return Naming(nominal, nominal, (), sets, True, best.explanation)
+        effects, kept = [], []
+        labels = [(frozenset(own.explanation.names), p) for own, p in sets]
+        inclusion = {
+            label: sum(p for own, p in labels if label in own) for label in best.explanation.names
+        }
+        certain = [label for label, p in inclusion.items() if p >= NAMED_AT]
+        groups = [(label,) for label in certain] + list(confounded(labels, certain))
+        for group in groups:
+            place = [k for k, name in enumerate(best.explanation.names) if name in group]
+            if not place:
+                continue
+            candidate = best.explanation.candidates[place[0]]
+            kept.append(place[0])
+            rest = self._without(best, place[0])
+            gain = math.inf if rest is None else rest.fit.chi_square - best.fit.chi_square
+            rivals = tuple(
+                (c, own.explanation)
+                for own, p in sets
+                for c in own.explanation.candidates
+                if c.label in group
+                and candidate.label not in own.explanation.names
+                and p > (1.0 - NAMED_AT) * 0.1
+            )
+            effects.append(NamedCandidate(candidate, gain, inclusion[candidate.label], rivals))
+        final: Explanation | None = best.explanation
+        if len(kept) < len(best.explanation.candidates):
+            idle = set(range(len(best.explanation.candidates))) - set(kept)
+            final = reduced(self.nominal.explanation, best.explanation, idle)
+        final = final or self.nominal.explanation
+        return Naming(
+            self.nominal.explanation,
+            final,
+            tuple(effects),
+            sets,
+            not effects and not self.nominal.explains_all,
+        )
+
+    def _is_unexplained(self, own: FittedSet) -> bool:
+        """What no hypothesis holds is more than a share of the disagreement."""
+        share = own.misfit / max(self.nominal.excess, 1e-300)
+        return share > UNEXPLAINED_SHARE and not own.explains_all
+
+    def _is_far(self, own: FittedSet) -> bool:
+        moving = any(seen.motion is not None for seen in own.fit.model.recordings)
+        return is_gross(own.explanation) and not moving and self._is_unexplained(own)
+
+    def _find_orders(self, own: FittedSet) -> None:
+        """Orders that stood behind what is in the set."""
+        if own.explanation.candidates and own.explanation.keys not in self._explored:
+            late = {c.key: c for c in self._catalogue(order_peaks(own.fit))}
+            self._candidates |= {k: c for k, c in late.items() if k not in self._candidates}
+
+    def _reduced(self, own: FittedSet) -> Iterator[FittedSet]:
+        for place in range(len(own.explanation.candidates)):
+            rest = self._without(own, place)
+            if rest is not None:
+                yield rest
+
+    def _without(self, own: FittedSet, place: int) -> FittedSet | None:
+        """A set less one of its hypotheses."""
+        keys = own.explanation.keys - {own.explanation.candidates[place].key}
+        if keys not in self._sets:
+            less = reduced(self.nominal.explanation, own.explanation, [place])
+            if less is None:
+                return None
+            self._add(less)
+        return self._sets[keys]
+
+    def _explore(self, base: FittedSet) -> None:
+        """Fit what a set promises beside itself."""
+        keys = base.explanation.keys
+        room = self._most - len(base.explanation.candidates)
+        is_known = self._sets.get(keys) is base
+        if room == 0 or (is_known and keys in self._explored):
+            return
+        if is_known:
+            self._explored.add(keys)
+        view, shapes = self._linearised(base.explanation, tuple(self._open(base.explanation)))
+        offset = base.log_evidence - base.alone.log_evidence
+        odds = 1.0 / (1.0 + math.exp(-self._log_odds))
+        priors = Priors(probability={c.label: odds for c in self._candidates.values()})
+        posterior = search(view, priors, min(2, room))
+        gains = posterior.single_gains()
+        left = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
+        least = max(min(left.values(), default=0.0), 0.0)
+        contend = [(k,) for k in sorted(left, key=lambda k: left[k])]
+        contend = [t for t in contend if left[t[0]] < LEAVES_MOST * least + SLACK]
+        best = self.best.log_evidence + math.log(1.0 - NAMED_AT)
+        pairs = [
+            terms
+            for terms, p in posterior.sets.items()
+            if len(terms) == 2 and offset + posterior.log_evidence + math.log(p) > best
+        ]
+        tried: set[frozenset[tuple[str, float | None]]] = set()
+        for terms in (*contend, *pairs[:1]):
+            added = [shapes[i] for i in terms]
+            whole = keys | {shape.candidate.key for shape in added}
+            if whole in self._sets or whole in tried or len(tried) >= CONTENDERS + len(terms) - 1:
+                continue
+            tried.add(whole)
+            sizes, shift = _promise(posterior, terms)
+            starts, begin = [], 0
+            for shape in added:
+                own = sizes[begin : begin + shape.usual.size] * shape.usual
+                begin += shape.usual.size
+                starts.append((shape.candidate, promised(shape.candidate, shape.start, own)))
+            found = refit(base.explanation, starts, shift)
+            if found is not None:
+                self._add(found)
+
+    def _open(self, base: Explanation) -> Iterator[Candidate]:
+        """What may stand beside a set."""
+        holds = {(c.name, c.recording) for c in base.candidates}
+        held = {held_by(c) for c in base.candidates}
+        own = {(u.name, u.recording) for c in base.candidates for u in c.unknowns}
+        for candidate in self._candidates.values():
+            where = candidate.name, candidate.recording
+            if candidate.label in base.names or where in held or held_by(candidate) in holds:
+                continue
+            if is_harmonic(candidate, base.candidates):
+                continue
+            if own & {(u.name, u.recording) for u in candidate.unknowns}:
+                continue
+            yield candidate
+
+    def _add(self, explanation: Explanation) -> FittedSet:
+        """A set with its evidence; the better one of two fits."""
+        keys = explanation.keys
+        own = self._weighed(explanation)
+        if keys:
+            near = own.log_evidence > self.best.log_evidence + math.log(1.0 - NAMED_AT)
+            if near or own.excess < LEAVES_MOST * self.best.excess:
+                own = self._weighed(polished(explanation))
+            if self._progress is not None:
+                self._progress(len(self._sets), max(len(self._sets), CONTENDERS + 2))
+        known = self._sets.get(keys)
+        if known is None or own.log_evidence > known.log_evidence:
+            self._sets[keys] = own
+        return self._sets[keys]
+
+    def _weighed(self, explanation: Explanation) -> FittedSet:
+        own = weighed(explanation, self._among)
+        own.log_evidence += self._log_odds * len(explanation.candidates)
+        return own
+
+    def _linearised(
+        self, explanation: Explanation, candidates: Sequence[Candidate]
+    ) -> tuple[Linearised, list[_Shape]]:
+        """The view at a fit, with candidates as terms, each with what they are."""
+        fit = explanation.fit
+        parts: list[FloatArray] = []
+        shapes: list[_Shape] = []
+        simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
+        for candidate in candidates:
+            for start, own in zip(
+                (candidate.neutral, *candidate.starts),
+                self._columns(fit, candidate, simulated),
+                strict=True,
+            ):
+                if own:
+                    usual = candidate.usual[amplitude_places(candidate)]
+                    usual = np.resize(usual, len(own))
+                    parts.append(np.stack(own, axis=1) * usual)
+                    shapes.append(_Shape(candidate, start, usual))
+        view = linearised(explanation, parts, self._among)
+        count: dict[str, int] = {}
+        for shape in shapes:
+            count[shape.candidate.label] = count.get(shape.candidate.label, 0) + 1
+        terms = [
+            replace(
+                term,
+                hypothesis=shape.candidate.label,
+                positive=shape.candidate.is_positive and term.columns.shape[1] == 1,
+                prior_weight=1.0 / count[shape.candidate.label],
+                excludes=self._excluded(shape.candidate),
+            )
+            for term, shape in zip(view.terms, shapes, strict=False)
+        ]
+        return replace(view, terms=[*terms, *view.terms[len(shapes) :]]), shapes
+
+    def _columns(
+        self,
+        fit: SimulatedFit,
+        candidate: Candidate,
+        simulated: dict[tuple[str, float | None], list[list[FloatArray]]],
+    ) -> list[list[FloatArray]]:
+        """Of one recording's candidate the rows of that recording, where all share the effect."""
+        if candidate.recording is None or is_periodic(candidate):
+            return columns_of(fit, candidate)
+        key = candidate.name, candidate.key[1]
+        if key not in simulated:
+            # Its unknowns in one recording and everywhere are the same change there.
+            everywhere = replace(
+                candidate,
+                recording=None,
+                unknowns=tuple(replace(u, recording=None) for u in candidate.unknowns),
+            )
+            simulated[key] = columns_of(fit, everywhere)
+        names = [seen.name for seen in fit.model.recordings]
+        kept = []
+        for own in simulated[key]:
+            columns = []
+            for column in own:
+                part = np.zeros_like(column)
+                place = names.index(candidate.recording)
+                fit.model.by_recording(part)[place][:] = fit.model.by_recording(column)[place]
+                columns.append(part)
+            kept.append(columns)
+        return kept
+
+    def _excluded(self, candidate: Candidate) -> frozenset[str]:
+        """Labels of what cannot stand beside a candidate."""
+        own = {(u.name, u.recording) for u in candidate.unknowns}
+        bare = {u.name for u in candidate.unknowns}
+        held = held_by(candidate)
+        found = set()
+        for other in self._candidates.values():
+            theirs = {(u.name, u.recording) for u in other.unknowns}
+            shares = bool(own & theirs) or (
+                bool(bare & {u.name for u in other.unknowns})
+                and None in (candidate.recording, other.recording)
+            )
+            if shares or (other.name, other.recording) == held or is_harmonic(other, [candidate]):
+                found.add(other.label)
+        return frozenset(found - {candidate.label})
+
+
+def weighed(explanation: Explanation, among: Sequence[Direction] = ()) -> FittedSet:
+    """A set with its evidence, all sets taken to be as likely beforehand.
+
+    ``among``: what is always beside it.
+    """
+    view = linearised(explanation, (), among)
+    alone = search(view, None, 0)
+    beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
+    scales = alone.models[0].scales
+    misfit = sum(max(b, 0.0) for b, scale in zip(beyond, scales, strict=True) if scale > 0.0)
+    # Laplace's volume of what is added, beside that of everything in the posterior.
+    k = sum(len(c.unknowns) for c in explanation.candidates)
+    evidence = alone.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
+    return FittedSet(explanation, evidence, alone, max(sum(beyond), 0.0), misfit)
+
+
+def linearised(
+    explanation: Explanation, parts: Sequence[FloatArray], among: Sequence[Direction] = ()
+) -> Linearised:
+    """The view at a fit: a term for each of ``parts``, (N, k) each, then what is always there."""
+    fit = explanation.fit
+    labels, always = always_terms(fit, among) if among else ((), [])
+    forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
+    view = _banded(fit, [*parts, *always], forms)
+    own, beside = view.terms[: len(parts)], view.terms[len(parts) :]
+    terms = [
+        *own,
+        *(label.term(t.columns) for label, t in zip(labels, beside, strict=False)),
+        *(replace(t, always=True) for t in beside[len(labels) :]),
+    ]
+    return replace(view, terms=terms)
+
+
+def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
+    """What is added of torques over the twist, whose form a real joint has its own of."""
+    return [
+        c
+        for c in explanation.candidates
+        if c.kind == "effect"
+        and "twist" in effect_named(c.name).depends_on
+        and effect_named(c.name).replaces != GAP
+    ]
+
+
+def _promise(posterior: ModelPosterior, terms: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+    """Sizes and shift of a set, which the posterior may have dropped."""
+    if terms in posterior.sets:
+        return posterior.mean_of(terms)
+    view = posterior.linearised
+    chosen = [replace(view.terms[i], always=True, positive=False) for i in terms]
+    beside = [t for t in view.terms if t.always]
+    alone = search(replace(view, terms=[*chosen, *beside]), None, 0)
+    sizes, shift = alone.mean_of_all()
+    return sizes[: sum(t.columns.shape[1] for t in chosen)], shift
+
+
+def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[FloatArray]:
+    """What a law of the shaft does to the whitened signals, (N,); nothing of anything else."""
+    if candidate not in laws_of_shaft(explanation):
+        return
+    fit = explanation.fit
+    point = fit.point.copy()
+    at = explanation.places(candidate)
+    for place in amplitude_places(candidate):
+        point[at[place]] = candidate.neutral[place]
+    signal = fit.model.whitened(point)[0] - fit.residual
+    if np.all(np.isfinite(signal)):
+        yield signal
+
+
+def _banded(
+    fit: SimulatedFit, parts: Sequence[FloatArray], forms: Sequence[FloatArray]
+) -> Linearised:
+    """Derivatives, columns and residual of a fit by bands of load orders.
+
+    Of ``parts``, each (N, k), a term each; of ``forms``, (N,) each, one more for every piece of a
+    band and channel of a recording. Only inner products matter: a triangle has those of all rows.
+    """
+    model, d = fit.model, fit.point.size
+    widths = [part.shape[1] for part in parts]
+    everything = np.hstack(
+        [fit.derivatives(), *parts, *(form[:, None] for form in forms), fit.residual[:, None]]
+    )
+    total = everything.T @ everything
+    size, own = everything.shape[1], len(forms)
+    pieces: list[list[FloatArray]] = [[] for _ in BANDS]
+    ends = np.cumsum([part.size for part in model.by_recording(fit.residual)])[:-1]
+    for seen, rows in zip(model.recordings, np.split(everything, ends), strict=True):
+        channels = rows.reshape(len(seen.signals), -1, size)
+        for channel in channels:
+            for place, piece in enumerate(_by_band(channel[begin_of(seen) :], seen)):
+                pieces[place].append(piece)
+    first = d + sum(widths)
+    several = sum(len(band) for band in pieces) if own else 0
+    noise = _loop_noise(fit)
+    count = noise[0][0].shape[1] if noise else 0
+    usual = {BANDS[0]: MEAN_SHARE * _largest_line(model)}
+    blocks, bands, begin, at = [], [], 0, 0
+    for place, (highest, band) in enumerate(zip(BANDS, pieces, strict=True)):
+        stacked = []
+        for piece, around in itertools.zip_longest(band, noise[place] if noise else ()):
+            total -= piece.T @ piece
+            form = np.zeros((len(piece), several * own))
+            for k in range(own if several else 0):
+                form[:, at * own + k] = FORM_SHARE * piece[:, first + k]
+            at += 1 if several else 0
+            by_loop = np.zeros((len(piece), 0)) if around is None else around
+            stacked.append(np.hstack([piece[:, :first], form, by_loop, piece[:, -1:]]))
+        rows = np.concatenate(stacked)
+        freedom = len(rows)
+        if freedom > rows.shape[1]:
+            rows = np.asarray(np.linalg.qr(rows, mode="r"))
+        if len(rows):
+            own_rows = slice(begin, begin + len(rows))
+            kind, size_of = f"load orders up to {highest}", usual.get(highest, math.inf)
+            bands.append(MisfitBand(kind, own_rows, freedom, size_of))
+            blocks.append(rows)
+            begin += len(rows)
+    kept = [*range(first), size - 1]
+    values, vectors = np.linalg.eigh(total[np.ix_(kept, kept)])
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    rest = np.hstack([root[:, :-1], np.zeros((len(root), several * own + count)), root[:, -1:]])
+    view = np.concatenate([*blocks, rest])
+    ends = d + np.cumsum([0, *widths])
+    terms = [Term("", view[:, a:b]) for a, b in itertools.pairwise(ends)]
+    terms += [Term("always", view[:, k : k + 1]) for k in range(first, view.shape[1] - 1)]
+    return Linearised(
+        view[:, -1],
+        view[:, :d],
+        model.prior_precision(),
+        prior_pull(model, fit.point),
+        terms,
+        np.zeros((len(view), 0)),
+        (),
+        bands,
+    )
+
+
+def _largest_line(model: SimulatedSignals) -> float:
+    """Of the whitened channels beside their means, in the mean rotation's units: the median."""
+    largest = []
+    for seen, noise in zip(model.recordings, model.noise, strict=True):
+        for row in noise.whiten(seen.signals):
+            _, *bands = _by_band(row[begin_of(seen) :, None], seen)
+            largest.append(max((float(np.abs(b).max()) for b in bands if len(b)), default=0.0))
+    return max(float(np.median(largest)), 1.0)
+
+
+def _loop_noise(fit: SimulatedFit) -> list[list[FloatArray]]:
+    """Columns of noise that goes round the loop, where it has more variance than the linear loop
+    makes of it, by band, recording and channel; empty without such noise.
+
+    A column of standard normal size is a covariance of its outer product. In the mean rotation
+    noise has the covariance that it has in each.
+    """
+    model = fit.model
+    made: list[tuple[int, FloatArray]] = []
+    for place, seen in enumerate(model.recordings):
+        loop = loop_noise(fit, place)
+        if loop is not None:
+            rows = (loop.around - loop.linear).reshape(len(loop.around), len(seen.signals), -1)
+            scale = math.sqrt(float(loop.shares.mean()) / len(rows))
+            made.append((place, scale * rows))
+    if not made:
+        return []
+    found: list[list[FloatArray]] = [[] for _ in BANDS]
+    width = LOOP_COLUMNS * len(made)
+    by_place = dict(made)
+    for place, seen in enumerate(model.recordings):
+        around = by_place.get(place)
+        bands: list[FloatArray] = []
+        for channel in range(len(seen.signals)):
+            length = seen.lag if around is None else around.shape[2]
+            own = np.zeros((length, 1)) if around is None else around[:, channel].T
+            bands += list(_spectral_bands(own, seen))
+        stacked = np.concatenate(bands)
+        out = np.zeros((len(stacked), width))
+        if around is not None:
+            at = LOOP_COLUMNS * [p for p, _ in made].index(place)
+            left, sizes, _ = np.linalg.svd(stacked, full_matrices=False)
+            most = min(LOOP_COLUMNS, sizes.size)
+            out[:, at : at + most] = left[:, :most] * sizes[:most]
+        begin = 0
+        for k, band in enumerate(bands):
+            found[k % len(BANDS)].append(out[begin : begin + len(band)])
+            begin += len(band)
+    return found
+
+
+def _by_band(rows: FloatArray, seen: Observed) -> Iterator[FloatArray]:
+    """Of whitened rows (n, p) the mean rotation by bands of load orders, noise alike in each.
+
+    A motion that does not repeat counts as one rotation, in cycles a quarter of it.
+    """
+    repeats = seen.motion is None or seen.cycle is not None
+    lag = seen.lag if repeats else len(rows)
+    turns = math.floor(len(rows) / lag + ROUNDING)
+    padded = np.zeros((turns * lag, rows.shape[1]))
+    padded[: min(len(rows), turns * lag)] = rows[: turns * lag]
+    yield from _spectral_bands(padded.reshape(turns, lag, -1).sum(axis=0) / math.sqrt(turns), seen)
+
+
+def _spectral_bands(mean: FloatArray, seen: Observed) -> Iterator[FloatArray]:
+    """Of a rotation (lag, p) by bands of load orders, (k, p) each."""
+    repeats = seen.motion is None or seen.cycle is not None
+    spectrum = np.fft.rfft(mean, axis=0) / math.sqrt(len(mean))
+    yield spectrum[:1].real
+    below = 1
+    for highest in BANDS[1:]:
+        end = min(highest if repeats else 4 * highest, len(spectrum) - 2) + 1
+        band = spectrum[below : max(end, below)] * math.sqrt(2.0)
+        yield np.concatenate([band.real, band.imag])
+        below = max(end, below)
