@@ -877,7 +877,7 @@ class InverseView:
         # be such a frequency as well.
         round_one = max((line.anywhere + line.whole for line in turning), default=0.0)
         passing = [
-            replace(line, anywhere=max(line.anywhere, round_one))
+            replace(line, anywhere=max(line.anywhere, round_one * len(line.values)))
             for line in peaks(clock, False, MOST_LINES, whole=False)
         ]
         return replace(self, orders=tuple(turning), lines=tuple(passing))
