@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from bayesbl.presentation.result_object import Result
     from bayesbl.recording.readers import read_recording
     from bayesbl.recording.types import Recording
-    from bayesbl.runs.summary import summarise
+    from bayesbl.runs.kinds import summarise
 
 __version__ = "0.4.0"
 
@@ -87,7 +87,7 @@ _HOMES = {
     "read_recording": "bayesbl.recording.readers",
     "read_result": "bayesbl.library",
     "run": "bayesbl.library",
-    "summarise": "bayesbl.runs.summary",
+    "summarise": "bayesbl.runs.kinds",
     "sweep": "bayesbl.library",
     "write_page": "bayesbl.library",
 }

@@ -7,6 +7,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,26 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         for find_place in (_leave_as_it_is, _use_temporary_folder):
             find_place()
             try:
-                return numba.njit(cache=True, **options)(function)
+                return _forgiving(numba.njit(cache=True, **options)(function))
             except RuntimeError as error:
                 if "cannot cache" not in str(error):
                     raise
         return numba.njit(**options)(function)
 
     return decorate
+
+
+def _forgiving(function: Any) -> Any:
+    """The function does without a cache on a full disk, where numba ends in the error."""
+    cache = function._cache
+    save = cache.save_overload
+
+    def attempt(*compiled: Any) -> None:
+        with suppress(OSError):
+            save(*compiled)
+
+    cache.save_overload = attempt
+    return function
 
 
 def _leave_as_it_is() -> None:

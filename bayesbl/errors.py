@@ -18,7 +18,11 @@ class UserError(Exception):
         The line, column or field inside the file, e.g. ``"line 14"`` or ``"[run] seed"``.
     found, expected
         What was there, and what should have been.
+
+    ``code`` is what programs use.
     """
+
+    code = "refused"
 
     def __init__(
         self,
@@ -95,7 +99,7 @@ class UnavailableError(RecordingError):
 class NoFlankChange(RecordingError):
     """The load stays on one tooth flank, or nothing tells otherwise: no gap shows.
 
-    ``code`` is what programs use; ``MOTION`` says what would show the gap.
+    ``MOTION`` says what would show the gap.
     """
 
     code = "no_flank_change"

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         SweepResult,
     )
     from bayesbl.progress import StageProgress
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
 
 Route = Literal["auto", "direct", "amplitude", "torque_ramp", "two_encoders"]
 C = TypeVar("C", bound=RunConfig)
@@ -238,7 +238,7 @@ def diagnose(
     from bayesbl.config.diagnose import DiagnoseConfig
     from bayesbl.config.loading import config_from_options
     from bayesbl.runs.diagnose import run_diagnose
-    from bayesbl.runs.diagnosis_file import diagnosis_of
+    from bayesbl.runs.first_diagnosis import diagnosis_of
 
     given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
     with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
@@ -262,8 +262,8 @@ def sweep(
     UserError
         If configuration or bench cannot be used, or the curve is not monotone.
     """
+    from bayesbl.config.kinds import SweepConfig
     from bayesbl.config.loading import config_from_options
-    from bayesbl.config.sweep import SweepConfig
     from bayesbl.runs.sweep import run_sweep
 
     given: dict[str, Any] = {"seed": seed, "workers": workers}
@@ -283,7 +283,7 @@ def read_result(path: File) -> Result:
         If there is no readable, finished result.
     """
     from bayesbl.presentation.result_object import result_of
-    from bayesbl.runs.declared_groups import read_result as read
+    from bayesbl.runs.kinds import read_result as read
 
     return result_of(read(path))
 
@@ -307,8 +307,8 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
         If the configuration cannot be run, or the folder holds a finished result and ``force`` is
         not given.
     """
-    from bayesbl.runs.run import load_run
-    from bayesbl.runs.run import run as run_config
+    from bayesbl.runs.kinds import load_run
+    from bayesbl.runs.kinds import run as run_config
 
     file = None if isinstance(config, RunConfig) else Path(config)
     loaded = config if isinstance(config, RunConfig) else load_run(config)
@@ -356,11 +356,10 @@ def draw(
         return write_pages(folder)
     require_study_file(tree, study)
     if study is not None:
-        from bayesbl.runs.study import draw_study
-        from bayesbl.runs.study_file import load_study
+        from bayesbl.runs.study import draw_study, load_study
 
         return draw_study(load_study(study), tree, folder, formats)
-    from bayesbl.presentation.figures.draw import draw_all
+    from bayesbl.presentation.figures.stored_figure import draw_all
 
     return draw_all(tree, folder, formats)
 
@@ -371,7 +370,7 @@ def draw_answer(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png"
 
     if not routes_of(tree):
         return draw(tree, folder, formats)
-    from bayesbl.presentation.figures.draw import draw_all
+    from bayesbl.presentation.figures.stored_figure import draw_all
 
     return draw_all(tree, folder, formats, for_specialists=False)
 
@@ -458,8 +457,8 @@ def _shown(progress: bool) -> Iterator[StageProgress | None]:
     if not progress:
         yield None
         return
-    from bayesbl.presentation.shown_progress import progress as bars
     from bayesbl.presentation.terminal import make_console
+    from bayesbl.presentation.terminal import progress as bars
 
     with bars(make_console(stderr=True)) as tell:
         yield tell

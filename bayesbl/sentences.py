@@ -232,10 +232,10 @@ def no_torque() -> str:
 
 
 def torque_unused() -> str:
-    """The compliance is aliased."""
+    """Play and wind-up are not told apart by it."""
     return (
-        "The torque does not tell the compliance: it changes with the motion and the angle alone. "
-        "What makers' sheets let expect is taken off as wind-up (0.05 mrad)."
+        "The torque does not tell what the joint winds up between the flanks. What makers' sheets "
+        "let expect is taken off as wind-up (0.05 mrad)."
     )
 
 

@@ -68,7 +68,7 @@ ITEMS = (
     Item(
         "Eq. 5, 6",
         "the train of pulses h(t), with a baseline",
-        ("ringing.waveform:pulse_train", "ringing.model:model_speed"),
+        ("ringing.waveform:pulse_train", "ringing.waveform:model_speed"),
         (),
         ("amplitude/optimum/baseline_rpm", "amplitude/predictive/model_rpm"),
     ),
@@ -129,19 +129,19 @@ ITEMS = (
     Item(
         "Figure 7",
         "the disturbance as the gap grows",
-        ("paper_figures/figure_7.py", "presentation.figures.disturbance:disturbance"),
+        ("paper_figures/figure_7.py", "presentation.figures.sweep:disturbance"),
         ("configs/sweep.toml",),
     ),
     Item(
         "Figure 8",
         "amplitude and gap, the regression",
-        ("paper_figures/figure_8.py", "presentation.figures.curve:curve"),
+        ("paper_figures/figure_8.py", "presentation.figures.sweep:curve"),
         ("configs/sweep.toml",),
     ),
     Item(
         "Figure 9",
         "recordings with the fitted model",
-        ("paper_figures/figure_9.py", "presentation.figures.signal:signal"),
+        ("paper_figures/figure_9.py", "presentation.figures.ringing:signal"),
         ("configs/wear_snapshots.toml",),
     ),
     Item(
@@ -149,7 +149,7 @@ ITEMS = (
         "the two gaps",
         (
             "paper_figures/figure_10.py",
-            "presentation.figures.amplitude_to_gap:amplitude_to_gap",
+            "presentation.figures.gap:amplitude_to_gap",
             "presentation.figures.gap:gap",
         ),
         ("configs/wear_snapshots.toml",),

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, get_args, get_origin, get_type_hints, is_typeddict
 
 from bayesbl.fleet.plant_tables import JOINT_COLUMNS, RECORDING_COLUMNS
-from bayesbl.results.summary_types import Head
+from bayesbl.results.store import Head
 from bayesbl.results.variables import Group, Variable
 
 PAGE = Path(__file__).parent / "results.md"
@@ -25,21 +25,21 @@ SUMMARIES = {
     "compare": "bayesbl.measurement.summary_types:ComparisonSummary",
     "identify": "bayesbl.identification.summary:IdentificationSummary",
     "diagnose": "bayesbl.diagnosis.summary:DiagnosisSummary",
-    "sweep": "bayesbl.runs.sweep_summary:SweepSummary",
+    "sweep": "bayesbl.runs.sweep:SweepSummary",
     "plan": "bayesbl.runs.plan:PlanSummary",
 }
 
 GROUPS = {
     "Of every measurement": "bayesbl.measurement.shared_groups",
-    "Of the curve": "bayesbl.measurement.stored_curve",
+    "Of the curve": "bayesbl.measurement.curves",
     "By the amplitude of the ringing": "bayesbl.measurement.amplitude_route",
     "By simulation of the bench": "bayesbl.measurement.direct_route",
     "By ramps of torque": "bayesbl.measurement.ramp_route",
     "By two encoders": "bayesbl.measurement.two_encoder_route",
-    "Of wear": "bayesbl.measurement.dated_wear",
+    "Of wear": "bayesbl.measurement.wear",
     "Of an identification": "bayesbl.results.identified",
     "Of a diagnosis": "bayesbl.diagnosis.groups",
-    "Of a sweep": "bayesbl.runs.sweep_groups",
+    "Of a sweep": "bayesbl.runs.sweep",
     "Of a plan": "bayesbl.runs.plan",
 }
 

@@ -105,7 +105,7 @@ def rigid(rng: np.random.Generator) -> list[list[str]]:
     for name in names:
         write_rigid(name, rng, machine, moved, strengths, shapes)
     Path("bench.toml").write_text(dump_bench(machine.bench))
-    Path("diagnose.toml").write_text(drawn_configuration(rng, names))
+    Path("diagnose.toml").write_text(drawn_configuration(rng, names, machine.channels))
     commands = [["check", "diagnose.toml"], ["diagnose", "diagnose.toml", "--no-figures"]]
     if rng.random() < 0.3:
         commands.append(["diagnose", *names, "--bench", "bench.toml", "--no-figures"])
@@ -255,12 +255,19 @@ def unit_of(term: Term, motion: Motion, shape: Mapping[str, float]) -> dict[str,
     return {**parameters, PHASE: shape[PHASE]}
 
 
-def drawn_configuration(rng: np.random.Generator, names: Sequence[str]) -> str:
+KNOWN_BY = {"load_angle_known": "load_position_rad", "motor_angle_known": "motor_position_rad"}
+
+
+def drawn_configuration(
+    rng: np.random.Generator, names: Sequence[str], channels: Sequence[str]
+) -> str:
     """What a user may say of the comparison."""
     lines = ["schema = 1", 'kind = "diagnose"', 'bench = "bench.toml"', "[comparison]"]
     lines.append(f'method = "{rng.choice(["inverse", "inverse", "inverse", "free_motion"])}"')
-    for key in ("load_angle_known", "motor_angle_known"):
-        lines.append(f"{key} = {str(rng.random() < 0.5).lower()}")
+    for key, channel in KNOWN_BY.items():
+        # A mistake now and then: whoever says it where no channel shows it is refused.
+        known = rng.random() < (0.5 if channel in channels else 0.05)
+        lines.append(f"{key} = {str(known).lower()}")
     if rng.random() < 0.3:
         lines.append(f"cutoff_hz = {rng.uniform(2.0, 60.0):.3g}")
     unknown = [[], ["motor_inertia_kg_m2"], ["load_inertia_kg_m2"], ["gravity_torque_nm"]]

@@ -42,9 +42,8 @@ from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import Optimum, find_optimum
+from bayesbl.ringing.optimum import EarlierOptimum, Optimum, find_optimum, warm_optimum
 from bayesbl.ringing.posterior import sample_posterior
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
@@ -58,7 +57,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.warm_start import EarlierOptimum, warm_optimum
+from bayesbl.ringing.waveform import model_speed
 from bayesbl.sampling.chains import SamplerSettings
 
 RECORDINGS = Path(__file__).parents[1] / "configs" / "recordings"

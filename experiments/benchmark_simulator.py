@@ -20,11 +20,7 @@ from scipy.integrate import solve_ivp
 
 from bayesbl.bench import kernel
 from bayesbl.bench.kernel import RPM, STATES, Slot
-from bayesbl.bench.simulation import (
-    simulate_channels,
-    simulate_speeds,
-    start_states,
-)
+from bayesbl.bench.simulation import simulate_channels, simulate_speeds, start_states
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.config.bench import reference_bench
 

@@ -45,17 +45,16 @@ from made_recordings import draw_symbols, drifting, synthetic_recording, with_sa
 from outside_noise import encoder_harmonics, one_over_f, varied_speed
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.measured_channels import SpeedSource
 from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.bench.simulation import SpeedSource
 from bayesbl.config.bench import load_bench
-from bayesbl.config.fields import as_tuple, refuse
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.config.sections import as_tuple, refuse
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
-from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate

@@ -19,7 +19,7 @@ from calibration_table import WORDS
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures import layout, style
+from bayesbl.presentation.figures import style
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -49,7 +49,7 @@ def draw_calibration(
     above = 0.3 + _ROW_IN * rows + 0.42
     with style.publication_style():
         figure = style.new_figure(style.DOUBLE_COLUMN_IN, above + 0.3 + _RANKS_IN)
-        upper = layout.grid(
+        upper = style.grid(
             figure, 1, len(LEVELS), left=_NAMES_IN, bottom=0.72 + _RANKS_IN, between=(0.0, 0.15)
         )
         axes = [figure.add_subplot(upper[0, i]) for i in range(len(LEVELS))]
@@ -57,7 +57,7 @@ def draw_calibration(
             _coverage(panel, table, shown, level)
         axes[0].set_yticks(range(rows), [str(line["name"]) for line in table])
         axes[0].legend(loc="upper right", bbox_to_anchor=(-0.05, -0.02), handletextpad=0.2)
-        lower = layout.grid(figure, 1, len(shown), left=0.75, top=above + 0.3, between=(0.0, 0.6))
+        lower = style.grid(figure, 1, len(shown), left=0.75, top=above + 0.3, between=(0.0, 0.6))
         below = [figure.add_subplot(lower[0, i]) for i in range(len(shown))]
         for name, panel in zip(shown, below, strict=True):
             _ranks(panel, table, cases, name)

@@ -18,7 +18,7 @@ from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.curve.sweep import SweepSettings
 from bayesbl.curve.swept_curve import swept_curve
-from bayesbl.measurement.bench_sweep import SweepProblem
+from bayesbl.measurement.curves import SweepProblem
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.work import NOTHING_KEPT
 from bayesbl.ringing.estimator import Estimator

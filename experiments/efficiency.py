@@ -22,14 +22,13 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.change import MeasuredRinging, gaps
-from bayesbl.measurement.stored_curve import read_curve
+from bayesbl.measurement.curves import read_curve
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.sampling.chains import SamplerSettings

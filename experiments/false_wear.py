@@ -35,9 +35,9 @@ from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.observed import observed
+from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
 from bayesbl.measurement.model_check import check_of_comparison, undecided_change
-from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
 

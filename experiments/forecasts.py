@@ -27,7 +27,7 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
 
-from bayesbl.config.fields import as_tuple
+from bayesbl.config.sections import as_tuple
 from bayesbl.measurement.wear import wear
 from bayesbl.recording.types import FloatArray
 

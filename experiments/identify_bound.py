@@ -51,7 +51,7 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.runs.study_file import seed_of_case
+from bayesbl.runs.study import seed_of_case
 
 SEED, ROW = 61, "speed and current"
 """Of the study's first row: the first joints here are those of ``identify_core.toml``."""

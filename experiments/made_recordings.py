@@ -19,7 +19,6 @@ from bayesbl.bench.bench import Bench
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.lost_samples import bridge
 from bayesbl.recording.types import MOTOR_SPEED, Recording
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -31,6 +30,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_END,
     WINDOW_START,
 )
+from bayesbl.ringing.waveform import model_speed
 
 FINER = 10
 """How many times finer a steady recording is sampled that a drifting one is read from."""

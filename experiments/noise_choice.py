@@ -26,7 +26,7 @@ sys.path.append(str(Path(__file__).parent))
 from calibration_statistics import coverage_band
 from made_recordings import draw_symbols, synthetic_recording
 
-from bayesbl.config.fields import as_tuple
+from bayesbl.config.sections import as_tuple
 from bayesbl.noise.process import NoiseModel
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator, PointEstimate
@@ -155,11 +155,11 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """What was chosen, and coverage and width by each kind, row by row of the table."""
-    from bayesbl.presentation.figures.layout import grid
     from bayesbl.presentation.figures.style import (
         BAND,
         DOUBLE_COLUMN_IN,
         NEUTRAL,
+        grid,
         head_panels,
         new_figure,
         publication_style,

@@ -20,7 +20,7 @@ from scipy.stats import spearmanr
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import load_bench
-from bayesbl.config.plan import Limits
+from bayesbl.config.kinds import Limits
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesbl.fleet.inventory import Joint
-from bayesbl.fleet.joint_job import REFUSED, JointAnswer, RecordingAnswer
+from bayesbl.fleet.measured_joint import REFUSED, JointAnswer, RecordingAnswer
 from bayesbl.fleet.plant_tables import (
     JOINT_COLUMNS,
     RECORDING_COLUMNS,

@@ -18,8 +18,7 @@ import numpy as np
 from scipy.stats import truncnorm
 
 from bayesbl.fleet.pooled_rates import Draws, Pooled, pooled
-from bayesbl.measurement.wear import SCATTER
-from bayesbl.measurement.wear_laws import KINDS
+from bayesbl.measurement.wear import KINDS, SCATTER
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.provenance import git_commit
 

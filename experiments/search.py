@@ -36,7 +36,7 @@ from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum, local_search
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import (
     ROTATION,
     WINDOW_END,

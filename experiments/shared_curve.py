@@ -20,11 +20,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.fields import as_tuple
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.config.sections import as_tuple
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.measurement.change import MeasuredRinging, gaps
-from bayesbl.measurement.stored_curve import read_curve
+from bayesbl.measurement.curves import read_curve
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import Estimator
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import xarray as xr
@@ -252,6 +252,11 @@ def simulated(row: Row, generator: np.random.Generator) -> tuple[Joint, Channels
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, float]:
     made_seed, fit_seed = seed.spawn(2)
     joint, channels = simulated(row, np.random.default_rng(made_seed))
+    return scored(joint, channels, fit_seed)
+
+
+def scored(joint: Joint, channels: Channels, fit_seed: np.random.SeedSequence) -> dict[str, float]:
+    """What the route says of a recording, against what the joint is."""
     found = fit_transmission(channels, fit_seed, joint.stated)
 
     def bounds(values: Array) -> tuple[float, float]:
@@ -271,21 +276,29 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
         "lost_rad": joint.lost_rad,
         "probability": found.probability_of_play,
         "play_covered": float(low <= joint.play_rad <= high) if told else math.nan,
-        "bound_holds": float(
-            joint.play_rad <= 2.0 * upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
-        ),
+        "bound_holds": float(joint.play_rad <= 2.0 * upper_bound_rad(found)),
         "lost_covered": covered("lost_motion_rad", joint.lost_rad),
         "stiffness_covered": covered(compliance, 1.0 / joint.stiffness)
         if compliance in found.draws
         else math.nan,
         "ratio_covered": covered("gear_ratio", joint.ratio),
         "skew_covered": covered("channel_skew_s", joint.skew_s),
-        "error": float(np.median(play)) / joint.play_rad - 1.0 if told and row.play else math.nan,
-        "width": (high - low) / joint.play_rad if told and row.play else math.nan,
+        "error": float(np.median(play)) / joint.play_rad - 1.0
+        if told and joint.play_rad
+        else math.nan,
+        "width": (high - low) / joint.play_rad if told and joint.play_rad else math.nan,
     }
 
 
-def summarise(row: Row, cases: xr.Dataset) -> dict[str, float]:
+class HasPlay(Protocol):
+    """A row of a study of two encoders."""
+
+    @property
+    def play(self) -> bool:
+        """Whether the joints have any."""
+
+
+def summarise(row: HasPlay, cases: xr.Dataset) -> dict[str, float]:
     def mean(name: str) -> float:
         values = cases[name].values
         values = values[np.isfinite(values)]

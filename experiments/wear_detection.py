@@ -39,14 +39,13 @@ from calibration_statistics import coverage_band
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.fields import as_tuple, refuse
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.config.sections import as_tuple, refuse
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.change import MeasuredRinging, changes, gaps
+from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.direct_route import NO_DRIFT, fit_directly
-from bayesbl.measurement.stored_curve import read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
@@ -200,9 +199,9 @@ def smallest_change(middle_rad: float, width_rad: float, power: float = POWER) -
 
 def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) -> Figure:
     """Detection curves of each route: the share of pairs reported against the true change."""
-    from bayesbl.presentation.figures.layout import grid
     from bayesbl.presentation.figures.style import (
         DOUBLE_COLUMN_IN,
+        grid,
         head_panels,
         new_figure,
         publication_style,

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from bayesbl.bench.effects import EFFECTS
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, new_figure
+from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, grid, new_figure
 from bayesbl.units import in_words
 
 TABLES = ("hidden_effects_confusion", "hidden_effects_core_confusion")

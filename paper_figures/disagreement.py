@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesbl.diagnosis.summary import summarise_diagnosis
-from bayesbl.presentation.figures.layout import grid
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
     NEUTRAL,
+    grid,
     head_panels,
     look,
     new_figure,

@@ -9,14 +9,14 @@ from common import PaperFigure, Stored, arrays, main, numbers
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.scales import plain_log_axis
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     NEUTRAL,
+    grid,
     head_panels,
     look,
     new_figure,
+    plain_log_axis,
 )
 
 _WAYS = {

@@ -8,13 +8,13 @@ import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
 from bayesbl.presentation.figures.gap import gap
-from bayesbl.presentation.figures.snapshots import (
-    GAP,
+from bayesbl.presentation.figures.stored_figure import (
     credible_interval,
     gap_interval,
     interval_in_words,
     snapshots,
 )
+from bayesbl.presentation.figures.style import GAP
 from bayesbl.ringing.symbols import AMPLITUDE
 
 

@@ -10,13 +10,13 @@ from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.snapshots import snapshots
+from bayesbl.presentation.figures.stored_figure import snapshots
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     MEASURED,
     MODEL,
     NEUTRAL,
+    grid,
     head_panels,
     new_figure,
 )

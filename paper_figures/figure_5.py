@@ -9,8 +9,7 @@ import xarray as xr
 from common import PaperFigure, Stored, arrays, main
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.style import NEUTRAL, SINGLE_COLUMN_IN, look, new_figure
+from bayesbl.presentation.figures.style import NEUTRAL, SINGLE_COLUMN_IN, grid, look, new_figure
 
 _SOFTER = 20.0
 """α δ of the second curve: small enough for its slope to be seen."""

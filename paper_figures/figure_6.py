@@ -19,11 +19,13 @@ from scipy.optimize import minimize_scalar
 
 from bayesbl.bench.bench import Bench
 from bayesbl.errors import ResultError
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.snapshots import GAP, Snapshot, snapshots
+from bayesbl.measurement.stored import Snapshot
+from bayesbl.presentation.figures.stored_figure import snapshots
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
+    GAP,
     MODEL,
+    grid,
     head_panels,
     new_figure,
 )

@@ -7,7 +7,7 @@ import sys
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.presentation.figures.disturbance import disturbance, pulse_view
+from bayesbl.presentation.figures.sweep import disturbance, pulse_view
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
 

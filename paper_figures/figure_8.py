@@ -9,7 +9,7 @@ import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.presentation.figures.curve import curve, departures_from_curve
+from bayesbl.presentation.figures.sweep import curve, departures_from_curve
 
 
 def data(stored: Stored) -> xr.DataTree:

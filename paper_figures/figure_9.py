@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
-from bayesbl.presentation.figures.signal import signal
-from bayesbl.presentation.figures.snapshots import interval_name, snapshots
+from bayesbl.presentation.figures.ringing import signal
+from bayesbl.presentation.figures.stored_figure import interval_name, snapshots
 from bayesbl.ringing.symbols import SYMBOLS
 
 

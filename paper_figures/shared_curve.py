@@ -10,9 +10,15 @@ from common import PaperFigure, Stored, arrays, main
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.snapshots import GAP, snapshots
-from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, head_panels, look, new_figure
+from bayesbl.presentation.figures.stored_figure import snapshots
+from bayesbl.presentation.figures.style import (
+    DOUBLE_COLUMN_IN,
+    GAP,
+    grid,
+    head_panels,
+    look,
+    new_figure,
+)
 
 _WAYS = {"shared": "one curve for both", "independent": "a curve for each"}
 _LEVEL = 0.9

@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.scales import plain_log_axis
 from bayesbl.presentation.figures.style import (
     DOUBLE_COLUMN_IN,
     NEUTRAL,
+    grid,
     head_panels,
     look,
     new_figure,
+    plain_log_axis,
 )
 
 ESTIMATORS = {

@@ -10,8 +10,8 @@ from common import PaperFigure, Stored, main, picked
 
 from bayesbl.measurement.stored import summary_of
 from bayesbl.measurement.summary_types import ComparisonSummary
-from bayesbl.presentation.figures.snapshots import GAP
-from bayesbl.presentation.figures.wear import wear
+from bayesbl.presentation.figures.gap import wear
+from bayesbl.presentation.figures.style import GAP
 from bayesbl.presentation.wear import sentences, with_rate
 
 

@@ -10,11 +10,17 @@ from common import PaperFigure, Stored, arrays, main, numbers
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesbl.measurement.stored_curve import SOURCE_PREFIX, curve_from_dataset
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.scales import plain_log_axis
-from bayesbl.presentation.figures.snapshots import GAP, snapshots
-from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, head_panels, look, new_figure
+from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
+from bayesbl.presentation.figures.stored_figure import snapshots
+from bayesbl.presentation.figures.style import (
+    DOUBLE_COLUMN_IN,
+    GAP,
+    grid,
+    head_panels,
+    look,
+    new_figure,
+    plain_log_axis,
+)
 from bayesbl.presentation.words import source_in_words
 
 CURVES = {

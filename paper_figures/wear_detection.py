@@ -10,8 +10,7 @@ from common import PaperFigure, Stored, arrays, main, numbers
 from matplotlib.figure import Figure
 from scipy.stats import binom, norm
 
-from bayesbl.presentation.figures.layout import grid
-from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, look, new_figure
+from bayesbl.presentation.figures.style import DOUBLE_COLUMN_IN, NEUTRAL, grid, look, new_figure
 
 POWER = 0.95
 NOMINAL = 0.05

@@ -12,43 +12,21 @@ from places import ROOT
 
 PACKAGE = ROOT / "bayesbl"
 
-ROOMS = (
-    "bayesbl",  # the package itself: its version; public names are looked up when asked for
-    "errors",
-    "arguments",
-    "units",
-    "sentences",
-    "declared",
-    "libraries",
-    "processes",
-    "threads",
-    "progress",
-    "probabilities",
-    "compiled",
-    "recording",
-    "noise",
-    "bench",
-    "sampling",
-    "ramps",
-    "two_encoders",
-    "ringing",
-    "matching",
-    "model_search",
-    "naming",
-    "curve",
-    "config",
-    "results",
-    "measurement",
-    "diagnosis",
-    "identification",
-    "fleet",
-    "runs",
-    "presentation",
-    "library",
-    "cli",
-    "__main__",
-)
-"""From the lowest to the highest: a room imports from itself and from those before it."""
+FLOW = {
+    "tools of every room": """errors arguments units sentences declared libraries processes
+        progress probabilities compiled""",
+    "recordings, and the virtual bench": "recording noise bench sampling",
+    "optimum and posterior": "ramps two_encoders ringing matching",
+    "which laws explain a misfit": "model_search naming",
+    "curve, configuration, result files": "curve config results",
+    "gap and change": "measurement",
+    "what a bench lacks, and many joints": "diagnosis identification fleet",
+    "runs, and the report": "runs presentation library cli __main__",
+}
+"""Data flow from recording to report: a room imports from itself and from those before it."""
+
+# The package itself holds its version, and looks its public names up when asked for.
+ROOMS = ("bayesbl", *" ".join(FLOW.values()).split())
 
 
 def files() -> dict[str, Path]:

@@ -62,7 +62,7 @@ def test_a_frame_and_a_bench_in_memory_give_what_their_files_give(tmp_path: Path
     by_file, by_frame = (bayesbl.fit(r, config=config) for r in (tmp_path / "r.csv", frame))
     name = "amplitude_rpm"
     np.testing.assert_array_equal(
-        *(found.to_xarray()["posterior"][name].values for found in (by_file, by_frame))
+        *(found.to_xarray()["amplitude/posterior"][name].values for found in (by_file, by_frame))
     )
 
 

@@ -47,3 +47,24 @@ def test_a_cache_in_a_temporary_folder_is_the_users_alone(tmp_path, monkeypatch)
         numba.config.CACHE_DIR = ""
         compiled._use_temporary_folder()
         assert not numba.config.CACHE_DIR
+
+
+def test_a_full_disk_costs_the_cache_and_not_the_answer(tmp_path, monkeypatch) -> None:
+    import errno
+
+    import numba
+    from numba.core.caching import IndexDataCacheFile
+
+    from bayesbl.compiled import compiled
+
+    def full(*_: object) -> None:
+        raise OSError(errno.EFBIG, "File too large")
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(IndexDataCacheFile, "save", full)
+
+    @compiled()
+    def more(x):
+        return x + 1.0
+
+    assert more(1.0) == 2.0

@@ -12,8 +12,7 @@ from places import ROOT
 
 import bayesbl
 from bayesbl import cli
-from bayesbl.cli.identifying import diagnose_command, identify_command
-from bayesbl.cli.measuring import compare_command, fit_command
+from bayesbl.cli.commands import compare_command, diagnose_command, fit_command, identify_command
 from bayesbl.presentation.citations import all_bibtex, citations
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -15,7 +15,6 @@ import numpy as np
 
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.joint_normal import JointNormal
 from bayesbl.bench.kernel import (
     CURRENT,
     POSITION,
@@ -24,15 +23,17 @@ from bayesbl.bench.kernel import (
     Slot,
 )
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
-from bayesbl.bench.measured_channels import PERFECT, Measurement
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
+    JointNormal,
     check_parameters,
     rotation_period_s,
     slot_of,
 )
 from bayesbl.bench.simulation import (
+    PERFECT,
+    Measurement,
     simulate_channels,
     simulate_motions,
     simulate_speeds,

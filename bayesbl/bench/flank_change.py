@@ -69,6 +69,12 @@ def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, f
     return float(torque.min()), float(torque.max())
 
 
+def heaviest(bench: Bench) -> Bench:
+    """With all the gravity that its tolerance allows."""
+    gravity = bench.parameters["gravity_torque_nm"]
+    return bench.with_parameters(gravity_torque_nm=gravity.value + gravity.tolerance)
+
+
 def require_flank_change(
     bench: Bench, speeds_rpm: Sequence[float] = (), file: str | Path | None = None
 ) -> None:

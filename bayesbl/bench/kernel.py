@@ -1645,7 +1645,8 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
         run_begin = t - math.ceil(t / period) * period
         quasi_static_state(p, begin + load_speed * run_begin, first)
         ramp_start = first[MOTOR_ANGLE] - c.reference * run_begin
-        y[:] = first
+        for i in range(y.size):  # to compile the assignment of an array takes seconds
+            y[i] = first[i]
         status, _, more = integrate(
             run_begin, y, t, math.inf * direction, t, dt, none, p,
             constants(p, ramp_start, t), accuracy_rpm, steady,
@@ -1653,8 +1654,8 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
         cost += more
         if status != DONE:
             return status, cost
-    state[:] = 0.0
-    state[: y.size] = y
+    for i in range(state.size):
+        state[i] = y[i] if i < y.size else 0.0
     c = constants(p, ramp_start, t)
     lag = longest_lag(p)
     lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
@@ -1728,7 +1729,8 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, start_flank, out):  # type: ign
     lag = max(0.0, longest_lag(p))
     lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
     pieces = pieces.copy()
-    pieces[:, 0] += p[Slot.reference_delay_s]
+    for k in range(len(pieces)):
+        pieces[k, 0] += p[Slot.reference_delay_s]
     q = p.copy()
     held = math.isinf(p[Slot.load_inertia_kg_m2])
     # A slow motion of a fast joint meets the same friction.

@@ -1,10 +1,16 @@
-"""The bench's own parameters: name, unit, meaning, sign; and the flat vector they travel in."""
+"""The bench's own parameters: name, unit, meaning, sign; and the flat vector they travel in.
+
+Some of them move between two snapshots though nobody touched the joint: "nothing but the gap
+changed" is never assumed, as grease warms up, magnets weaken, bearings settle. What is known of
+several of them together is a normal distribution of their logarithms.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,7 +194,9 @@ def check_parameters(matrix: FloatArray) -> None:
 
 
 def _check_gap(matrix: FloatArray) -> None:
-    _refuse_where(matrix[:, Slot.gap_rad] < 0.0, matrix, Slot.gap_rad, "zero or a number above it")
+    own = matrix[:, Slot.gap_rad]
+    beyond = (own < 0.0) | (own > math.pi)
+    _refuse_where(beyond, matrix, Slot.gap_rad, "zero or a number above it, at most π: half a turn")
     gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
     sharpness = matrix[:, Slot.stiffness_sharpness_per_rad]
     arctan = (matrix[:, Slot.hard_dead_zone] == 0.0) & (matrix[:, Slot.rigid] == 0.0)
@@ -273,3 +281,98 @@ def rotation_period_s(matrix: FloatArray) -> FloatArray:
     speed = np.abs(matrix[:, Slot.reference_speed_rpm]) * (2.0 * math.pi / 60.0)
     period: FloatArray = 2.0 * math.pi * matrix[:, Slot.gear_ratio] / speed
     return period
+
+
+BITTENCOURT = "Bittencourt & Gunnarsson 2012, J. Dyn. Syst. Meas. Control 134, 051013"
+NEODYMIUM = "IEC 60404-8-1: remanence of Nd-Fe-B falls by 0.08 to 0.12 % per kelvin"
+STEEL = "Young's modulus of steel falls by 0.03 % per kelvin; preload of bearings does the rest"
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """Relative standard deviation between two snapshots, and where it is taken from."""
+
+    relative_sd: float
+    source: str
+
+
+def _lubricant(relative_sd: float) -> Budget:
+    return Budget(relative_sd, f"lubricant warmer or colder by some 20 K: {BITTENCOURT}")
+
+
+DEFAULT_DRIFT: Mapping[str, Budget] = MappingProxyType(
+    {
+        "shaft_damping_nm_s_per_rad": _lubricant(0.2),
+        "shaft_stiffness_nm_per_rad": Budget(0.01, STEEL),
+        "torque_constant_nm_per_a": Budget(0.02, f"a motor warmer by some 20 K: {NEODYMIUM}"),
+        "contact_damping": _lubricant(0.2),
+        "stiffness_hardening": Budget(0.02, STEEL),
+        "shaft_hysteresis": _lubricant(0.2),
+        "motor_coulomb_friction": _lubricant(0.2),
+        "motor_viscous_friction": _lubricant(0.3),
+        "motor_quadratic_drag": _lubricant(0.3),
+        "motor_stribeck_friction": _lubricant(0.3),
+        "friction_asymmetry": _lubricant(0.3),
+        "load_coulomb_friction": _lubricant(0.2),
+        "load_viscous_friction": _lubricant(0.3),
+        "gear_mesh_friction": _lubricant(0.2),
+    }
+)
+"""By name of a bench parameter or effect; what is not here does not drift unless told.
+
+Gains and payload are set by people: they stay or are changed, and a change shows.
+"""
+
+
+def drift_of(name: str, stated: Mapping[str, float]) -> float:
+    """Relative standard deviation of a parameter, an effect or ``effect.parameter``."""
+    for key in (name, name.partition(".")[0]):
+        if key in stated:
+            return stated[key]
+    budget = DEFAULT_DRIFT.get(name) or DEFAULT_DRIFT.get(name.partition(".")[0])
+    return budget.relative_sd if budget is not None else 0.0
+
+
+FURTHEST = 5.0
+"""Standard deviations that a parameter may be from its value: further by chance once in two
+million; one that is there contradicts what it was identified from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointNormal:
+    """ln p ~ N(ln of the bench's values, covariance).
+
+    Attributes
+    ----------
+    names
+        Of k bench parameters, all above zero.
+    covariance
+        Of their logarithms, shape (k, k), positive definite.
+    sources
+        SHA-256 of the files that it was learned from.
+    """
+
+    names: tuple[str, ...]
+    covariance: FloatArray
+    sources: tuple[str, ...] = ()
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of the logarithm of one parameter: about its relative one."""
+        i = self.names.index(name)
+        return float(np.sqrt(self.covariance[i, i]))
+
+    def range(self, name: str, value: float) -> tuple[float, float, float]:
+        """Lowest, middle and highest logarithm that a parameter of this value may have."""
+        middle, reach = math.log(value), FURTHEST * self.sd(name)
+        return middle - reach, middle, middle + reach
+
+    def whitening(self, names: Sequence[str]) -> FloatArray:
+        """W with Wᵀ W the inverse covariance of these parameters' logarithms, shape (n, n)."""
+        index = [self.names.index(name) for name in names]
+        root = np.linalg.cholesky(self.covariance[np.ix_(index, index)])
+        return np.asarray(np.linalg.inv(root))
+
+    def draw(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Factors of the values, shape (count, k)."""
+        root = np.linalg.cholesky(self.covariance)
+        return np.exp(rng.standard_normal((count, len(self.names))) @ root.T)

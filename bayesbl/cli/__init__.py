@@ -14,19 +14,8 @@ from typing import Annotated, Any
 import typer
 
 from bayesbl import __version__
-from bayesbl.cli.bench import (
-    effects_command,
-    plan_command,
-    simulate_command,
-    sweep_command,
-)
-from bayesbl.cli.configurations import check_command, fleet_command, init_command, run_command
-from bayesbl.cli.device import collect_command, watch_command
-from bayesbl.cli.identifying import diagnose_command, identify_command
-from bayesbl.cli.measuring import compare_command, fit_command
-from bayesbl.cli.statuses import FAILED, WITHHELD, WRONG
-from bayesbl.cli.stored import cite_command, figures_command, inspect_command, report_command
-from bayesbl.cli.volume import FIGURES, VOLUME, brought_forward
+from bayesbl.cli.commands import COMMANDS
+from bayesbl.cli.running import FAILED, FIGURES, VOLUME, WITHHELD, WRONG, brought_forward
 from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
@@ -47,25 +36,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-# In the order of the help.
-app.command("run")(run_command)
-app.command("check")(check_command)
-app.command("fit")(fit_command)
-app.command("compare")(compare_command)
-app.command("fleet")(fleet_command)
-app.command("watch")(watch_command)
-app.command("collect")(collect_command)
-app.command("simulate")(simulate_command)
-app.command("sweep")(sweep_command)
-app.command("diagnose")(diagnose_command)
-app.command("plan")(plan_command)
-app.command("identify")(identify_command)
-app.command("effects")(effects_command)
-app.command("figures")(figures_command)
-app.command("report")(report_command)
-app.command("inspect")(inspect_command)
-app.command("init")(init_command)
-app.command("cite")(cite_command)
+for command in COMMANDS:
+    app.command(command.__name__.removesuffix("_command"))(command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from bayesbl.cli.statuses import WITHHELD
-from bayesbl.cli.volume import FIGURES, VOLUME
 from bayesbl.errors import ConfigError, RecordingError, ResultError
 
 if TYPE_CHECKING:
@@ -20,11 +19,34 @@ if TYPE_CHECKING:
     from bayesbl.config.sections import RunConfig
 
 
+FAILED, WRONG, WITHHELD = 1, 2, 3
+"""A bug or Ctrl-C; wrong usage, configuration or input; an answer that is withheld."""
+
+
+Volume = Literal["quiet", "normal", "verbose"]
+
+VOLUME: ContextVar[Volume] = ContextVar("volume", default="normal")
+"""Of the command that runs."""
+
+FIGURES: ContextVar[tuple[str, ...]] = ContextVar("figures", default=("png",))
+"""Formats in which a run draws its figures."""
+
+_OPTIONS = ("--quiet", "--verbose", "--no-figures", "--pdf")
+
+
+def brought_forward(arguments: Sequence[str]) -> list[str]:
+    """The same arguments with these options before the command, where they are read."""
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    ours = [text for text in arguments[:end] if text in _OPTIONS]
+    others = [text for text in arguments[:end] if text not in _OPTIONS]
+    return [*ours, *others, *arguments[end:]]
+
+
 def run_file(
     config: Path, force: bool, json: bool, *, kind: str | None = None, **options: Any
 ) -> None:
     """Run a configuration file, of ``kind`` or of its own, with options over it."""
-    from bayesbl.runs.run import kind_of, load_run
+    from bayesbl.runs.kinds import kind_of, load_run
 
     if (kind or kind_of(config)) == "simulate":
         _simulate(config, force, json, options)
@@ -54,10 +76,8 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
 def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
     from bayesbl.library import draw_answer
     from bayesbl.presentation.console import print_details, print_headline, print_result
-    from bayesbl.presentation.shown_progress import progress
-    from bayesbl.presentation.terminal import make_console, say
-    from bayesbl.runs.declared_groups import read_result
-    from bayesbl.runs.run import run
+    from bayesbl.presentation.terminal import make_console, progress, say
+    from bayesbl.runs.kinds import read_result, run
 
     console, volume = notes_console(), VOLUME.get()
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:

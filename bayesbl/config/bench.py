@@ -1,4 +1,9 @@
-"""Bench files: from TOML to a :class:`Bench`, and back."""
+"""Bench files: from TOML to a :class:`Bench`, and back.
+
+Units may be those that data sheets and drives print. Some numbers are printed as something else: a
+reset time stands for the integral gain, a bandwidth for the proportional gain, a damping ratio for
+the damping. They are converted with the other parameters of the same bench.
+"""
 
 from __future__ import annotations
 
@@ -6,43 +11,136 @@ import dataclasses
 import math
 import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl.arguments import File, checked
-from bayesbl.bench.bench import (
-    Bench,
-    BenchEffect,
-    BenchParameter,
-    EffectParameterValue,
-)
+from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
-from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.config import printed_units
-from bayesbl.config.fields import (
-    Section,
-    Tolerance,
-    as_tuple,
-    refuse,
-    require_different,
-)
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.files import load_file
+from bayesbl.config.sections import Section, Tolerance, as_tuple, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.channels import did_you_mean
+from bayesbl.units import RPM_PER_RAD_PER_S
+
+ARCMIN_PER_RAD = 60.0 * 180.0 / math.pi
+STANDARD_GRAVITY = 9.80665
+
+Values = Mapping[str, float]
+Conversion = Callable[[float, Values], float]
+"""From the printed number, and the bench's parameters converted so far, to the bench's unit."""
+
+
+def _times(factor: float) -> Conversion:
+    return lambda value, bench: factor * value
+
+
+def _inverse(factor: float) -> Conversion:
+    return lambda value, bench: factor / value
+
+
+_INERTIA = {
+    "kg m2": _times(1.0),
+    "kg cm2": _times(1e-4),
+    "kg mm2": _times(1e-6),
+    "g cm2": _times(1e-7),
+}
+_SPEED_GAIN = {
+    "N m s/rad": _times(1.0),
+    "N m/rpm": _times(RPM_PER_RAD_PER_S),
+    "A s/rad": lambda value, bench: value * bench["torque_constant_nm_per_a"],
+    "A/rpm": lambda value, bench: value * RPM_PER_RAD_PER_S * bench["torque_constant_nm_per_a"],
+    "1/s": lambda value, bench: value * _total_inertia(bench),
+}
+CONVERSIONS: Mapping[str, Mapping[str, Conversion]] = {
+    "motor_inertia_kg_m2": _INERTIA,
+    "load_inertia_kg_m2": _INERTIA,
+    "shaft_stiffness_nm_per_rad": {
+        "N m/rad": _times(1.0),
+        "kN m/rad": _times(1e3),
+        "N m/deg": _times(180.0 / math.pi),
+        "N m/arcmin": _times(ARCMIN_PER_RAD),
+        "arcmin/N m": _inverse(ARCMIN_PER_RAD),
+        "rad/N m": _inverse(1.0),
+    },
+    "gravity_torque_nm": {"N m": _times(1.0), "kg m": _times(STANDARD_GRAVITY)},
+    "torque_constant_nm_per_a": {"N m/A": _times(1.0), "mN m/A": _times(1e-3)},
+    "shaft_damping_nm_s_per_rad": {
+        "N m s/rad": _times(1.0),
+        "damping ratio": lambda value, bench: (
+            2.0
+            * value
+            * math.sqrt(bench["shaft_stiffness_nm_per_rad"] * reduced_inertia_kg_m2(bench))
+        ),
+    },
+    "speed_gain_nm_s_per_rad": _SPEED_GAIN,
+    "integral_gain_nm_per_rad": {
+        "N m/rad": _times(1.0),
+        "s": lambda value, bench: bench["speed_gain_nm_s_per_rad"] / value,
+        "ms": lambda value, bench: 1e3 * bench["speed_gain_nm_s_per_rad"] / value,
+    },
+    "position_gain_per_s": {"1/s": _times(1.0), "m/min/mm": _times(1000.0 / 60.0)},
+    "reference_speed_rpm": {"rpm": _times(1.0), "rad/s": _times(RPM_PER_RAD_PER_S)},
+    "current_limit_a": {"A": _times(1.0), "mA": _times(1e-3)},
+}
+"""Parameter to the units it may be printed in, its own first; later ones may need earlier ones."""
+
+
+def accepted(name: str) -> tuple[str, ...]:
+    """Units that a parameter may be given in."""
+    return tuple(CONVERSIONS.get(name, {PARAMETER_INFO[name].unit: None}))
+
+
+def spelled(unit: str) -> str:
+    """``kg cm²`` as ``kg cm2``, ``arcmin/(Nm)`` as ``arcmin/N m``."""
+    text = unit.strip().replace("²", "2").replace("^2", "2").replace("·", " ").replace("*", " ")
+    text = text.replace("(", "").replace(")", "").replace("s⁻¹", "1/s").replace("′", "arcmin")
+    return text.replace("Nm", "N m")
+
+
+def converted(printed: Mapping[str, float], units: Mapping[str, str]) -> dict[str, float]:
+    """Values in the bench's own units.
+
+    Parameters
+    ----------
+    printed
+        Every parameter's number as given.
+    units
+        Of those given in another unit than the bench's own; each one of :func:`accepted`.
+
+    Raises
+    ------
+    KeyError
+        Naming the parameter that a conversion needs and that is not given.
+    ZeroDivisionError
+        If a number that is divided by is zero.
+    """
+    found = {name: value for name, value in printed.items() if name not in units}
+    for name, conversions in CONVERSIONS.items():
+        if name in units:
+            found[name] = conversions[units[name]](printed[name], found)
+    return found
+
+
+def reduced_inertia_kg_m2(bench: Values) -> float:
+    """Of motor and load on the shaft, seen at the load: 1/(1/J_l + 1/(N² J_m))."""
+    motor = bench["gear_ratio"] ** 2 * bench["motor_inertia_kg_m2"]
+    return 1.0 / (1.0 / bench["load_inertia_kg_m2"] + 1.0 / motor)
+
+
+def _total_inertia(bench: Values) -> float:
+    """Of motor and load, seen at the motor."""
+    return bench["motor_inertia_kg_m2"] + bench["load_inertia_kg_m2"] / bench["gear_ratio"] ** 2
+
 
 REFERENCE_BENCH = "reference_bench.toml"
 AVERAGING = effect_named("speed_averaging")
@@ -67,27 +165,37 @@ def _effect_name(name: str) -> str:
     return name
 
 
-class ParameterEntry(Section):
+class _Uncertain(Section):
+    """A value whose uncertainty is stated in one way at most."""
+
+    value: float
+    tolerance: Tolerance = Field(default=None, ge=0.0)
+    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _stated_once(self) -> Self:
+        stated = {
+            name: value
+            for name in ("sd", "tolerance", "relative_tolerance")
+            if (value := getattr(self, name, None)) is not None
+        }
+        if len(stated) > 1:
+            also = "standard deviation or " if "sd" in type(self).model_fields else ""
+            refuse(
+                f"A parameter has one {also}tolerance.",
+                found=" and ".join(f"{name} = {value:g}" for name, value in stated.items()),
+                expected="one of them",
+            )
+        return self
+
+
+class ParameterEntry(_Uncertain):
     """An entry of ``[parameters]``; a tolerance is the half-width of a uniform prior.
 
     ``unit``: as the data sheet prints it, where it is not the one in the parameter's name.
     """
 
-    value: float
     unit: str | None = None
-    tolerance: Tolerance = Field(default=None, ge=0.0)
-    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
-
-    @model_validator(mode="after")
-    def _one_tolerance(self) -> Self:
-        if self.tolerance is not None and self.relative_tolerance is not None:
-            refuse(
-                "A parameter has one tolerance.",
-                found=f"tolerance = {self.tolerance:g} and "
-                f"relative_tolerance = {self.relative_tolerance:g}",
-                expected="one of the two",
-            )
-        return self
 
     def parameter(self, value: float) -> BenchParameter:
         """As the bench takes it; ``value`` in the bench's own unit."""
@@ -185,31 +293,13 @@ class MeasurementSection(Section):
         )
 
 
-class EffectValue(Section):
+class EffectValue(_Uncertain):
     """A parameter of an effect; ``sd`` where it was estimated, a tolerance where it was stated.
 
     A tolerance is the half-width of a uniform distribution, whose standard deviation is taken.
     """
 
-    value: float
     sd: float | None = Field(default=None, ge=0.0)
-    tolerance: Tolerance = Field(default=None, ge=0.0)
-    relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
-
-    @model_validator(mode="after")
-    def _one_uncertainty(self) -> Self:
-        stated = {
-            name: value
-            for name in ("sd", "tolerance", "relative_tolerance")
-            if (value := getattr(self, name)) is not None
-        }
-        if len(stated) > 1:
-            refuse(
-                "A parameter has one standard deviation or tolerance.",
-                found=" and ".join(f"{name} = {value:g}" for name, value in stated.items()),
-                expected="one of them",
-            )
-        return self
 
     def parameter(self) -> EffectParameterValue:
         """As the bench takes it."""
@@ -220,6 +310,16 @@ class EffectValue(Section):
         return EffectParameterValue(self.value, sd)
 
 
+def _above_zero(entry: EffectValue) -> EffectValue:
+    if entry.value <= 0.0:
+        problem = "The stiffness of a spring and the inertia behind it are above zero."
+        refuse(problem, found=f"{entry.value:g}", expected="a number above zero")
+    return entry
+
+
+AboveZero = Annotated[EffectValue, AfterValidator(_above_zero)]
+
+
 class _Spring(Section, ABC):
     """A part of the joint behind a spring, as a data sheet states it.
 
@@ -227,13 +327,8 @@ class _Spring(Section, ABC):
     parameter for its part of that, or for the inertia itself.
     """
 
-    stiffness_nm_per_rad: EffectValue
+    stiffness_nm_per_rad: AboveZero
     damping_nm_s_per_rad: EffectValue = EffectValue(value=0.0)
-
-    @field_validator("stiffness_nm_per_rad")
-    @classmethod
-    def _stiff(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "A spring has a stiffness.")
 
     @abstractmethod
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
@@ -246,18 +341,12 @@ class _Spring(Section, ABC):
         return {
             "compliance_rad_per_nm": _divided(EffectValue(value=1.0), stiffness),
             "damping_time_s": EffectParameterValue(
-                damping.value / k, _over(damping.parameter().sd, k)
+                damping.value / k, _sd_over(damping.parameter().sd, k)
             ),
         }
 
 
-def _above_zero(entry: EffectValue, problem: str) -> EffectValue:
-    if entry.value <= 0.0:
-        refuse(problem, found=f"{entry.value:g}", expected="a number above zero")
-    return entry
-
-
-def _over(sd: float | None, divisor: float) -> float | None:
+def _sd_over(sd: float | None, divisor: float) -> float | None:
     return None if sd is None else sd / divisor
 
 
@@ -276,7 +365,7 @@ class BeltSection(_Spring):
     ``reducer_inertia_kg_m2`` is the part of it behind the belt.
     """
 
-    reducer_inertia_kg_m2: EffectValue
+    reducer_inertia_kg_m2: AboveZero
     play_rad: EffectValue = EffectValue(value=0.0)
 
     @field_validator("play_rad")
@@ -289,11 +378,6 @@ class BeltSection(_Spring):
                 expected="0: a joint with a second play is withheld, not measured",
             )
         return entry
-
-    @field_validator("reducer_inertia_kg_m2")
-    @classmethod
-    def _behind(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "There is an inertia behind a belt.")
 
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
         """See :class:`_Spring`."""
@@ -309,13 +393,8 @@ class ArmSection(_Spring):
     load; ``inertia_kg_m2`` and ``gravity_share`` are what of them is behind the spring.
     """
 
-    inertia_kg_m2: EffectValue
+    inertia_kg_m2: AboveZero
     gravity_share: EffectValue = EffectValue(value=0.5)
-
-    @field_validator("inertia_kg_m2")
-    @classmethod
-    def _behind(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "There is an inertia behind the spring.")
 
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
         """See :class:`_Spring`."""
@@ -329,12 +408,7 @@ class ArmSection(_Spring):
 class BaseSection(_Spring):
     """``[base]``: what the joint is mounted on, about the joint's axis."""
 
-    inertia_kg_m2: EffectValue
-
-    @field_validator("inertia_kg_m2")
-    @classmethod
-    def _of_base(cls, entry: EffectValue) -> EffectValue:
-        return _above_zero(entry, "A base has an inertia.")
+    inertia_kg_m2: AboveZero
 
     def effect(self, values: Mapping[str, float]) -> BenchEffect:
         """See :class:`_Spring`."""
@@ -466,9 +540,7 @@ class BenchFile(Section):
     @classmethod
     def _units(cls, parameters: dict[str, ParameterEntry]) -> dict[str, ParameterEntry]:
         for name, entry in parameters.items():
-            if entry.unit is not None and printed_units.spelled(entry.unit) not in (
-                known := printed_units.accepted(name)
-            ):
+            if entry.unit is not None and spelled(entry.unit) not in (known := accepted(name)):
                 refuse(
                     f"The unit of {name} is not known.",
                     found=f'"{entry.unit}"',
@@ -527,13 +599,13 @@ class BenchFile(Section):
     def _values(self) -> dict[str, float]:
         """Every value given, in the bench's own unit."""
         units = {
-            name: printed_units.spelled(entry.unit)
+            name: spelled(entry.unit)
             for name, entry in self.parameters.items()
-            if entry.unit is not None and name in printed_units.CONVERSIONS
+            if entry.unit is not None and name in CONVERSIONS
         }
         printed = {name: entry.value for name, entry in self.parameters.items()}
         try:
-            return printed_units.converted(printed, units)
+            return converted(printed, units)
         except KeyError as missing:
             raise BenchError(
                 "A unit is converted with another parameter, which is missing.",

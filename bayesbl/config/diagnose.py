@@ -6,16 +6,19 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from bayesbl.config.fields import (
+from bayesbl.config.sections import (
     BenchSource,
     ChannelName,
     GapBounds,
+    Interval,
     Positive,
+    RecordedConfig,
     Section,
+    SnapshotRecording,
     as_tuple,
+    differently_named,
     refuse,
 )
-from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording, differently_named
 from bayesbl.recording.channels import did_you_mean
 
 Method = Literal["forward", "inverse", "free_motion"]

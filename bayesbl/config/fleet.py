@@ -8,17 +8,20 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from bayesbl.config.fields import (
+from bayesbl.config.measurement import Curve, Noise, Posterior, WearOverDates
+from bayesbl.config.sections import (
+    ClusterRun,
     GapBounds,
     InputPath,
+    Interval,
+    Model,
+    RecordedConfig,
     Section,
     as_tuple,
     refuse,
     require_different,
     resolve,
 )
-from bayesbl.config.measurement import Curve, Noise, Posterior, WearOverDates
-from bayesbl.config.sections import ClusterRun, Interval, Model, RecordedConfig
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".toml")
 

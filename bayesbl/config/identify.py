@@ -7,8 +7,17 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from bayesbl.config.diagnose import bench_parameter, effect_names
-from bayesbl.config.fields import GapBounds, InputPath, Section, as_tuple, refuse
-from bayesbl.config.sections import Interval, RecordedConfig, SnapshotRecording, differently_named
+from bayesbl.config.sections import (
+    GapBounds,
+    InputPath,
+    Interval,
+    RecordedConfig,
+    Section,
+    SnapshotRecording,
+    as_tuple,
+    differently_named,
+    refuse,
+)
 
 
 class IdentifiedRecording(SnapshotRecording):

@@ -1,18 +1,162 @@
-"""Every kind of file, and the model of those that describe a run."""
+"""Every kind of file, and the model of those that describe a run; the short ones are here."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.identify import IdentifyConfig
 from bayesbl.config.measurement import CompareConfig, FitConfig
-from bayesbl.config.plan import PlanConfig
-from bayesbl.config.sections import RunConfig
-from bayesbl.config.study import StudyConfig
-from bayesbl.config.sweep import SweepConfig
+from bayesbl.config.sections import (
+    BenchSource,
+    ClusterRun,
+    InputPath,
+    Interval,
+    Model,
+    Positive,
+    RunConfig,
+    Section,
+    as_tuple,
+    refuse,
+    require_different,
+    resolve,
+    two_angles,
+)
+
+
+class GapRange(Section):
+    """``[sweep] gap_rad``: the gaps over which a bench is swept."""
+
+    low: Positive = 1e-4
+    high: Positive = 4e-3
+    count: int = Field(default=40, ge=6, le=1000)
+    spacing: Literal["log", "linear"] = "log"
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if not self.low < self.high:
+            refuse(
+                "The range of gaps is empty.",
+                found=f"low = {self.low:g}, high = {self.high:g}",
+                expected="low < high",
+            )
+        return self
+
+
+class Sweep(Section):
+    """``[sweep]``: which recordings are simulated, and the polynomial through them."""
+
+    gap_rad: GapRange = Field(default_factory=GapRange)
+    start_angles: int = Field(default=4, ge=2, le=100)
+    rotations: float = Field(default=5.0, ge=2.0, le=100.0)
+    sampling_hz: float = Field(default=1000.0, ge=100.0)
+    bench_draws: int = Field(default=0, ge=0, le=10_000)
+    degree: int = Field(default=3, ge=1, le=8)
+
+    @field_validator("degree")
+    @classmethod
+    def _fewer_than_gaps(cls, degree: int, info: ValidationInfo) -> int:
+        gap_rad = info.data.get("gap_rad")  # absent if it was refused itself
+        if gap_rad is not None and gap_rad.count < degree + 3:
+            refuse(
+                "The sweep has too few gaps for this degree.",
+                found=f"degree = {degree} with gap_rad.count = {gap_rad.count}",
+                expected=f"gap_rad.count of at least {degree + 3}, or a degree of at most "
+                f"{gap_rad.count - 3}",
+            )
+        return degree
+
+
+class SweepEstimator(Section):
+    """``[estimator]`` of a sweep: what decides the meaning of A."""
+
+    model: Model = Field(default_factory=Model)
+
+
+class SweepConfig(RunConfig):
+    """``kind = "sweep"``: the gap curve of a bench."""
+
+    kind: Literal["sweep"]
+    bench: BenchSource
+    sweep: Sweep = Field(default_factory=Sweep)
+    estimator: SweepEstimator = Field(default_factory=SweepEstimator)
+    interval: Interval = Field(default_factory=Interval)
+
+
+class Limits(Section):
+    """``[limits]``: load angles, speed and acceleration of the motor, rests, length."""
+
+    range_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (-0.5, 0.5)
+    speed_rpm: Positive = 1500.0
+    acceleration_rpm_per_s: Positive = 6000.0
+    dwell_s: float = Field(default=0.15, ge=0.0)
+    duration_s: float = Field(default=20.0, ge=1.0, le=600.0)
+
+    _range = field_validator("range_rad")(two_angles)
+
+
+class PlanConfig(RunConfig):
+    """``kind = "plan"``: motions ranked by the width of δ that they promise at ``gap_rad``."""
+
+    kind: Literal["plan"]
+    bench: BenchSource
+    limits: Limits = Field(default_factory=Limits)
+    gap_rad: Positive = 8e-4
+    sampling_hz: float = Field(default=1000.0, ge=100.0)
+
+
+def _resolve_row(row: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    """Text that names a file beside the configuration becomes its full path."""
+    return {
+        key: str(resolve(value, info))
+        if key != "name" and isinstance(value, str) and _names_file(value, info)
+        else value
+        for key, value in row.items()
+    }
+
+
+def _names_file(text: str, info: ValidationInfo) -> bool:
+    return os.path.isfile(resolve(text, info))
+
+
+class StudyConfig(RunConfig):
+    """``kind = "study"``: an experiment from a file of its own, row by row.
+
+    A row is a free table that the study itself validates; only its ``name`` is required here.
+    """
+
+    kind: Literal["study"]
+    run: ClusterRun
+    study: InputPath
+    rows: Annotated[
+        tuple[Annotated[dict[str, Any], AfterValidator(_resolve_row)], ...],
+        BeforeValidator(as_tuple),
+    ]
+
+    @field_validator("rows")
+    @classmethod
+    def _named(cls, rows: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+        names = [row.get("name") for row in rows]
+        if not rows:
+            refuse("A study needs rows.", expected="at least one [[rows]]")
+        if not all(isinstance(name, str) and name.strip() for name in names):
+            refuse("A row has no name.", found=names, expected="a name as text in every row")
+        require_different(list(map(str, names)), "Two rows have the same name.")
+        return rows
+
 
 KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
     {

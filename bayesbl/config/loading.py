@@ -18,11 +18,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from bayesbl.arguments import File, checked
-from bayesbl.config.fields import BASE_DIRECTORY, PUBLISHED, name_of, names_of
-from bayesbl.config.files import read_toml, require_kind
-from bayesbl.config.kinds import KINDS, RUNNABLE
-from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.problems import (
+from bayesbl.config.files import (
     Location,
     Problem,
     config_error,
@@ -30,8 +26,12 @@ from bayesbl.config.problems import (
     line_numbers,
     location_of,
     problems_of,
+    read_toml,
+    require_kind,
 )
-from bayesbl.config.sections import RunConfig
+from bayesbl.config.kinds import KINDS, RUNNABLE
+from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED, RunConfig, name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import stem_of

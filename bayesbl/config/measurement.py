@@ -10,23 +10,21 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bayesbl import units
-from bayesbl.config.fields import (
+from bayesbl.config.sections import (
     BenchSource,
     CurveSource,
     GapBounds,
-    Positive,
-    ResultFile,
-    Section,
-    Tolerance,
-    as_tuple,
-    refuse,
-)
-from bayesbl.config.sections import (
     Interval,
     Model,
+    Positive,
     RecordedConfig,
+    ResultFile,
+    Section,
     SnapshotRecording,
+    Tolerance,
+    as_tuple,
     differently_named,
+    refuse,
 )
 
 

@@ -20,7 +20,7 @@ from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import exchanged, find_optimum
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import FREQUENCY, START, DisturbanceModel
 
 LEAST_LEAP = 0.2

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.diagnosis.residual_noise import ResidualNoise
-from bayesbl.noise.autoregression import levinson
+from bayesbl.noise.rotation_noise import levinson
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import unit_of
 

@@ -27,8 +27,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
 from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
 from bayesbl.results.intervals import IntervalKind
-from bayesbl.results.stacking import padded
-from bayesbl.results.variables import Group, Variable, dataset, labels, table
+from bayesbl.results.variables import Group, Variable, dataset, labels, padded, table
 from bayesbl.units import unit_of
 
 STAGES = ("before", "after")

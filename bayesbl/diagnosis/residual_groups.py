@@ -22,8 +22,7 @@ from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
 from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.diagnosis.summary import plain
 from bayesbl.recording.types import CHANNELS
-from bayesbl.results.stacking import padded
-from bayesbl.results.variables import Group, Variable, dataset, labels, table
+from bayesbl.results.variables import Group, Variable, dataset, labels, padded, table
 from bayesbl.units import unit_of
 
 _ANGLE = "load_angle_rad"

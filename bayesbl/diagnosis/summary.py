@@ -18,7 +18,7 @@ from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import Interval, IntervalKind, interval
-from bayesbl.results.summary_types import Head, head
+from bayesbl.results.store import Head, head
 
 _PLACE = ("recording", "channel", "use")
 

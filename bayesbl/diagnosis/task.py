@@ -10,8 +10,7 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece, TestedEffect
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.recording.checks import require_channels
-from bayesbl.recording.clipping import require_unclipped, without_rails
+from bayesbl.recording.checks import require_channels, require_unclipped, without_rails
 from bayesbl.recording.types import BoolArray, Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 

@@ -1,7 +1,13 @@
-"""``recordings.parquet`` and ``joints.parquet``: a row each, columns as declared here."""
+"""``recordings.parquet`` and ``joints.parquet``: a row each, columns as declared here.
+
+Draws of all joints are in one Zarr store beside them, a group a joint. It is Zarr's format 2
+without compression: a folder of JSON and of little-endian numbers, which needs no library to be
+written. ``xarray.open_zarr(store, group="R1-J2")`` reads one joint.
+"""
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,16 +16,63 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.inventory import Joint
-from bayesbl.fleet.joint_job import JointAnswer, RecordingAnswer
+from bayesbl.fleet.measured_joint import JointAnswer, RecordingAnswer
 from bayesbl.fleet.pooled_rates import Borrowed, Draws, TypeRates, alarms, pooled
-from bayesbl.measurement.dated_wear import date_after, years_between
-from bayesbl.measurement.wear import probability_before
-from bayesbl.measurement.wear_laws import shares
+from bayesbl.measurement.wear import date_after, probability_before, shares, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import IntervalKind, interval
+
+GROUP, ARRAY, ATTRIBUTES = ".zgroup", ".zarray", ".zattrs"
+
+
+class DrawsStore:
+    """A new store in a folder that must not exist yet."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._group(folder, {})
+
+    def put(
+        self,
+        name: str,
+        arrays: Mapping[str, tuple[Sequence[str], NDArray[np.generic]]],
+        attributes: Mapping[str, object],
+    ) -> None:
+        """A group of this name; each array has the names of its dimensions before it."""
+        folder = self._folder / name
+        self._group(folder, attributes)
+        for key, (dims, values) in arrays.items():
+            _write(folder / key, values, {"_ARRAY_DIMENSIONS": list(dims)})
+
+    def _group(self, folder: Path, attributes: Mapping[str, object]) -> None:
+        folder.mkdir(parents=True)
+        (folder / GROUP).write_text('{"zarr_format": 2}')
+        (folder / ATTRIBUTES).write_text(json.dumps(dict(attributes), ensure_ascii=False))
+
+
+def _write(folder: Path, values: NDArray[np.generic], attributes: Mapping[str, object]) -> None:
+    folder.mkdir()
+    dtype = values.dtype.newbyteorder("<")
+    plain = np.ascontiguousarray(values, dtype=dtype)
+    head = {
+        "zarr_format": 2,
+        "shape": list(plain.shape),
+        "chunks": [max(1, size) for size in plain.shape],
+        "dtype": dtype.str,
+        "compressor": None,
+        "fill_value": None,
+        "order": "C",
+        "filters": None,
+    }
+    (folder / ARRAY).write_text(json.dumps(head))
+    (folder / ATTRIBUTES).write_text(json.dumps(attributes))
+    if plain.size:
+        (folder / ".".join(["0"] * plain.ndim)).write_bytes(plain.tobytes())
+
 
 RECORDINGS_FILE, JOINTS_FILE = "recordings.parquet", "joints.parquet"
 

@@ -35,8 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.measurement.wear import SCATTER
-from bayesbl.measurement.wear_laws import KINDS, by_law
+from bayesbl.measurement.wear import KINDS, SCATTER, by_law
 from bayesbl.recording.types import FloatArray
 
 FEWEST_JOINTS = 3
@@ -92,7 +91,7 @@ class Draws:
     rate_rad_per_year
         Positive.
     kind
-        Number of the kind of law, of :data:`bayesbl.measurement.wear_laws.KINDS`.
+        Number of the kind of law, of :data:`bayesbl.measurement.wear.KINDS`.
     jump_rad
         Mean jump of irregular wear: variance of the growth over its mean.
     """

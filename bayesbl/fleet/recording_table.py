@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import ResultError
 from bayesbl.fleet.inventory import file_of_another
-from bayesbl.fleet.joint_job import FAILED, REFUSED
+from bayesbl.fleet.measured_joint import FAILED, REFUSED
 from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RECORDINGS_FILE, require_tables, schema_of
 from bayesbl.results.atomic import clear_away, locked_sibling, replacing
 from bayesbl.results.folder import is_finished, require_no_link

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtri
 
-from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.parameters import JointNormal
 from bayesbl.matching.signals import Unknown
 from bayesbl.probabilities import chi2_sf
 from bayesbl.recording.types import FloatArray

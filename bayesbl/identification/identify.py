@@ -20,7 +20,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import EFFECTS
-from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.identification.beyond_data_sheet import (
     BeyondDataSheet,

@@ -10,7 +10,7 @@ import xarray as xr
 from bayesbl.diagnosis.summary import DisagreementTableSummary, HeldValue, SamplingSummary
 from bayesbl.identification.identify import Verdict
 from bayesbl.results.intervals import Interval
-from bayesbl.results.summary_types import Head, head
+from bayesbl.results.store import Head, head
 
 
 class PriorSummary(TypedDict):

@@ -52,7 +52,7 @@ def fit_aligned(
     for start in starts:
         if progress is not None:
             progress(len(fits), len(starts) + NOISE_ROUNDS)
-        fits.append(fit_simulated(model, start))
+        fits.append(fit_simulated(model, start, rough=True))
     best = min(fits, key=lambda fit: fit.chi_square)
     best = replace(best, model=replace(model, noise=remaining_noise(best)))
     recordings = [_forgetful(best, i) for i in range(len(recordings))]

@@ -9,12 +9,7 @@ import numpy as np
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import rotation_period_s
-from bayesbl.bench.simulation import (
-    ACCURACY,
-    simulate_channels,
-    simulate_motions,
-    simulate_speeds,
-)
+from bayesbl.bench.simulation import ACCURACY, simulate_channels, simulate_motions, simulate_speeds
 from bayesbl.matching.observed import Observed
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -128,20 +129,30 @@ def degrees_of_freedom(rows: FloatArray) -> float:
     return float(np.clip(found, 1.0, rows.shape[1]))
 
 
-def factors_along(fit: SimulatedFit, change: FloatArray) -> FloatArray:
-    """Variance of all noise along a change of the whitened signals (N,), some likely values.
+def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
+    """Variance of all noise along changes of the whitened signals (N,), some likely values each.
 
     In units of the recorder's, as :meth:`LoopNoise.factors` of each recording; of rounding that may
     be the same in all rotations, in units of what it is counted as.
     """
-    total, found = 0.0, np.zeros(len(QUANTILES))
-    for place, rows in enumerate(fit.model.by_recording(change)):
-        along = turns_of(rows, fit.model.recordings[place])
-        power = float(np.sum(along**2))
-        if power > 0.0:
-            found += power * _factors(fit, place, along)
-            total += power
-    return found / total if total > 0.0 else np.ones(1)
+    of_recording = cache(partial(_factors, fit))
+
+    def factors(change: FloatArray) -> FloatArray:
+        total, found = 0.0, np.zeros(len(QUANTILES))
+        for place, rows in enumerate(fit.model.by_recording(change)):
+            along = turns_of(rows, fit.model.recordings[place])
+            power = float(np.sum(along**2))
+            if power > 0.0:
+                found += power * of_recording(place)(along)
+                total += power
+        return found / total if total > 0.0 else np.ones(1)
+
+    return factors
+
+
+def factors_along(fit: SimulatedFit, change: FloatArray) -> FloatArray:
+    """As :func:`noise_along`, of one change."""
+    return noise_along(fit)(change)
 
 
 def factors_of_estimates(fit: SimulatedFit, weights: FloatArray) -> FloatArray:
@@ -151,14 +162,20 @@ def factors_of_estimates(fit: SimulatedFit, weights: FloatArray) -> FloatArray:
     return factors_along(fit, fit.derivatives() @ (fit.covariance @ weights))
 
 
-def _factors(fit: SimulatedFit, place: int, along: FloatArray) -> FloatArray:
-    """Of a recording, (k,) or (1,): of its noise in the loop, or of rounding alike in rotations."""
-    if fit.model.noise[place].repeats:
+def _factors(fit: SimulatedFit, place: int) -> Callable[[FloatArray], FloatArray]:
+    """Of a recording, by its noise in the loop, or by rounding alike in rotations; (k,) or (1,)."""
+    if not fit.model.noise[place].repeats:
+        loop = loop_noise(fit, place)
+        return loop.factors if loop is not None else lambda along: np.ones(1)
+    rounded = rounded_rotations(fit, place)
+
+    def by_rounding(along: FloatArray) -> FloatArray:
         together, power = along.sum(axis=0), float(np.sum(along**2))
-        cases = [np.mean((rows @ together) ** 2) / power for rows in rounded_rotations(fit, place)]
-        return np.array([max(1.0, *cases)]) if cases else np.ones(1)
-    loop = loop_noise(fit, place)
-    return np.ones(1) if loop is None else loop.factors(along)
+        return np.array(
+            [max([1.0, *(np.mean((rows @ together) ** 2) / power for rows in rounded)])]
+        )
+
+    return by_rounding
 
 
 def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.parameters import JointNormal
 from bayesbl.recording.types import FloatArray
 
 

@@ -30,9 +30,9 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.noise.autoregression import innovation_share
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.process import NoiseModel
+from bayesbl.noise.rotation_noise import innovation_share
 from bayesbl.recording.types import FloatArray
 
 NAME = "planned"

@@ -1,9 +1,9 @@
 """Posterior of the gap and everything else unknown, from the recordings' own simulation.
 
-emcee walks on a second-order surrogate of the whitened signals. Full simulations of some draws, the
-outermost among them, tell how much importance weights would change: less than the draws scatter by
-chance, and they stand as they are; else all are simulated and weighted. Where few draws carry the
-weight, the surrogate is fitted again around them.
+Draws are of a second-order surrogate of the whitened signals: independent ones where it is nearly
+normal within the ranges, else emcee's. Full simulations of some of them tell how far weights would
+move the answer: less than the sampler is exact to, and the draws stand as they are; else all are
+simulated and weighted. Where few draws carry the weight, the surrogate is fitted again around them.
 """
 
 from __future__ import annotations
@@ -21,27 +21,37 @@ from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import SamplerSettings, Walk, thinned, walk
+from bayesbl.sampling.chains import (
+    Ensembles,
+    SamplerSettings,
+    Walk,
+    chance_at_edge,
+    thinned,
+    walk,
+    walkers_needed,
+)
 from bayesbl.sampling.convergence import (
     Diagnostics,
 )
-from bayesbl.sampling.edges import chance_at_edge
-from bayesbl.sampling.ensemble import Ensembles, walkers_needed
-from bayesbl.sampling.importance import effective_size, resampled
-from bayesbl.sampling.truncated_normal import truncated_normal
+from bayesbl.sampling.importance import (
+    effective_size,
+    independent_draws,
+    resampled,
+    truncated_normal,
+)
 
 DRAWS = 1000
 """Draws over all ensembles."""
 CHECKED = 100
 """Of them simulated in full first: the spread of their weights is known to a tenth."""
-NEGLIGIBLE_SPREAD = DRAWS**-0.5
-"""Standard deviation of ln w below which weights move no mean by more than chance does.
+NEGLIGIBLE_SPREAD = 0.1
+"""Standard deviation of ln w above which draws are weighted.
 
-|E[wf] − E[f]| ≤ sd(w) sd(f) by Cauchy and Schwarz, and the mean of so many draws scatters by
-sd(f)/√DRAWS.
+Below it |E[wf] − E[f]| ≤ sd(w) sd(f) by Cauchy and Schwarz: no mean moves by more than a tenth of a
+standard deviation, however well ln w and f go together.
 """
 FURTHEST_AT_ENDS = math.log(1.6)
-"""|ln w| at the outermost draws: a tail of 5 % is then one of 3 to 8 %."""
+"""|ln w| at the ends of the intervals: a tail of 5 % is then one of 3 to 8 %."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
 """Effective share of the draws from which on weights correct the surrogate."""
@@ -268,15 +278,15 @@ class _Local:
     ) -> FloatArray:
         """Draws within a box, shape (count, d)."""
         generator = np.random.default_rng(seed)
-        return truncated_normal(self.peak, self.covariance, self.centre, box, count, generator)
+        return truncated_normal(self.peak, self.covariance, box, count, generator)
 
 
 @dataclass(frozen=True, slots=True)
 class _Check:
     """ln w of some draws by full simulation.
 
-    ``evenly``: of the chains' draws; ``at_ends``: of the lowest and highest in each coordinate,
-    both less the mean of the former.
+    ``evenly``: of the chains' draws; ``at_ends``: of those at the ends of each coordinate's 90 %
+    interval; both less the mean of the former.
     """
 
     evenly: FloatArray
@@ -285,7 +295,8 @@ class _Check:
     @classmethod
     def of(cls, model: SimulatedSignals, draws: FloatArray, expected: FloatArray) -> _Check:
         """``draws``: shape (m, d); ``expected``: χ² by the surrogate, (m,)."""
-        ends = np.unique([*draws.argmin(axis=0), *draws.argmax(axis=0)])[: CHECKED // 2]
+        tails = np.quantile(draws, TAILS, axis=0)[:, None]
+        ends = np.unique(np.abs(draws - tails).argmin(axis=1))[: CHECKED // 2]
         evenly = np.linspace(0, len(draws) - 1, CHECKED - ends.size).astype(np.int64)
         place = np.concatenate([evenly, ends])
         found = _log_weights(expected[place], simulated_chi_square(model, draws[place]))
@@ -361,8 +372,14 @@ def _walk(
     seed: np.random.SeedSequence,
     progress: Progress | None,
 ) -> Walk:
-    """emcee until its chains are long enough and the gap's interval stands still."""
-    target = _LogDensity(model, surrogate)
+    """Independent draws, or emcee until chains are long and the gap's interval stands still."""
+    target, box = _LogDensity(model, surrogate), (model.low, model.high)
+    generator = np.random.default_rng(seed.spawn(1)[0])
+    found = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
+    if found is not None:
+        draws, share = found
+        chains = tuple(np.array_split(draws[:, None], settings.ensembles))
+        return Walk(chains, 1.0, len(chains[-1]), np.full(settings.ensembles, share), True)
     walkers = walkers_needed(len(model.unknowns))
     start_seed, walk_seed = seed.spawn(2)
     starts = local.drawn(settings.ensembles * walkers, (model.low, model.high), start_seed)

@@ -31,8 +31,8 @@ from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.processes import in_threads
 from bayesbl.recording.types import FloatArray
-from bayesbl.threads import in_threads
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,11 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve, published_curve
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
-from bayesbl.measurement.bench_of import bench_of
 from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.compatibility import unsuited
-from bayesbl.measurement.curves import curve_source
+from bayesbl.measurement.compatibility import bench_of, unsuited
+from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
 from bayesbl.measurement.measurement import (
     Answer,
@@ -35,7 +34,9 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Route,
+    Task,
     Verdict,
+    estimator_of,
 )
 from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
 from bayesbl.measurement.shared_groups import (
@@ -60,9 +61,7 @@ from bayesbl.measurement.shared_groups import (
     sampling_values,
 )
 from bayesbl.measurement.stored import routes_of, stored_answers
-from bayesbl.measurement.stored_curve import CURVE, curve_group
 from bayesbl.measurement.summary_types import NoiseSummary
-from bayesbl.measurement.task import Task, estimator_of
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.probabilities import normal_isf
 from bayesbl.processes import processes
@@ -81,15 +80,14 @@ from bayesbl.results.variables import (
 )
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit, PointEstimate
-from bayesbl.ringing.jacobian import jacobian_columns
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import bounds
+from bayesbl.ringing.optimum import EarlierOptimum, bounds
 from bayesbl.ringing.pointwise import log_likelihood, predicted
-from bayesbl.ringing.refine import refine
-from bayesbl.ringing.second_sampler import SamplerCheck, require_second_sampler
+from bayesbl.ringing.posterior import SamplerCheck, require_second_sampler
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch
-from bayesbl.ringing.warm_start import EarlierOptimum
+from bayesbl.ringing.waveform import jacobian_columns
 
 BAND_DRAWS = 100
 """Behind the predictive band."""
@@ -513,7 +511,11 @@ def verdict(
     """
     diagnostics = fit.posterior.diagnostics
     failed = diagnostics.outcome == "withheld"
-    sampling = [Reason.told("sampling", text, withholds=failed) for text in diagnostics.reasons]
+    codes = chain([diagnostics.code], repeat("sampling"))
+    sampling = [
+        Reason.told(code, text, withholds=failed)
+        for code, text in zip(codes, diagnostics.reasons, strict=False)
+    ]
     notes = [Reason.told("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]

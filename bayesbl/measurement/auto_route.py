@@ -17,10 +17,9 @@ import numpy as np
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
-from bayesbl.measurement.bench_of import bench_of
+from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
-from bayesbl.measurement.measurement import Measurement, Measurer, Reason, Verdict
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.measurement import Measurement, Measurer, Reason, Task, Verdict
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
@@ -79,10 +78,10 @@ class AutoMeasurer(Measurer):
             case UserError(), UserError():
                 raise direct
             case Measurement(), UserError():
-                refused = {"amplitude": Reason.told("refused", str(amplitude))}
+                refused = {"amplitude": Reason.told(amplitude.code, str(amplitude))}
                 return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
             case UserError(), Measurement():
-                refusal = Reason.told("refused", str(direct))
+                refusal = Reason.told(direct.code, str(direct))
                 because = [{"code": refusal.code, **refusal.values}]
                 return replace(self._by_amplitude(amplitude, because), refused={"direct": refusal})
             case Measurement(), Measurement():

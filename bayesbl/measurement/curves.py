@@ -4,39 +4,396 @@ A bench is swept for what each recording needs (its rate, speed and length), and
 kept by content: the same bench with the same needs is read. All curves of a bench are of the same
 draws of it, so that its unknown parameters cancel in a change between recordings of other speeds
 and rates too.
+
+``result.nc`` has the band that every result shows, and the whole curve of a sweep.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
+import xarray as xr
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import require_flank_change
-from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.curve.gap_curve import GapCurve, published_curve
-from bayesbl.curve.sweep import SweepSettings
-from bayesbl.curve.swept_curve import swept_curve
+from bayesbl.config.sections import PUBLISHED
+from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
+from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
+from bayesbl.curve.swept_curve import SweptDraws, departures, swept_curve
+from bayesbl.errors import BenchError, CurveError
 from bayesbl.matching.observed import reference_speed
-from bayesbl.measurement.bench_of import bench_with
-from bayesbl.measurement.bench_sweep import SweepProblem
 from bayesbl.measurement.compatibility import (
+    bench_with,
     other_speed,
     require_one_speed_of_all,
     require_same_estimator,
 )
-from bayesbl.measurement.measurement import Reason
-from bayesbl.measurement.stored_curve import read_curve
-from bayesbl.measurement.task import Task, estimator_of
+from bayesbl.measurement.measurement import Reason, Task, estimator_of
+from bayesbl.processes import processes
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import speed_in_another_unit
-from bayesbl.recording.types import Recording
+from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.results.store import read_tree, texts
+from bayesbl.results.variables import (
+    Group,
+    Variable,
+    arrays,
+    attributes,
+    dataset,
+    require_declared,
+    stack_snapshots,
+    table,
+)
+from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
+from bayesbl.ringing.symbols import DisturbanceModel
+
+NOTHING: Mapping[str, object] = MappingProxyType({})
+
+AMPLITUDES = 200
+"""At which a curve is stored for figures."""
+
+SOURCE_PREFIX = "source_"
+"""Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
+
+ROW_PREFIX = "row_"
+"""Of the variables that tell which of these draws belongs to a draw of δ."""
+
+BY_COEFFICIENTS = ("regression", "rounding")
+"""Sources that are an uncertainty of the coefficients."""
+
+_COEFFICIENTS = table("coefficients (power) | rad / rpm^k | coefficient of A^k in the gap curve")
+
+
+def _source(name: str) -> Variable | None:
+    if name.startswith(SOURCE_PREFIX):
+        source = name.removeprefix(SOURCE_PREFIX)
+        meaning = f"departures of ln δ from the curve, source {source}"
+        return Variable(name, (f"draw_{source}", "knot"), "1", meaning)
+    if name.startswith(ROW_PREFIX):
+        source = name.removeprefix(ROW_PREFIX)
+        meaning = f"which draw of source {source} each draw of δ went through"
+        return Variable(name, ("chain", "draw"), "1", meaning)
+    return None
+
+
+CURVE = Group(
+    "curve",
+    (
+        *table("""
+            delta_rad (amplitude) | rad | backlash gap, nominal
+            low_rad (amplitude) | rad | lower bound of the curve's band
+            high_rad (amplitude) | rad | upper bound of the curve's band
+            covariance? (power, power_) | (rad / rpm^k)^2 | covariance of the coefficients
+            coefficient_draws? (coefficient_draw, power) | rad / rpm^k
+                | draws of the coefficients; the curve's draws are those of its sources
+            knots_rpm? (knot) | rpm | amplitude of the impact ringing
+            correction? (knot) | 1 | departure of ln δ from the polynomial's
+            start_angle_sd_rpm? (knot) | rpm | scatter of the amplitude with the start angle
+        """),
+        *_COEFFICIENTS,
+    ),
+    table("amplitude (amplitude) | rpm | amplitude of the impact ringing"),
+    named=_source,
+    optional=True,
+)
+"""A curve, and how the draws of δ went through it.
+
+δ = Σ coefficients·A^k · exp(correction + Σ source), at A = ``curve_amplitude_rpm`` of the
+posterior, correction and sources linear in ln A between the knots, of each source the row that
+``row_…`` names for the draw.
+"""
+
+
+GAP_CURVE = Group(
+    "gap_curve",
+    (
+        *_COEFFICIENTS,
+        *table("""
+            knots_rpm (knot) | rpm | amplitude of the impact ringing
+            correction (knot) | 1 | departure of ln δ from the polynomial's
+            start_angle_sd_rpm (knot) | rpm | scatter of the amplitude with the start angle
+            log_frequency? (knot) | 1 | ln of ω in rad/s
+            log_decay? (knot) | 1 | ln of τ in 1/s
+            frequency_draws? (draw_bench, knot) | 1 | departures of ln ω for the bench draws
+            decay_draws? (draw_bench, knot) | 1 | departures of ln τ for the bench draws
+            scatter? (knot, row, column) | mixed | covariance of (A, ln ω, ln τ) over start angles
+        """),
+    ),
+    named=_source,
+)
+
+
+def curve_group(
+    curves: Mapping[str, GapCurve],
+    rows: Mapping[str, Mapping[str, NDArray[np.int64]]],
+    level: float,
+    seed: np.random.SeedSequence,
+) -> xr.Dataset:
+    """Group :data:`CURVE` of a measurement.
+
+    Parameters
+    ----------
+    curves
+        By recording. Where they differ they are stacked over the range of all.
+    rows
+        By recording and source, which draw of the curve each draw of δ went through.
+    """
+    first = next(iter(curves.values()))
+    if all(curve is first for curve in curves.values()):
+        amplitude = np.geomspace(*first.amplitude_range_rpm, AMPLITUDES)
+        return _with_draws(first, next(iter(rows.values())), amplitude, level, seed)
+    ranges = np.array([curve.amplitude_range_rpm for curve in curves.values()])
+    amplitude = np.geomspace(ranges.min(), ranges.max(), AMPLITUDES)
+    parts = {
+        name: {CURVE.name: _with_draws(curve, rows[name], amplitude, level, seed)}
+        for name, curve in curves.items()
+    }
+    return stack_snapshots(parts)[CURVE.name]
+
+
+def one_curve_group(curve: GapCurve, level: float, seed: np.random.SeedSequence) -> xr.Dataset:
+    """The gap curve over its range with the band of its draws."""
+    return _curve(curve, np.geomspace(*curve.amplitude_range_rpm, AMPLITUDES), level, seed)
+
+
+def _with_draws(
+    curve: GapCurve,
+    rows: Mapping[str, NDArray[np.int64]],
+    amplitude: FloatArray,
+    level: float,
+    seed: np.random.SeedSequence,
+) -> xr.Dataset:
+    drawn = coefficient_draws(curve)
+    values: dict[str, object] = attributes(CURVE, curve)
+    if drawn is not None:
+        values |= {"coefficient_draws": drawn, "covariance": np.cov(drawn, rowvar=False)}
+    # As figures and checks need them: a sweep keeps all digits.
+    sources = {f"{SOURCE_PREFIX}{n}": d.astype(np.float32) for n, d in curve.sources.items()}
+    which = {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
+    return _curve(curve, amplitude, level, seed, {**values, **sources, **which})
+
+
+def coefficient_draws(curve: GapCurve) -> FloatArray | None:
+    """Coefficients of each curve that their uncertainty allows, shape (m, degree + 1).
+
+    By relative least squares at the knots; ``None`` where no source is of the coefficients.
+    """
+    departures = [curve.sources[name] for name in BY_COEFFICIENTS if name in curve.sources]
+    if not departures:
+        return None
+    nominal = polynomial.polyval(curve.knots_rpm, curve.coefficients)
+    powers = curve.knots_rpm[:, None] ** np.arange(curve.coefficients.size)
+    inverse = np.linalg.pinv(powers / nominal[:, None], rcond=1e-15)
+    shares = np.expm1(np.sum(departures, axis=0))
+    return np.asarray(curve.coefficients + shares @ inverse.T)
+
+
+def _curve(
+    curve: GapCurve,
+    amplitude: FloatArray,
+    level: float,
+    seed: np.random.SeedSequence,
+    beside: Mapping[str, object] = NOTHING,
+) -> xr.Dataset:
+    """A group :data:`CURVE` at these amplitudes."""
+    count = 1000
+    draws = curve.draw(count, np.random.default_rng(seed))
+    table = np.stack([draws.gap(np.full(count, a)) for a in amplitude])
+    edges = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
+    result = dataset(
+        CURVE,
+        {
+            **beside,
+            "delta_rad": curve.gap(amplitude),
+            "low_rad": edges[0],
+            "high_rad": edges[1],
+            "coefficients": curve.coefficients,
+        },
+        {"amplitude": amplitude},
+    )
+    result.attrs = {"name": curve.name, "warnings": list(curve.warnings), "level": level}
+    return result
+
+
+def curve_to_dataset(curve: GapCurve) -> xr.Dataset:
+    """The curve as a dataset; :func:`curve_from_dataset` gives it back."""
+    sources = {f"{SOURCE_PREFIX}{name}": draws for name, draws in curve.sources.items()}
+    ringing = attributes(GAP_CURVE, curve.ringing)
+    result = dataset(GAP_CURVE, {**attributes(GAP_CURVE, curve), **sources, **ringing})
+    result.attrs = {
+        "name": curve.name,
+        "fingerprint": curve.fingerprint or "",
+        "warnings": list(curve.warnings),
+        "reference_speed_rpm": curve.reference_speed_rpm or 0.0,
+    }
+    return result
+
+
+def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
+    """The curve that :func:`curve_to_dataset` stored, under a new name.
+
+    Raises
+    ------
+    ResultError
+        If anything is missing.
+    """
+    found = arrays(GAP_CURVE, stored)
+    own = {f.name: found[f.name] for f in fields(GapCurve) if f.name in found}
+    return GapCurve(
+        name=name,
+        sources={
+            key.removeprefix(SOURCE_PREFIX): draws
+            for key, draws in found.items()
+            if key.startswith(SOURCE_PREFIX)
+        },
+        fingerprint=stored.attrs.get("fingerprint") or None,
+        ringing=Ringing(**{f.name: found[f.name] for f in fields(Ringing)})
+        if "log_frequency" in found
+        else None,
+        warnings=tuple(texts(stored.attrs.get("warnings"))),
+        reference_speed_rpm=float(stored.attrs.get("reference_speed_rpm", 0.0)) or None,
+        **own,
+    )
+
+
+def read_curve(path: str | Path) -> GapCurve:
+    """The gap curve of a sweep's result.
+
+    Raises
+    ------
+    ResultError
+        If the file is missing, damaged or unfinished.
+    CurveError
+        If the result holds no curve.
+    """
+    tree = read_tree(path)
+    if GAP_CURVE.name not in tree.children:
+        raise CurveError(
+            "This result holds no gap curve.",
+            file=path,
+            found=f'a result of kind "{tree.attrs.get("kind")}"',
+            expected="the result.nc of a sweep",
+        )
+    require_declared(tree, [GAP_CURVE], path)
+    return curve_from_dataset(tree[GAP_CURVE.name].to_dataset(), str(path))
+
+
+DrawProgress = Callable[[str, int, int], None]
+"""Called with (what is worked on, benches swept, benches in all)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepProblem:
+    """What decides the numbers of every row, and where finished rows of all sweeps are kept."""
+
+    bench: Bench
+    model: DisturbanceModel
+    settings: SweepSettings
+    seed: int
+    work: WorkStore
+
+    def nominal(self, seed: np.random.SeedSequence, workers: int) -> SweepRow:
+        """The row of the bench itself.
+
+        Raises
+        ------
+        BenchError
+            If a simulation fails, or cannot be fitted.
+        """
+        generator = np.random.default_rng(seed)
+        return self._row(
+            None, lambda: sweep_nominal(self.bench, self.model, self.settings, generator, workers)
+        )
+
+    def draws(
+        self,
+        nominal: SweepRow,
+        count: int,
+        seed: np.random.SeedSequence,
+        workers: int,
+        progress: DrawProgress | None = None,
+    ) -> SweptDraws | None:
+        """Sweeps of benches drawn within the tolerances, over processes; ``None`` for none.
+
+        The benches depend on bench, count and seed alone: two problems of one bench at other
+        speeds or rates draw the same ones.
+        """
+        if count == 0:
+            return None
+        tolerances = self.bench.tolerances
+        benches = [self.bench.draw(np.random.default_rng(s)) for s in seed.spawn(count)]
+        names = tuple(tolerances)
+        shifts = np.array(
+            [[(b.value(n) - self.bench.value(n)) / tolerances[n] for n in names] for b in benches]
+        )
+        rows = []
+        for row in _mapped(_drawn_row, [(self, nominal, b) for b in benches], workers):
+            rows.append(departures(row, nominal, self.model))
+            if progress is not None:
+                progress("Simulating bench draws", len(rows), count)
+        return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
+
+    def drawn(self, nominal: SweepRow, bench: Bench) -> SweepRow:
+        """The row of a bench drawn around the nominal one."""
+        return self._row(bench, lambda: sweep_like(bench, nominal, self.model, self.settings))
+
+    def _row(self, drawn: Bench | None, make: Callable[[], SweepRow]) -> SweepRow:
+        """The row of the bench, or of one drawn around it, if no earlier sweep has made it."""
+        benches = (self.bench.fingerprint(), None if drawn is None else drawn.fingerprint())
+        inputs = (*benches, self.model, self.settings, self.seed)
+        return self.work.get("sweep row", inputs, partial(_finite, make), SweepRow)
+
+
+def _root_of_shifts(bench: Bench) -> FloatArray | None:
+    """Of the covariance of the shifts of a bench with identified parameters; to first order."""
+    joint = bench.identified
+    if joint is None:
+        return None
+    names = list(bench.tolerances)
+    covariance = np.eye(len(names)) / 3.0  # of those that are uniform
+    own = [names.index(name) for name in joint.names]
+    scale = np.array([bench.value(name) / bench.tolerances[name] for name in joint.names])
+    covariance[np.ix_(own, own)] = np.outer(scale, scale) * joint.covariance
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
+def _finite(make: Callable[[], SweepRow]) -> SweepRow:
+    row = make()
+    if not np.all(np.isfinite(row.amplitude_rpm)):
+        raise BenchError(
+            "A simulated recording could not be fitted.",
+            found="an amplitude that is not a number",
+            expected="a bench whose gap shows in the motor speed",
+        )
+    return row
+
+
+def _drawn_row(job: tuple[SweepProblem, SweepRow, Bench]) -> SweepRow:
+    problem, nominal, drawn = job
+    return problem.drawn(nominal, drawn)
+
+
+def _mapped(
+    function: Callable[[Any], SweepRow], jobs: list[Any], workers: int
+) -> Iterator[SweepRow]:
+    """In order, over processes where that pays."""
+    if workers == 1 or len(jobs) < 2 * workers:
+        yield from map(function, jobs)
+        return
+    with processes(workers) as pool:
+        yield from pool.map(function, jobs)
+
 
 GAPS, START_ANGLES = 20, 4
 """Of a curve on demand. Against 40 gaps, 16 start angles and 5 rotations it is off by at most

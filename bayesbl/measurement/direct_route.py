@@ -41,7 +41,7 @@ from bayesbl.matching.signals import (
 )
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.bench_of import bench_of, bench_with, drifts_of
+from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
 from bayesbl.measurement.joint_check import CheckItem, JointCheck
 from bayesbl.measurement.measurement import (
     Answer,
@@ -49,7 +49,9 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Route,
+    Task,
     Verdict,
+    sampler_of,
     upper_bound,
 )
 from bayesbl.measurement.model_check import (
@@ -69,7 +71,6 @@ from bayesbl.measurement.motion_verdict import (
     unknown_start,
     unseen_gap,
 )
-from bayesbl.measurement.task import Task, sampler_of
 from bayesbl.model_search.always_in import Beside, beside, directions, marginalised, settled
 from bayesbl.naming.joint_change import FALSE_ALARM, JointFindings, changed_beside, find_changes
 from bayesbl.probabilities import normal_isf

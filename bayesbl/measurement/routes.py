@@ -15,16 +15,15 @@ import xarray as xr
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import ResultError
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit
-from bayesbl.measurement.dated_wear import WEAR
-from bayesbl.measurement.measurement import Measurer, Route
+from bayesbl.measurement.measurement import Measurer, Route, Seeds, Task
 from bayesbl.measurement.shared_groups import CHANGE, GAP
 from bayesbl.measurement.stored import measurement_tree, routes_of
-from bayesbl.measurement.task import Seeds, Task
+from bayesbl.measurement.wear import WEAR
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import Recording
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.warm_start import EarlierOptimum
+from bayesbl.ringing.optimum import EarlierOptimum
 
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",

@@ -37,8 +37,8 @@ from bayesbl.measurement.noise_colour import (
 )
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT
+from bayesbl.ringing.cleaning import MotorLine
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
-from bayesbl.ringing.motor_lines import MotorLine
 from bayesbl.units import number
 
 FALSE_ALARM = 0.01

@@ -17,17 +17,14 @@ import xarray as xr
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.measurement.change import Change, changes
 from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
-from bayesbl.measurement.dated_wear import summarise_wear, wear_of
-from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason
+from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
 from bayesbl.measurement.shared_groups import CHANGE, GAP, numbered
-from bayesbl.measurement.task import Task
+from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, IntervalKind, interval
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.stacking import stack_snapshots
-from bayesbl.results.store import json_text
-from bayesbl.results.summary_types import origin
-from bayesbl.results.variables import STACKED, dataset
+from bayesbl.results.store import json_text, origin
+from bayesbl.results.variables import STACKED, dataset, stack_snapshots
 from bayesbl.ringing.symbols import SYMBOLS
 
 
@@ -269,7 +266,7 @@ def _interval(draws: FloatArray, config: SnapshotConfig) -> Interval:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredAnswer:
+class Snapshot:
     """What one route of a stored result says of one recording.
 
     Attributes
@@ -333,13 +330,12 @@ def routes_of(tree: xr.DataTree) -> list[str]:
     return [str(name) for name in np.atleast_1d(tree.attrs.get("routes", []))]
 
 
-def summary_of(tree: xr.DataTree) -> dict[str, Any]:
+def summary_of(tree: xr.DataTree) -> Any:
     """The summary as it is stored, without sentences."""
-    found: dict[str, Any] = json.loads(tree.attrs["summary"])
-    return found
+    return json.loads(tree.attrs["summary"])
 
 
-def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[StoredAnswer]:
+def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot]:
     """What a route says of every recording of a result, in order; that which answers by default."""
     summary = summary_of(tree)
     route = route or tree.attrs["route"]
@@ -360,4 +356,4 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[StoredAn
         (name,) = np.atleast_1d(tree.attrs["recordings"])
         parts = [(str(name), summary["routes"][route], whole)]
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
-    return [StoredAnswer(name, groups, part, level, kind) for name, part, groups in parts]
+    return [Snapshot(name, groups, part, level, kind) for name, part, groups in parts]

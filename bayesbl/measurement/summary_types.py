@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, NotRequired, TypedDict
 
 from bayesbl.results.intervals import Interval
-from bayesbl.results.summary_types import Origin
+from bayesbl.results.store import Origin
 from bayesbl.sampling.convergence import Outcome
 
 

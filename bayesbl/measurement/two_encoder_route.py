@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.special import ndtri
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
@@ -23,10 +24,10 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Route,
+    Task,
     Verdict,
     upper_bound,
 )
-from bayesbl.measurement.task import Task
 from bayesbl.progress import of_stage
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
@@ -35,7 +36,6 @@ from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_TORQUE,
-    FloatArray,
     Recording,
 )
 from bayesbl.results.intervals import interval
@@ -54,8 +54,8 @@ LIKELY = 0.5
 LASTING = 0.1
 """Misfit that lasts for a stroke over half the lost motion, from which it is told."""
 
-HIDDEN = 3.0
-"""Largest δ that a misfit hides, over its standard deviation."""
+ENDS = (0.005, 0.995)
+"""Quantiles of a misfit between which a hidden play would show."""
 
 FOLLOWS = 0.1
 """Share of the load's variance that the motor's position explains, from which they are of one
@@ -209,8 +209,8 @@ class TwoEncoderMeasurer(Measurer):
         sound = sure and not _misfit_lasts(found)
         outcome: Outcome = "withheld" if withheld else "converged" if sound else "usable"
         reasons += [Reason.told("recording", text) for text in recording.notes]
-        groups = groups_of(found, recording)
-        upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        groups = groups_of(found, recording, at_output=self._is_at_output(found))
+        upper = upper_bound_rad(found)
         return Answer(
             recording.name,
             found.draws["delta_rad"],
@@ -220,11 +220,15 @@ class TwoEncoderMeasurer(Measurer):
             upper_bound_rad=None if sure or withheld else upper,
         )
 
+    def _is_at_output(self, found: Transmission) -> bool:
+        """Whether the motor's position was divided by the ratio already; its torque may not be."""
+        stated, seen = self.config.joint.gear_ratio, float(np.median(found.draws["gear_ratio"]))
+        return stated is not None and abs(np.log(abs(seen))) < 0.1 < abs(np.log(stated))
+
     def _findings(self, found: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
-        upper = upper_bound_rad(found.draws["delta_rad"], found.noise.drift_rad)
+        upper = upper_bound_rad(found)
         lost = float(np.median(found.draws["lost_motion_rad"]))
-        visible = found.followed > LIKELY
         if found.probability_of_play < UPPER_BOUND_LEVEL:
             if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper}, withholds=True)
@@ -237,7 +241,7 @@ class TwoEncoderMeasurer(Measurer):
                         "lost_mrad": 1e3 * lost,
                     },
                 )
-        if found.gravity_holds > HELD_BY_WEIGHT and not visible:
+        if found.gravity_holds > HELD_BY_WEIGHT and found.probability_of_play < UPPER_BOUND_LEVEL:
             yield Reason("held_by_weight", {"share": found.gravity_holds}, withholds=True)
         if found.reversals < FEW_REVERSALS:
             yield Reason("few_reversals", {"count": found.reversals})
@@ -249,7 +253,7 @@ class TwoEncoderMeasurer(Measurer):
         if stated is not None:
             seen = np.abs(found.draws["gear_ratio"])
             middle = float(np.median(seen))
-            if abs(np.log(middle)) < 0.1 < abs(np.log(stated)):
+            if self._is_at_output(found):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):
                 yield Reason("ratio_differs", {"stated": stated, "seen": middle})
@@ -269,12 +273,16 @@ def _misfit_lasts(found: Transmission) -> bool:
     return found.probability_of_play > LIKELY and found.noise.drift_rad > LASTING * half
 
 
-def upper_bound_rad(delta_rad: FloatArray, drift_rad: float) -> float:
-    """Of δ, with 95 %: a misfit that lasts for a stroke can hide a play of a few times its size.
+def upper_bound_rad(found: Transmission) -> float:
+    """Of δ, with 95 %.
 
-    Skew, inertia and transmission error take up a part of a lag that the model does not have.
+    A load within a play goes no further than the play: one that the model does not follow shows
+    its play in the range of the misfit, beyond that of white noise.
     """
-    return max(upper_bound(delta_rad), HIDDEN * drift_rad)
+    low, high = np.quantile(found.lag_rad, ENDS)
+    noise = float(ndtri(ENDS[1])) * found.noise.white_rad
+    hidden = np.sqrt(max((0.5 * (high - low)) ** 2 - noise**2, 0.0))
+    return max(upper_bound(found.draws["delta_rad"]), float(hidden))
 
 
 def channels_of(recording: Recording) -> Channels:
@@ -292,12 +300,14 @@ def channels_of(recording: Recording) -> Channels:
     )
 
 
-def groups_of(found: Transmission, recording: Recording) -> dict[str, xr.Dataset]:
+def groups_of(
+    found: Transmission, recording: Recording, *, at_output: bool = False
+) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension."""
     draws = dict(found.draws)
     shape = draws["delta_rad"].shape
     # What one ampere makes is not known, so a current's compliance is no compliance.
-    of_torque = MOTOR_TORQUE in recording.channels
+    of_torque = MOTOR_TORQUE in recording.channels and not at_output
     compliance = draws.pop("compliance_rad_per_nm", np.full(shape, np.nan))
     draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
     amplitudes = list(found.harmonics.values())

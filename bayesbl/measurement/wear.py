@@ -4,11 +4,11 @@ Since the last repair the gap follows a monotone path,
 
     δ(t) = δ(t₁) + X(t),    X a gamma process with mean Δ u(t) and variance σ² u(t),    Δ > 0,
 
-whose mean u follows one of the laws of :mod:`bayesbl.measurement.wear_laws` and whose increments
-are irregular by σ (van Noortwijk 2009). Law and σ are drawn by sequential Monte Carlo (Del Moral,
-Doucet and Jasra 2006) from their marginal likelihood: δ(t₁) and Δ have flat priors and are
-integrated out; between snapshots the process is taken as normal with the same mean and covariance,
-beyond the last it is the gamma process itself, with changes of the law that no snapshot can show.
+whose mean u follows one of the laws below and whose increments are irregular by σ (van Noortwijk
+2009). Law and σ are drawn by sequential Monte Carlo (Del Moral, Doucet and Jasra 2006) from their
+marginal likelihood: δ(t₁) and Δ have flat priors and are integrated out; between snapshots the
+process is taken as normal with the same mean and covariance, beyond the last it is the gamma
+process itself, with changes of the law that no snapshot can show.
 
 The path is laid through *each joint draw* of the gaps, each with a law of its own. What the
 snapshots share, the curve's coefficients and the bench, is thereby one draw for all of them; a
@@ -17,20 +17,220 @@ share.
 
 Wear does not heal: paths that fall are left out. Rate and date must therefore never be read as a
 sign of wear; that is what :func:`trend` is for, which may have either sign.
+
+**Laws of wear.** Time counts in spans, from 0 at the first snapshot in use to 1 at the last, so no
+law has a unit of time. The growth since the first snapshot is a multiple of that over the span,
+u(0) = 0, u(1) = 1.
+
+There is one law, a power of age that changes from time to time. With a + t the age and p₀, p₁, …
+the exponents of its regimes, the rate of wear is
+
+    r(t) ∝ (a + t)^(p_i − 1)    from change i to change i + 1.
+
+Changes come at random, ``HAZARD`` to an e-folding of the age whatever happened before; each
+multiplies the rate by k_i and gives it a new exponent. They may lie between the snapshots or ahead
+of the last one. So the family holds steady wear (Archard 1953), running in (Blau 2005), powers of
+age (exponents 1/8 to 2 in the deterioration laws that van Noortwijk 2009 lists), a kink, wear-out
+after years of steady wear, and speeding up that levels off, none of them for certain. Its priors
+are
+
+    ln p_i ~ N(ln ``EXPONENT``)    ln k_i ~ N(ln ``FACTOR``)    ln a uniform in ``AGE``
+
+each a median with the standard deviation of its logarithm. With two dates they alone say how wide a
+forecast is, and with any number how soon wear may change that was steady so far.
+
+**Stored.** Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used``
+(taken since the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`, where there
+is a rate. Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with
+``drift_widens`` where the gaps drift, ``width_over_prior`` of the date.
+
+``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
+:class:`bayesbl.measurement.summary_types.WearSummary`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date as Date
+from datetime import timedelta
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import gdtrib, ndtr, ndtri
 
-from bayesbl.measurement.wear_laws import NORMALS, Laws
+from bayesbl.config.measurement import CompareConfig
+from bayesbl.config.sections import Interval as IntervalConfig
+from bayesbl.measurement.compatibility import limit_rad_of
+from bayesbl.measurement.measurement import Answer, Reason
+from bayesbl.measurement.summary_types import DateInterval, RateInterval
 from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import Interval, interval
+from bayesbl.results.variables import Group, attributes, dataset, table
+
+HAZARD = 1.5
+"""Changes of regime to be expected while the age grows e-fold."""
+
+EXPONENT = (1.8, 1.0)
+FACTOR = (1.3, 1.3)
+AGE = (0.03, 10.0)
+
+CHANGES, AHEAD = 2, 4
+"""Changes between the snapshots and ahead of them at most."""
+
+NORMALS = 2 + 3 * CHANGES
+"""Standard normal numbers that make one law: age, exponents, changes and their factors."""
+
+_LARGEST_EXPONENT = 300.0
+"""Powers of e beyond this are as good as infinite; above 700 they overflow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A range of exponents of the regime at the last snapshot, and its prior probability."""
+
+    law: str
+    exponents: tuple[float, float]
+
+    @property
+    def probability(self) -> float:
+        median, deviation = EXPONENT
+        low, high = (np.log(np.asarray(each) / median) / deviation for each in self.exponents)
+        return float(ndtr(high) - ndtr(low))
+
+
+KINDS = (
+    Kind("slowing", (1e-9, 0.85)),
+    Kind("steady", (0.85, 1.18)),
+    Kind("speeding_up", (1.18, 2.0)),
+    Kind("speeding_up", (2.0, 3.5)),
+    Kind("speeding_up", (3.5, 1e9)),
+)
+"""Kinds of wear, which mean the same for every joint, so that joints may share them."""
+
+
+def shares(kind: NDArray[np.int_] | FloatArray) -> dict[str, float]:
+    """Share of each law among the draws of a kind, all of them."""
+    counted = np.bincount(kind.astype(int).ravel(), minlength=len(KINDS)) / kind.size
+    return by_law(counted)
+
+
+def by_law(share: FloatArray) -> dict[str, float]:
+    """Shares of kinds, summed over those of one law."""
+    total = dict.fromkeys((kind.law for kind in KINDS), 0.0)
+    for kind, each in zip(KINDS, share, strict=True):
+        total[kind.law] += float(each)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class Laws:
+    """Laws of wear, one a particle, in regimes from the first snapshot on.
+
+    Attributes
+    ----------
+    rows
+        Shape (1 + 3 regimes, particle): the age at the first snapshot in spans; ln of the age at
+        which each regime starts over that at the first snapshot, ascending, the first 0; the
+        exponent of each; the factor of the rate as each starts.
+    """
+
+    rows: FloatArray
+
+    @classmethod
+    def until_now(cls, normal: FloatArray, age: float | None = None) -> Laws:
+        """Laws up to the last snapshot from standard normal numbers, (``NORMALS``, particle).
+
+        Changes are counted back from the last snapshot: where they come at random, that is as good
+        as counting from the first, and the latest ones matter most. ``age`` is that at the first
+        snapshot where it is known.
+        """
+        exponents, waits, factors = np.split(normal[1:], [CHANGES + 1, 2 * CHANGES + 1])
+        low, high = AGE
+        ages = low * (high / low) ** ndtr(normal[:1])
+        if age is not None:
+            ages = np.full(ages.shape, max(age, 1e-3))
+        back = np.log1p(1.0 / ages) - np.cumsum(_waits(waits), axis=0)[::-1]
+        start, factor = np.maximum(back, 0.0), _log_normal(FACTOR, factors)
+        first = np.zeros(ages.shape)
+        exponent = _log_normal(EXPONENT, exponents)
+        return cls(np.concatenate([ages, first, start, exponent, first + 1.0, factor]))
+
+    def and_ahead(self, generator: np.random.Generator) -> Laws:
+        """The same with changes ahead of the last snapshot, as believed beforehand."""
+        count = self.rows.shape[1]
+        waits, exponents, factors = generator.standard_normal((3, AHEAD, count))
+        start = self._log_age(1.0) + np.cumsum(_waits(waits), axis=0)
+        ahead = [start, _log_normal(EXPONENT, exponents), _log_normal(FACTOR, factors)]
+        parts = np.concatenate([self._parts(), np.stack(ahead)], axis=1)
+        return Laws(np.concatenate([self.rows[:1], parts.reshape(-1, count)]))
+
+    def _parts(self) -> FloatArray:
+        """Starts, exponents and factors, shape (3, regime, particle)."""
+        return self.rows[1:].reshape(3, -1, self.rows.shape[1])
+
+    def _log_age(self, elapsed: FloatArray | float) -> FloatArray:
+        """ln of the age so many spans after the first snapshot over that at it."""
+        return np.asarray(np.log1p(np.asarray(elapsed) / self.rows[0]))
+
+    def grown(self, elapsed: FloatArray) -> FloatArray:
+        """Growth in multiples of that over the span; ``elapsed`` has shape (…, particle)."""
+        return self._grown(elapsed) / self._grown(np.ones(self.rows.shape[1]))
+
+    def _grown(self, elapsed: FloatArray) -> FloatArray:
+        log_age = self._log_age(elapsed)
+        total = np.zeros(log_age.shape)
+        for start, end, exponent, scale in self._regimes():
+            within = np.clip(log_age, start, end) - start
+            total += scale * np.expm1(_small(exponent * within))
+        return total
+
+    def _regimes(self) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+        """Start, end and exponent p of each regime; growth where e^(p (ln age − start)) is 2."""
+        starts, exponents, factors = self._parts()
+        ends = np.concatenate([starts[1:], np.full((1, starts.shape[1]), np.inf)])
+        log_rate = np.zeros(starts.shape[1])
+        for start, end, exponent, factor in zip(starts, ends, exponents, factors, strict=True):
+            log_rate = log_rate + np.log(factor)
+            yield start, end, exponent, np.exp(_small(log_rate + start)) / exponent
+            log_rate = log_rate + (exponent - 1.0) * (end - start)
+
+    def kind(self) -> NDArray[np.int_]:
+        """Number in :data:`KINDS` of the regime at the last snapshot, (particle,)."""
+        bounds = [kind.exponents[1] for kind in KINDS[:-1]]
+        return np.asarray(np.searchsorted(bounds, self._parts()[1, CHANGES]))
+
+    def time_of(self, growth: FloatArray, longest: float) -> FloatArray:
+        """Time in spans, at most ``longest``, at which so much of that over the span is there."""
+        missing = growth * self._grown(np.ones(self.rows.shape[1]))
+        log_age = np.zeros(growth.shape)
+        for start, end, exponent, scale in self._regimes():
+            whole = scale * np.expm1(_small(exponent * (end - start)))
+            last = np.log1p(np.clip(missing, 0.0, whole) / scale) / exponent
+            log_age = np.where(missing > 0.0, start + last, log_age)
+            missing = missing - whole
+        return np.asarray(np.minimum(self.rows[0] * np.expm1(_small(log_age)), longest))
+
+    def changes_before(self, elapsed: FloatArray) -> NDArray[np.bool_]:
+        """Whether wear changes between the last snapshot and so many spans, (particle,)."""
+        return np.asarray(self._parts()[0, CHANGES + 1] < self._log_age(elapsed))
+
+
+def _waits(normal: FloatArray) -> FloatArray:
+    """Exponentially distributed e-foldings of the age from one change to the next."""
+    return np.asarray(-np.log(ndtr(normal)) / HAZARD)
+
+
+def _log_normal(prior: tuple[float, float], normal: FloatArray) -> FloatArray:
+    return np.asarray(prior[0] * np.exp(prior[1] * normal))
+
+
+def _small(exponent: FloatArray) -> FloatArray:
+    return np.minimum(exponent, _LARGEST_EXPONENT)
+
 
 FEWEST_FOR_SCATTER = 4
 """Snapshots from which on irregular wear can be told from errors of measuring."""
@@ -65,9 +265,9 @@ class Wear:
     Attributes
     ----------
     law
-        Number of its kind at the last snapshot in :data:`bayesbl.measurement.wear_laws.KINDS`.
+        Number of its kind at the last snapshot in :data:`bayesbl.measurement.wear.KINDS`.
     law_shape
-        :attr:`bayesbl.measurement.wear_laws.Laws.rows`, (law_parameter, chain, draw).
+        :attr:`bayesbl.measurement.wear.Laws.rows`, (law_parameter, chain, draw).
     first_rad, current_rad
         Gap at the first and at the last snapshot, given all of them.
     expected_growth_rad
@@ -378,3 +578,204 @@ def _growth_needed(
 def probability_before(years_to_limit: FloatArray, years: float) -> float:
     """Probability that the limit is reached within ``years`` of the last snapshot."""
     return float(np.mean(years_to_limit <= years))
+
+
+DAYS_PER_YEAR = 365.25
+
+
+def years_between(first: Date, last: Date) -> float:
+    """Time from one date to another."""
+    return (last - first).days / DAYS_PER_YEAR
+
+
+def date_after(first: Date, years: float) -> Date | None:
+    """The day so many years later; ``None`` where that is beyond what is computed."""
+    if years >= LONGEST_YEARS:
+        return None
+    return first + timedelta(days=round(years * DAYS_PER_YEAR))
+
+
+WEAR = Group(
+    "wear",
+    table("""
+        date (dated) | text | date of snapshot
+        used (dated) | 1 | 1 where taken since the last repair
+        trend_rad_per_year? (chain, draw) | rad/year | slope of a straight line, of either sign
+        law? (chain, draw) | 1 | kind of the law at the last snapshot, from 0
+        law_shape? (law_parameter, chain, draw) | 1 | age, starts, exponents, factors of the law
+        first_rad? (chain, draw) | rad | gap at the first snapshot in use, from all of them
+        current_rad? (chain, draw) | rad | gap at the last snapshot, from all of them
+        expected_growth_rad? (chain, draw) | rad | mean growth between them by the law
+        rate_now_rad_per_year? (chain, draw) | rad/year | rate at the last snapshot by the law
+        scatter_rad_per_root_year? (chain, draw) | rad/year^0.5 | irregular wear
+        years_to_limit? (chain, draw) | year | time from the last snapshot to the limit
+        changes_ahead? (chain, draw) | 1 | 1 where wear changes before the limit is reached
+    """),
+    optional=True,
+)
+
+
+def wear_of(
+    config: CompareConfig,
+    answers: Sequence[Answer],
+    seed: np.random.SeedSequence,
+    change_reason: Reason | None = None,
+) -> tuple[xr.Dataset | None, Reason | None]:
+    """Group :data:`WEAR` of a comparison, and why it has no rate.
+
+    ``None`` where not every recording has a date. ``change_reason`` is why the change of the gap is
+    withheld, which withholds its rate too.
+    """
+    dates = config.dates
+    if dates is None:
+        return None, None
+    used = since_repair([recording.repaired for recording in config.recordings])
+    since, chosen = dates[used], answers[used]
+    group = wear_group(dates, used)
+    if config.joint.decide_before is not None:
+        group.attrs["decide_before"] = config.joint.decide_before.isoformat()
+    if since[0] == since[-1]:
+        repaired = config.recordings[used.start].repaired
+        return group, Reason("one_date", {"count": len(since), "repaired": repaired})
+    withheld = [answer.name for answer in chosen if answer.is_withheld]
+    if withheld:
+        return group, Reason("gap_withheld", {"names": withheld})
+    if change_reason is not None:
+        return group, change_reason
+    years = np.array([years_between(since[0], day) for day in since])
+    drift_seed, wear_seed = seed.spawn(2)
+    measured = np.stack([a.delta_rad for a in chosen if a.delta_rad is not None])
+    drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
+    start, limit = config.wear.in_service_since, limit_rad_of(config)
+    age = None if start is None else max(years_between(start, since[0]), 0.0)
+    fell = fall(drawn)
+    if fell.is_fall:
+        values = {
+            "name": chosen[fell.snapshot].name,
+            "fall_rad": fell.fall_rad,
+            "standard_deviations": fell.standard_deviations,
+        }
+        return group, Reason("gap_fell", values)
+    found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
+    if found is None:
+        return group, Reason("gap_shrank")
+    slope = trend(drawn, years)
+    group = wear_group(dates, used, found, slope).assign_attrs(group.attrs)
+    if found.width_over_prior is not None:
+        group.attrs["width_over_prior"] = found.width_over_prior
+    if config.wear.relative_sd_per_date > 0.0:
+        group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
+        group.attrs["drift_widens"] = float(slope.std() / trend(measured, years).std())
+    return group, None
+
+
+def _drifting(
+    delta_rad: FloatArray, relative_sd: float, seed: np.random.SeedSequence
+) -> FloatArray:
+    """Draws of gaps that temperature, grease and the like may have moved, each date by itself."""
+    moved = np.random.default_rng(seed).standard_normal(delta_rad.shape)
+    return np.asarray(delta_rad * np.exp(relative_sd * moved))
+
+
+def wear_group(
+    dates: Sequence[Date],
+    used: slice,
+    found: Wear | None = None,
+    slope_rad_per_year: FloatArray | None = None,
+) -> xr.Dataset:
+    """Group :data:`WEAR`; without ``found`` there is no rate."""
+    chosen = np.zeros(len(dates))
+    chosen[used] = 1.0
+    values = {"date": [d.isoformat() for d in dates], "used": chosen, **attributes(WEAR, found)}
+    return dataset(WEAR, values | {"trend_rad_per_year": slope_rad_per_year})
+
+
+def used_dates(group: xr.Dataset) -> list[Date]:
+    """Dates of the snapshots since the last repair."""
+    stored = zip(group["date"].values, group["used"].values, strict=True)
+    return [Date.fromisoformat(str(day)) for day, used in stored if used]
+
+
+def summarise_wear(
+    group: xr.Dataset,
+    names: Sequence[str],
+    of: IntervalConfig,
+    limit_rad: float | None,
+    stated_limit: str | None = None,
+) -> dict[str, Any]:
+    """``wear`` of the summary of a comparison (see the module), but for its ``reason``."""
+    level, kind = of.level, of.kind
+    before = group.attrs.get("decide_before")
+    dates = used_dates(group)
+    result: dict[str, Any] = {
+        "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
+        "first_date": dates[0].isoformat(),
+        "last_date": dates[-1].isoformat(),
+        "level": level,
+        "probability_wear": None,
+        "law": None,
+        "rate": None,
+        "rate_now": None,
+        "rate_at_most_rad_per_year": None,
+        "scatter_rad_per_root_year": None,
+        "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
+        "drift_widens": group.attrs.get("drift_widens"),
+        "limit_rad": limit_rad,
+        "limit": stated_limit,
+        "years_to_limit": None,
+        "date_of_limit": None,
+        "not_before": None,
+        "decide_before": before,
+        "probability_before": None,
+        "forecast_from_prior": None,
+    }
+    if "law" not in group:
+        return result
+    grown = group["current_rad"].values - group["first_rad"].values
+    rate = grown / years_between(dates[0], dates[-1])
+    result |= {
+        "probability_wear": float(np.mean(group["trend_rad_per_year"].values > 0.0)),
+        "law": shares(group["law"].values),
+        "rate": _rate(interval(rate, level, kind)),
+        "rate_now": _rate(interval(group["rate_now_rad_per_year"].values, level, kind)),
+        "rate_at_most_rad_per_year": float(np.quantile(rate, level)),
+    }
+    if len(dates) >= FEWEST_FOR_SCATTER:
+        scatter = group["scatter_rad_per_root_year"].values
+        result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
+    if "years_to_limit" in group:
+        years = group["years_to_limit"].values
+        found = interval(years, level, kind)
+        result["years_to_limit"] = found
+        result["date_of_limit"] = _dates(dates[-1], found)
+        earliest = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
+        result["not_before"] = {"date": earliest, "level": level}
+        if "width_over_prior" in group.attrs:
+            result["forecast_from_prior"] = {
+                "width_over_prior": float(group.attrs["width_over_prior"]),
+                "probability_change_ahead": float(group["changes_ahead"].mean()),
+            }
+        if before is not None:
+            ahead = years_between(dates[-1], Date.fromisoformat(before))
+            passed = probability_before(years, ahead)
+            result["probability_before"] = {"date": before, "probability": passed}
+    return result
+
+
+def _rate(found: Interval) -> RateInterval:
+    return {**found, "unit": "rad/year"}
+
+
+def _dates(last: Date, years: Interval) -> DateInterval:
+    return {
+        "median": _iso(last, years["median"]),
+        "low": _iso(last, years["low"]),
+        "high": _iso(last, years["high"]),
+        "level": years["level"],
+        "kind": years["kind"],
+    }
+
+
+def _iso(first: Date, years: float) -> str | None:
+    found = date_after(first, years)
+    return None if found is None else found.isoformat()

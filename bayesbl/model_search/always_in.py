@@ -4,7 +4,7 @@ No test at any level finds a law that moves δ by two standard deviations and th
 So it is never asked whether such a law is there: its size is marginalised, with a prior of its
 usual size (:attr:`bayesbl.bench.effect_declaration.Effect.always_in`). Of a law all snapshots share
 one size; beside it, as everything that drifts, each but the first has its own
-(:mod:`bayesbl.bench.drift`). So the change between snapshots stays sharp where it may.
+(:mod:`bayesbl.bench.parameters`). So the change between snapshots stays sharp where it may.
 
 Besides, something may have been changed between snapshots, payload and gains by people, other
 parameters by damage: hypotheses with a small probability and a wide size, averaged over. One cause
@@ -24,11 +24,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.drift import drift_of
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import Slot
-from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
+from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS, drift_of
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.posterior import TAILS, DirectPosterior
 from bayesbl.matching.signals import SimulatedSignals, Unknown

@@ -8,7 +8,7 @@ is fitted together with every gap, so wear is never taken for a change of the jo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,7 +19,7 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.loop_noise import factors_along
+from bayesbl.matching.loop_noise import noise_along
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction
@@ -474,7 +474,7 @@ def blind_spots(
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
     least = math.sqrt(gain_threshold(1, len(_candidates(fit, ())), false_alarm))
     least += normal_isf(MISSED)
-    derivatives = fit.derivatives()
+    derivatives, noise = fit.derivatives(), noise_along(fit)
     # That something was changed by people is only a small probability.
     marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
@@ -484,7 +484,7 @@ def blind_spots(
         if marginalised & {u.name for u in candidate.unknowns}:
             continue
         spots += [
-            _largest_hidden(fit, candidate, columns, derivatives, toward, least)
+            _largest_hidden(fit, candidate, columns, derivatives, toward, least, noise)
             for columns in columns_of(fit, candidate)
             if columns
         ]
@@ -501,6 +501,7 @@ def _largest_hidden(
     derivatives: FloatArray,
     toward: FloatArray,
     least: float,
+    noise: Callable[[FloatArray], FloatArray],
 ) -> BlindSpot:
     """The change that passes and moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
     matrix = np.column_stack(columns)
@@ -516,7 +517,7 @@ def _largest_hidden(
     if reach > 0.0:
         hidden *= least / reach
         along = matrix @ hidden - derivatives @ (moved @ hidden)
-        hidden *= math.sqrt(float(np.mean(factors_along(fit, along))))
+        hidden *= math.sqrt(float(np.mean(noise(along))))
     size = float(np.linalg.norm(hidden))
     if size > furthest or reach == 0.0:
         hidden *= furthest / size if size > 0.0 else 0.0

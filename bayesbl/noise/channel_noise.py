@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.autoregression import FEWEST_DIFFERENCES, bic
+from bayesbl.noise.rotation_noise import FEWEST_DIFFERENCES, bic
 from bayesbl.recording.types import BoolArray, FloatArray
 
 HIGHEST_ORDER = 10

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from bayesbl.errors import BenchError
-from bayesbl.noise.autoregression import autocorrelation, recursion
+from bayesbl.noise.rotation_noise import autocorrelation, recursion
 from bayesbl.recording.types import FloatArray
 
 

@@ -7,28 +7,261 @@ rest has the noise's autocorrelation and twice its variance.
 
 The scale is the root mean square whatever the tails of the noise: with outliers, too, the realised
 variance decides how far a least-squares optimum was moved.
+
+It is an autoregressive process x_t = Σ φ_k x_{t−k} + ε_t whose order is chosen. Its innovations are
+normal, or Student-t where there are outliers. Only differences of two innovations, one rotation
+apart, are seen. The difference of two Student-t variables is not Student-t itself, so its density
+is integrated.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
+from scipy import fft
+from scipy.special import gammaln
 
+from bayesbl.compiled import compiled
 from bayesbl.errors import RecordingError
-from bayesbl.noise.autoregression import (
-    FEWEST_DIFFERENCES,
-    bic,
-    burg,
-    correlated,
-    innovations,
-    log_variances,
-)
 from bayesbl.noise.quantisation import SpeedSteps
-from bayesbl.noise.tails import tails
 from bayesbl.recording.types import FloatArray
+
+FEWEST_DIFFERENCES = 200
+"""Samples from which noise is estimated."""
+
+Fits = list[tuple[float, FloatArray]]
+"""For the orders 0, 1, 2 …: variance of the innovations ε, and φ_1 … φ_p of shape (p,)."""
+
+
+def burg(x: FloatArray, highest: int) -> Fits:
+    """Fits of every order up to ``highest`` to a series of shape (n,) (Burg 1975).
+
+    NaN in ``x`` spreads to the predictions that would need it, and those are left out.
+    """
+    forward, backward = x[1:], x[:-1]
+    variance = float(np.nanmean(x**2))
+    coefficients = np.zeros(0)
+    fits = [(variance, coefficients)]
+    for _ in range(highest):
+        product = forward * backward
+        both = np.isfinite(product)
+        power = float(np.sum(forward[both] ** 2 + backward[both] ** 2))
+        reflection = 2.0 * float(product[both].sum()) / power if power > 0.0 else 0.0
+        coefficients = np.r_[coefficients - reflection * coefficients[::-1], reflection]
+        variance *= 1.0 - reflection**2
+        fits.append((variance, coefficients))
+        forward, backward = (
+            (forward - reflection * backward)[1:],
+            (backward - reflection * forward)[:-1],
+        )
+    return fits
+
+
+def levinson(autocovariance: FloatArray, highest: int) -> Fits:
+    """Fits of every order up to ``highest`` to γ(0), γ(1) … (Levinson and Durbin's recursion).
+
+    They end before the order at which nothing is left to explain.
+    """
+    variance = max(float(autocovariance[0]), 1e-300)
+    phi = np.zeros(0)
+    fits = [(variance, phi)]
+    for order in range(1, highest + 1):
+        past = autocovariance[order - 1 : 0 : -1]
+        reflection = (autocovariance[order] - phi @ past) / variance
+        phi = np.concatenate((phi - reflection * phi[::-1], [reflection]))
+        variance *= 1.0 - reflection**2
+        if not variance > 0.0:
+            break
+        fits.append((variance, phi))
+    return fits
+
+
+def log_variances(fits: Fits) -> FloatArray:
+    """ln of the innovations' variance for every order, shape (orders,)."""
+    return np.asarray(np.log(np.maximum([variance for variance, _ in fits], 1e-300)))
+
+
+def bic(log_variance: FloatArray, count: int, parameters: int = 1) -> FloatArray:
+    """Bayesian information criterion of the orders 0, 1, 2 …, shape (orders,).
+
+    Parameters
+    ----------
+    log_variance
+        Of the innovations; of several channels the logarithm of their covariance's determinant.
+    count
+        Samples behind the fits.
+    parameters
+        That one order more has: the square of the number of channels.
+    """
+    orders = np.arange(log_variance.size)
+    return np.asarray(count * log_variance + orders * parameters * math.log(count))
+
+
+def innovations(series: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """x_t − Σ φ_k x_{t−k}, shape (n − p,)."""
+    return np.convolve(series, np.r_[1.0, -coefficients], "valid")
+
+
+def innovation_share(coefficients: FloatArray) -> float:
+    """Variance of the innovations over the variance of the process."""
+    rho = autocorrelation(coefficients, coefficients.size + 1)
+    return float(1.0 - coefficients @ rho[1:])
+
+
+def autocorrelation(
+    coefficients: FloatArray, lags: int, differentiated: bool = False
+) -> FloatArray:
+    """ρ(0) … ρ(lags − 1) of a process, or of its change from sample to sample."""
+    if not differentiated:
+        return _yule_walker(coefficients, lags)
+    rho = _yule_walker(coefficients, lags + 1)
+    change = 2.0 * rho[:-1] - rho[1:] - np.r_[rho[1], rho[: lags - 1]]
+    return np.asarray(change / change[0])
+
+
+def correlated(
+    coefficients: FloatArray, columns: FloatArray, differentiated: bool = False
+) -> FloatArray:
+    """R X for X of shape (n, p) or (n,), R the Toeplitz matrix of :func:`autocorrelation`.
+
+    As part of a circulant matrix of a size whose Fourier transform is fast.
+    """
+    n = len(columns)
+    rho = autocorrelation(coefficients, n, differentiated)
+    size = fft.next_fast_len(2 * n - 1, real=True)
+    around = np.concatenate((rho, np.zeros(size - 2 * n + 1), rho[:0:-1]))
+    spectrum = fft.rfft(around).reshape(-1, *(1,) * (columns.ndim - 1))
+    product = fft.irfft(spectrum * fft.rfft(columns, size, axis=0), size, axis=0)
+    return np.asarray(product[:n])
+
+
+def _yule_walker(coefficients: FloatArray, lags: int) -> FloatArray:
+    """ρ(0) … ρ(lags − 1) by the Yule-Walker equations, and by recursion beyond the order."""
+    p = coefficients.size
+    rho = np.zeros(max(lags, p + 1))
+    rho[0] = 1.0
+    if p:
+        # ρ_k = Σ φ_j ρ_|k−j| for k = 1 … p, with ρ_0 = 1
+        matrix, right = np.eye(p), np.zeros(p)
+        for k in range(1, p + 1):
+            for j, phi in enumerate(coefficients, start=1):
+                if j == k:
+                    right[k - 1] += phi
+                else:
+                    matrix[k - 1, abs(k - j) - 1] -= phi
+        rho[1 : p + 1] = np.linalg.solve(matrix, right)
+    if 0 < p < rho.size - 1:
+        rho[p + 1 :] = recursion(coefficients, np.zeros(rho.size - p - 1), rho[p:0:-1])
+    return rho[:lags]
+
+
+@compiled(nogil=True)
+def recursion(coefficients, drive, past):  # type: ignore[no-untyped-def]
+    """x_t = Σ φ_k x_{t−k} + drive_t, shape (n,), in the unit of ``drive``.
+
+    ``coefficients``: φ, shape (p,); ``drive``: shape (n,); ``past``: x of the p samples before the
+    first, the last one first, shape (p,). ``scipy.signal`` has this too, at half a second for its
+    import.
+    """
+    p = coefficients.size
+    x = np.empty(p + drive.size)
+    for k in range(p):
+        x[p - 1 - k] = past[k]
+    for t in range(p, x.size):
+        value = drive[t - p]
+        for k in range(p):
+            value += coefficients[k] * x[t - 1 - k]
+        x[t] = value
+    return x[p:]
+
+
+FREEDOMS = (2.1, 2.3, 2.6, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
+"""Degrees of freedom considered."""
+
+_BINS = 2000
+_LARGEST = 1e6
+"""Of a difference, in scales of the Student-t variable."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tails:
+    """Student-t against normal innovations.
+
+    Attributes
+    ----------
+    degrees_of_freedom
+        The likeliest of :data:`FREEDOMS`.
+    evidence
+        Gain in log likelihood over normal innovations, less ½ ln n for the extra parameter:
+        half the difference in BIC, positive where Student-t is the better description.
+    """
+
+    degrees_of_freedom: float
+    evidence: float
+
+
+def tails(differences: FloatArray) -> Tails:
+    """Weigh Student-t against normal noise by differences of two innovations each, shape (n,).
+
+    The likelihood is a composite one: an innovation may be in two differences.
+    """
+    n = differences.size
+    size = np.abs(differences)
+    middle = float(np.median(size))
+    if middle == 0.0:
+        return Tails(FREEDOMS[-1], -np.inf)
+    edges = np.sinh(np.linspace(0.0, np.arcsinh(float(size.max()) / middle), _BINS + 1))
+    count = np.histogram(size / middle, edges)[0].astype(float)
+    # The last bin ends at the largest value, which rounding may put a hair beyond it.
+    count[-1] += n - count.sum()
+    x, count = 0.5 * (edges[1:] + edges[:-1])[count > 0], count[count > 0]
+    variance = float(count @ x**2) / n
+    normal = -0.5 * n * (np.log(2.0 * np.pi * variance) + 1.0)
+    likelihoods = [_log_likelihood(x, count, freedom) for freedom in FREEDOMS]
+    best = int(np.argmax(likelihoods))
+    gain = likelihoods[best] - normal - 0.5 * np.log(n)
+    return Tails(FREEDOMS[best], float(gain))
+
+
+def _log_likelihood(x: FloatArray, count: FloatArray, freedom: float) -> float:
+    """Log likelihood of |differences| x, each ``count`` times, at the best scale."""
+    from scipy.optimize import minimize_scalar
+
+    log_z, log_density = _difference_density(freedom)
+
+    def cost(log_scale: float) -> float:
+        value = np.interp(np.arcsinh(x / np.exp(log_scale)), log_z, log_density)
+        return float(count @ (log_scale - value))
+
+    found = minimize_scalar(cost, bounds=(-5.0, 3.0), method="bounded", options={"xatol": 1e-4})
+    return -float(found.fun)
+
+
+@cache
+def _difference_density(freedom: float) -> tuple[FloatArray, FloatArray]:
+    """(arsinh z, ln density) of the difference z ≥ 0 of two Student-t variables, shapes (m,)."""
+    log_z = np.linspace(0.0, np.arcsinh(_LARGEST), 300)
+    half = 0.5 * np.sinh(log_z)
+    # The integrand t(x) t(z − x) is symmetric about z/2; below it, x = tan θ resolves its peak.
+    node, weight = np.polynomial.legendre.leggauss(300)
+    width = 0.5 * (np.arctan(half) + 0.5 * np.pi)
+    angle = -0.5 * np.pi + np.outer(width, node + 1.0)
+    x = np.tan(angle)
+    density = np.exp(_log_t(x, freedom) + _log_t(2.0 * half[:, None] - x, freedom))
+    total = 2.0 * (density / np.cos(angle) ** 2) @ weight * width
+    return log_z, np.log(total)
+
+
+def _log_t(x: FloatArray, freedom: float) -> FloatArray:
+    constant = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom)
+    return np.asarray(
+        constant - 0.5 * np.log(freedom * np.pi) - 0.5 * (freedom + 1.0) * np.log1p(x**2 / freedom)
+    )
+
 
 NoiseKind = Literal["auto", "white", "ar", "student_t"]
 

@@ -2,6 +2,8 @@
 
 Where several routes answered they stand side by side: which is the answer and why, in one line; a
 disagreement between them comes first.
+
+With it go the cards of its page, what to do about it and what it takes for granted.
 """
 
 from __future__ import annotations
@@ -11,21 +13,36 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
-from bayesbl.presentation import joint_check, torque_ramps, two_encoders, wear, words
-from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.words import route_in_words
+from bayesbl.presentation import play, wear, words
+from bayesbl.presentation.blocks import (
+    Advice,
+    AdviceTone,
+    Block,
+    Card,
+    Sentence,
+    Table,
+    gap_card,
+    interval_note,
+    numbers,
+    table,
+    text,
+)
+from bayesbl.presentation.words import SURE, interval_kind, route_in_words
 from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import (
+        ComparisonSummary,
         MeasuredSummary,
         ReasonSummary,
         RouteSummary,
         SamplerCheckSummary,
         SnapshotSummary,
+        WearSummary,
     )
     from bayesbl.results.intervals import Interval
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
+
 
 GAP_EXPLAINED = "The gap δ is half the total clearance, as an angle at the load."
 
@@ -102,8 +119,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     if summary["kind"] == "compare" and summary["wear"] is not None:
         yield from wear.blocks(summary, summary["wear"])
     yield Sentence(RINGING_EXPLAINED if is_ringing_alone(summary) else GAP_EXPLAINED, "aside")
-    if torque_ramps.is_by_ramps(summary):
-        for sentence in torque_ramps.of_positions(parts):
+    if play.is_by_ramps(summary):
+        for sentence in play.of_positions(parts):
             yield Sentence(sentence, "aside")
     for sentence in (*outliers(summary), *budget(summary)):
         yield Sentence(sentence, "aside")
@@ -116,7 +133,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
         yield Sentence(reason["text"], "warning", "No gap")
     elif reason is not None and change_is_withheld(summary) and DISAGREE not in codes(reason):
         yield Sentence(reason["text"], "warning", "Withheld")
-    yield from joint_check.blocks(summary, codes(reason))
+    yield from wear.check_blocks(summary, codes(reason))
 
 
 def lead(summary: MeasuredSummary) -> Iterator[str]:
@@ -138,12 +155,14 @@ def headline(summary: MeasuredSummary) -> str:
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
         if change is not None and growth is not None:
-            if (cause := joint_check.other_cause(summary)) is not None:
+            if (cause := wear.other_cause(summary)) is not None:
                 return f"{by}{if_nothing_else(change, growth, cause)}"
             told = words.change_of("The gap", change, "mrad", 1e3)
-            return f"{by}{told}; {grew(growth)}{joint_check.unless(summary)}."
+            return f"{by}{told}; {grew(growth)}{wear.unless(summary)}."
     elif summary["delta_rad"] is not None:
-        if (none := torque_ramps.no_play(summary) or two_encoders.no_play(summary)) is not None:
+        if (
+            none := play.no_play_by_ramps(summary) or play.no_play_by_encoders(summary)
+        ) is not None:
             return none
         return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     elif summary["delta_upper_bound_rad"] is not None:
@@ -166,7 +185,7 @@ def ringing_headline(summary: MeasuredSummary) -> str:
         told += f"; probability that it grew: {words.probability(grew)}"
         if not summary["same_joint"]["agrees"]:
             told += ". Something other than the gap changed, so this says nothing of wear"
-        elif (unseen := joint_check.unseen_without_current(summary)) is not None:
+        elif (unseen := wear.unseen_without_current(summary)) is not None:
             told += (
                 f". This says something of the gap only if {unseen} did not change: no motor "
                 "current can be compared"
@@ -235,7 +254,7 @@ def has_shrunk(summary: MeasuredSummary) -> bool:
     """Whether a comparison without dates, which cannot show a repair, has less gap than before."""
     if summary["kind"] != "compare" or summary["wear"] is not None:
         return False
-    if joint_check.other_cause(summary) is not None:
+    if wear.other_cause(summary) is not None:
         return False
     return summary["change_rad"] is not None and summary["change_rad"]["high"] < 0.0
 
@@ -244,7 +263,7 @@ def steps(summary: MeasuredSummary) -> Iterator[str]:
     """Each step between neighbours, where there are more than two snapshots."""
     if summary["kind"] != "compare":
         return
-    changes, unless = summary["changes"], joint_check.unless(summary)
+    changes, unless = summary["changes"], wear.unless(summary)
     for step in changes if len(changes) > 1 else []:
         change, growth = step["change_rad"], step["probability_increase"]
         found = "withheld"
@@ -262,17 +281,17 @@ def change_is_withheld(summary: MeasuredSummary) -> bool:
 
 def is_by_other_machine(summary: MeasuredSummary) -> bool:
     """Whether the answer rests on the gap curve of the paper's test bench."""
-    from bayesbl.config.fields import PUBLISHED  # pydantic is behind it
+    from bayesbl.config.sections import PUBLISHED
 
     return snapshots(summary)[0][1]["curve"] == PUBLISHED
 
 
 def explained(summary: MeasuredSummary) -> str:
     """What δ and the range beneath it are, and what they rest on."""
-    if torque_ramps.is_by_ramps(summary):
+    if play.is_by_ramps(summary):
         condition = "the ramps reach both flanks"
-    elif two_encoders.is_by_two_encoders(summary):
-        condition = two_encoders.CONDITION
+    elif play.is_by_two_encoders(summary):
+        condition = play.CONDITION
     elif is_simulated(summary):
         condition = "the bench is as its file says"
     else:
@@ -370,10 +389,10 @@ def _gap_table(summary: MeasuredSummary) -> Table:
     parts = snapshots(summary)
     compared = summary["kind"] == "compare"
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
-    if torque_ramps.is_by_ramps(summary):
-        return torque_ramps.snapshot_table(parts, places)
-    if two_encoders.is_by_two_encoders(summary):
-        return two_encoders.snapshot_table(parts, places)
+    if play.is_by_ramps(summary):
+        return play.ramp_table(parts, places)
+    if play.is_by_two_encoders(summary):
+        return play.encoder_table(parts, places)
     if is_ringing_alone(summary):
         return _ringing_alone_table(parts)
     routes = [name for name, found in parts[0][1]["routes"].items() if "diagnostics" in found]
@@ -447,3 +466,282 @@ def _ringing_alone_table(parts: Sequence[tuple[str, SnapshotSummary]]) -> Table:
         cells = [words.median_of(found, 1), "–" if found is None else words.bounds(found, places=1)]
         rows.append([*([name] if named else []), *cells, part["diagnostics"]["outcome"]])
     return table(columns, rows)
+
+
+def cards(summary: MeasuredSummary) -> Iterator[Card]:
+    """Every gap and the change; of dated snapshots the gap now, its growth and its limit."""
+    if summary["kind"] == "compare" and (rated := wear.with_rate(summary)) is not None:
+        yield from _wear_cards(summary, rated)
+        return
+    if is_ringing_alone(summary):
+        yield from _ringing_cards(summary)
+        return
+    labelled = [
+        (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"])
+        for name, part in snapshots(summary)
+    ]
+    if summary["kind"] == "compare":
+        labelled.append(("Change", summary["change_rad"]))
+    places = words.common_decimals(found for _, found in labelled)
+    for label, found in labelled:
+        yield gap_card(label, found, places)
+
+
+def _ringing_cards(summary: MeasuredSummary) -> Iterator[Card]:
+    """Every amplitude, and its change from first to last."""
+    for name, part in snapshots(summary):
+        found = part["amplitude_rpm"]
+        label = f"Ringing A, {name}" if name else "Ringing A"
+        if found is not None and not part["reason"]:
+            value = number(found["median"], words.decimals(found))
+            yield Card(label, value, "rpm", interval_note(found, words.bounds(found)))
+    if summary["outcome"] == "withheld":
+        return
+    if summary["kind"] == "compare" and summary["ringing_change"] is not None:
+        change = summary["ringing_change"]
+        sign = "+" if change["median"] > 0.0 else ""
+        value = sign + number(100.0 * change["median"], words.decimals(change, 100.0))
+        yield Card("Change", value, "%", interval_note(change, words.bounds(change, 100.0)))
+
+
+def _wear_cards(summary: ComparisonSummary, found: WearSummary) -> Iterator[Card]:
+    """The gap now, how fast it grows, and when it reaches the limit; the picture shows them all."""
+    last = summary["snapshots"][-1]["delta_rad"]
+    change, rate = summary["change_rad"], found["rate"]
+    places = words.common_decimals([last, change])
+    yield gap_card("Gap δ now", last, places)
+    if not wear.spans_repair(summary, found):
+        yield gap_card("Change", change, places)  # across a repair it is no sign of wear
+    yield Card(
+        "Wear",
+        wear.median_in_mrad(rate),
+        "mrad a year",
+        interval_note(rate, words.bounds(rate, 1e3)),
+    )
+    reached = wear.limit_dates(found, wear.month)
+    if reached is not None:
+        middle, dates = reached
+        yield Card("Limit reached", middle, "", interval_note(rate, dates))
+
+
+CLOSE = 0.05
+"""Relative distance from the limit that a guess in two digits does not resolve."""
+
+NOT_SHOWN = "No wear is shown: something other than the gap may have changed."
+
+
+def advice(summary: MeasuredSummary) -> Advice:
+    """Whether and when to repair, by the last snapshot."""
+    last = snapshots(summary)[-1][1]
+    if summary["outcome"] == "no_curve":
+        return _of_ringing(summary)
+    if last["delta_rad"] is None:
+        again = "longer and at one constant speed"
+        if "motion" in last:
+            again = "the motion two times or more in a row"
+        if play.is_by_ramps(summary):
+            again = "with the ramps that are asked for"
+        elif play.is_by_two_encoders(summary):
+            again = "with more reversals, slow and fast"
+        return Advice(
+            "withheld",
+            "Do not decide from these recordings.",
+            (
+                *(why for label, why in reasons(summary) if label == "Withheld"),
+                f"Fix this, or record again, {again}; until then decide as you would without this "
+                "measurement.",
+            ),
+        )
+    compared = summary if summary["kind"] == "compare" else None
+    rated = wear.with_rate(compared) if compared else None
+    unless = wear.unless(compared) if compared else ""
+    head = (_by_forecast(rated, last, unless) if rated else None) or _by_limit(summary, last)
+    if is_by_other_machine(summary):
+        head = Advice("note", "Do not act on these gaps: they are of another machine's curve.", ())
+    elif head is None:
+        head = _without_limit(compared, rated)
+    if has_shrunk(summary) and head.tone != "act":
+        title = "Are the files in order, or was the joint repaired?"
+        head = Advice("watch", title, head.sentences)
+    return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
+
+
+def _of_ringing(summary: MeasuredSummary) -> Advice:
+    """What to do about a ringing that no curve leads from to a gap."""
+    if summary["kind"] == "compare" and not summary["same_joint"]["agrees"]:
+        return Advice(
+            "watch",
+            "Find out what changed besides the gap.",
+            (*summary["same_joint"]["sentences"], _why(summary)),
+        )
+    grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
+    title = "The ringing grew: describe the joint in a bench file to learn by how much gap."
+    if not grew:
+        title = "Describe the joint in a bench file to learn the gap."
+    return Advice("watch" if grew else "note", title, (_why(summary),))
+
+
+def _why(summary: MeasuredSummary) -> str:
+    return "" if summary["reason"] is None else summary["reason"]["text"]
+
+
+def _by_forecast(found: WearSummary, last: SnapshotSummary, unless: str) -> Advice | None:
+    """Until when no repair is due, where the limit is ahead.
+
+    ``unless``: on what condition, if the growth could be something else.
+    """
+    above = last.get("probability_above_limit")
+    if above is None or above > 1.0 - SURE:
+        return None
+    sentences = tuple(wear.sentences(found, unless=unless))
+    if found["probability_wear"] < SURE or unless:
+        return Advice("fine", "No repair is due, and no wear is shown.", sentences)
+    earliest = wear.not_before(found)
+    if earliest is None:
+        return Advice("fine", "No repair is due for years.", sentences)
+    asked = found["probability_before"]
+    tone: AdviceTone = "fine" if asked is None or asked["probability"] <= 1.0 - SURE else "watch"
+    return Advice(tone, f"Plan the repair for {earliest} or before.", sentences)
+
+
+def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
+    """Repair or not, by the probability that the last gap is above its limit."""
+    above, why = last.get("probability_above_limit"), above_limit(summary)
+    if above is None or why is None:
+        return None
+    if above >= SURE:
+        return Advice("act", "The joint is due for repair.", (why,))
+    if above <= 1.0 - SURE:
+        return Advice("fine", "No repair is due.", (why,))
+    again = "It may be on either side: inspect the joint, or record it again for longer."
+    return Advice("watch", "Look at this joint soon.", (why, again))
+
+
+def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None) -> Advice:
+    ask = "To see whether a repair is due, give the gap at which it is (--limit-rad)."
+    if rated is not None:
+        if summary is not None and wear.other_cause(summary) is not None:
+            return Advice("watch", NOT_SHOWN, (wear.headline(summary, rated), ask))
+        if rated["probability_wear"] >= SURE:
+            sentences = tuple(wear.sentences(rated))
+            return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
+        return Advice("fine", "No wear is shown: measure again later.", (ask,))
+    if summary is not None and wear.other_cause(summary) is not None:
+        return Advice("watch", NOT_SHOWN, (headline(summary), ask))
+    change = None if summary is None else summary["change_rad"]
+    if change is None:
+        return Advice("note", "Compare this gap with what the joint may have.", (ask,))
+    if change["low"] > 0.0:
+        return Advice("watch", "The joint wears: keep measuring it.", (ask,))
+    why = "These recordings do not show that the gap grew."
+    return Advice("fine", "No wear is shown: measure again later.", (why, ask))
+
+
+def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
+    if summary["kind"] == "compare":
+        yield from _caveats_of_change(summary, last)
+    if has_shrunk(summary):
+        yield SHRANK
+    if is_by_other_machine(summary):
+        yield (
+            "These gaps rest on the curve of another machine, the paper's test bench, at a speed "
+            "that is assumed: describe your joint in a bench file (--bench) before you act on "
+            "them. No probability of a limit, no rate and no date are given."
+        )
+
+
+def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Iterator[str]:
+    change, found = summary["change_rad"], summary["wear"]
+    if found is None:
+        shown = wear.other_cause(summary) is None
+        if shown and change is not None and change["low"] > 0.0:
+            yield from _growth_again(last, change["median"])
+        return
+    if found["reason"] is not None:
+        yield found["reason"]["text"]
+    if len(found["snapshots"]) == 2:
+        yield "Two snapshots cannot show whether the wear is steady: take a third."
+
+
+def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
+    """Where as much wear again would end, as long as the limit may be ahead."""
+    limit_rad, above = last.get("limit_rad"), last.get("probability_above_limit")
+    if limit_rad is None or above is None or above >= SURE or last["delta_rad"] is None:
+        return
+    further_rad = last["delta_rad"]["median"] + change_rad
+    limit = f"limit of {1e3 * limit_rad:g} mrad"
+    if abs(further_rad / limit_rad - 1.0) < CLOSE:
+        place = f"close to its {limit}"
+    else:
+        where = "beyond" if further_rad > limit_rad else "still below"
+        place = f"to about {1e3 * further_rad:.2g} mrad, {where} the {limit}"
+    yield (
+        f"As much growth again would bring the gap {place}. Give the recordings their dates "
+        "(--date) for a forecast of when it is reached."
+    )
+
+
+def assumptions(summary: MeasuredSummary) -> Iterator[str]:
+    """Assumptions of a measured gap."""
+    last = snapshots(summary)[-1][1]
+    if play.is_by_ramps(summary):
+        yield from _of_ramps(summary)
+        yield from _of_interval(last)
+        return
+    if play.is_by_two_encoders(summary):
+        yield from play.encoder_assumptions(summary)
+        yield from _of_interval(last)
+        return
+    if "motion" in last:
+        yield "The joint was asked for the motion that its reference channel shows."
+    else:
+        yield (
+            "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
+        )
+    if is_simulated(summary):
+        yield "The joint behaves as its bench file says, within the tolerances given there."
+    elif is_ringing_alone(summary):
+        yield "More ringing may be more gap, or another load, stiffness, damping or controller."
+    elif is_by_other_machine(summary):
+        yield "The joint rings like the paper's test bench (curve published, eq. 4)."
+        yield "The paper's test bench turned at 2000 rpm, which the paper does not state."
+    else:
+        yield f"The joint rings like the bench of its gap curve ({summary['curve']})."
+    again = "cycle" if "motion" in last else "rotation"
+    yield f"Noise is what does not repeat from one {again} to the next, and is steady."
+    if not is_ringing_alone(summary):
+        yield "Before the recording every gap is equally likely in ln δ."
+    if summary["kind"] == "compare":
+        if is_simulated(summary):
+            yield (
+                "Between the snapshots damping, friction, stiffness and the motor's torque drift "
+                "by no more than usual ([joint.drift]); controller and load are the same, unless "
+                "a change of them is reported."
+            )
+        else:
+            yield (
+                "Nothing but the gap changed between the snapshots: same joint, controller and "
+                "load."
+            )
+    yield from _of_interval(last)
+
+
+def _of_ramps(summary: MeasuredSummary) -> Iterator[str]:
+    yield "The output was held, and does not give way; position and torque are scaled to it."
+    yield "The ramps are slow: friction and inertia do not depend on how fast the joint moves."
+    yield "The positions measured are as good as any round the turn."
+    yield (
+        "Play is what the joint does not go back through at zero torque. Where it is soft, part of "
+        "that is compliance held by friction."
+    )
+    if summary["kind"] == "compare":
+        yield "Nothing but the gap changed between the snapshots: same joint, torque and stand."
+
+
+def _of_interval(last: SnapshotSummary) -> Iterator[str]:
+    found = last["delta_rad"] or last["amplitude_rpm"]
+    if found is not None:
+        yield (
+            f"The {interval_kind(found)} is a credible interval: given all this, the value "
+            f"lies in it with probability {100.0 * found['level']:g} %."
+        )

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from bayesbl.presentation import words
+from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.results.intervals import Interval
+
+if TYPE_CHECKING:
+    pass
+if TYPE_CHECKING:
+    pass
 
 Tone = Literal["", "answer", "withheld", "aside", "warning"]
 
@@ -60,3 +71,38 @@ def numbers(title: str) -> Column:
 def table(columns: Iterable[Column], rows: Iterable[Iterable[object]]) -> Table:
     """A table; cells as text."""
     return Table(tuple(columns), tuple(tuple(str(cell) for cell in row) for row in rows))
+
+
+AdviceTone = Literal["fine", "watch", "act", "withheld", "note"]
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """A short order and why; ``tone`` decides the colour, never the meaning alone."""
+
+    tone: AdviceTone
+    title: str
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A number with what it is and how sure it is."""
+
+    label: str
+    value: str
+    unit: str
+    note: str
+
+
+def gap_card(label: str, found: Interval | None, places: int) -> Card:
+    """A gap, or its change, in rad; ``places``: decimals in mrad."""
+    if found is None:
+        return Card(label, "withheld", "", "")
+    value = number(1e3 * found["median"], places)
+    sign = "+" if label == "Change" and found["median"] > 0.0 else ""
+    return Card(label, sign + value, "mrad", interval_note(found, words.bounds(found, 1e3, places)))
+
+
+def interval_note(interval: Interval, shown: str) -> str:
+    return f"{100.0 * interval['level']:g} %: {shown}"

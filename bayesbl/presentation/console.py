@@ -1,23 +1,30 @@
-"""Prints results: the answer, all that limits it, and where a result comes from."""
+"""What commands print: a result with all that limits it, the catalogue, what `init` guessed."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import re
+import shlex
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import answer
-from bayesbl.presentation.blocks import Block, Heading, Sentence
+from bayesbl.presentation.blocks import Block, Heading, Sentence, numbers, table, text
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.presentation.terminal import print_blocks
-from bayesbl.runs.summary import summarise
+from bayesbl.presentation.words import significant
+from bayesbl.recording.guessing import NO_UNIT
+from bayesbl.runs.kinds import summarise
 
 if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
-    from bayesbl.runs.summary import Summary
+    from bayesbl.bench.effect_declaration import Effect
+    from bayesbl.recording.guessing import Guess
+    from bayesbl.runs.first_diagnosis import Choice
+    from bayesbl.runs.kinds import Summary
 
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:
@@ -71,3 +78,120 @@ def _curve(summary: Summary) -> str | None:
     if answer.is_measured(summary):
         return summary["curve"]
     return None
+
+
+def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:
+    """Each effect with where it enters and what it is."""
+    for effect in effects:
+        yield Sentence(effect.sentence, label=f"{effect.name} ({effect.enters})")
+    yield Sentence("bayesbl effects NAME shows one in full.", "aside")
+
+
+def entry(effect: Effect) -> Iterator[Block]:
+    """Everything that the catalogue says of one effect."""
+    yield Sentence(effect.name, "answer")
+    lines = {
+        "What": effect.sentence,
+        "Equation": effect.equation,
+        "Enters": effect.enters,
+        "Depends on": ", ".join(effect.depends_on).replace("_", " "),
+        "Repeats each load rotation": _repeats(effect),
+        "In the data": effect.data,
+        "Reference": effect.reference,
+    }
+    for label, content in lines.items():
+        if content:
+            yield Sentence(content, label=label)
+    rows = [
+        (item.name, item.unit or "1", *map(_plain, (item.low, item.high, item.neutral)))
+        for item in effect.parameters
+    ]
+    columns = (text("Parameter"), text("Unit"), *map(numbers, ("Low", "High", "Off or default")))
+    yield table(columns, rows)
+    for item in effect.parameters:
+        yield Sentence(item.meaning, "aside", item.name)
+
+
+def _plain(value: float) -> str:
+    return f"{value:g}".replace("-", "−")
+
+
+_REPEATS = {
+    "always": "yes",
+    "whole_orders": "with a whole number of cycles per load rotation",
+    "never": "no",
+}
+
+
+def _repeats(effect: Effect) -> str:
+    answers = {item.name: _REPEATS[item.repeats] for item in effect.amplitudes}
+    if len(set(answers.values())) == 1:
+        return next(iter(answers.values()))
+    return ", ".join(f"{name}: {answer}" for name, answer in answers.items())
+
+
+_SHARE = re.compile(r"[\[(]\s*(%|‰|prozent|promille|per ?cent|per ?mille)", re.IGNORECASE)
+
+
+def guessed(guess: Guess) -> Iterator[Block]:
+    """Columns with channel, unit and the reason for it."""
+    yield Sentence("Guessed from the recording; please confirm:", "answer")
+    rows = [(column.name, column.channel, column.unit, column.reason) for column in guess.columns]
+    yield table(map(text, ("Column", "Channel", "Unit", "Reason")), rows)
+    if guess.unused:
+        yield Sentence(", ".join(guess.unused), label="Not used")
+    for name in filter(_SHARE.search, guess.unused):
+        yield Sentence(
+            f"{name} is a share of a rated value. If it is the motor's current or torque, write "
+            "its A to the file: this column times the rated current. A current makes the gap "
+            "several times sharper and shows a changed joint.",
+            "warning",
+            "Check",
+        )
+    for column in guess.columns:
+        if column.doubted:
+            yield Sentence(f"{column.name} is {column.reason}", "warning", "Check")
+        if not column.sure:
+            why = "" if column.reason == NO_UNIT else f" ({column.reason})"
+            unit = f"the unit of {column.name} is not stated{why}."
+            yield Sentence(unit, "warning", "Check")
+
+
+def chosen(guess: Iterable[Choice]) -> Iterator[Block]:
+    """How recordings and bench would be compared, with the reasons."""
+    for choice in guess:
+        yield Sentence(choice.told)
+
+
+def what_next(
+    path: Path, *, sound: bool, torque_ramps: bool = False, two_encoders: bool = False
+) -> str:
+    """Where the configuration is, and what to do with it."""
+    if not sound:
+        return f"Written to {path}. It cannot run yet:"
+    if torque_ramps:
+        return (
+            f"Written to {path}, for ramps of torque with the output held. Correct units and "
+            f"gear_ratio there, then: bayesbl run {shlex.quote(str(path))}"
+        )
+    if two_encoders:
+        return (
+            f"Written to {path}, for encoders of motor and load. Correct units there, fill in "
+            f"gear_ratio if it is known, then: bayesbl run {shlex.quote(str(path))}"
+        )
+    return (
+        f"Written to {path}. Correct it there, fill in gear_ratio, limit_rad (the gap at which "
+        f"the joint is to be repaired, in rad) and bench (what is known of the joint), then: "
+        f"bayesbl run {shlex.quote(str(path))}"
+    )
+
+
+def recording_line(row: Mapping[str, Any]) -> str:
+    """Joint, date and gap with its interval, or why there is none."""
+    what = f"{row['joint']}, {row['date']}: "
+    if row["reason"] is not None:
+        return what + str(row["reason"])
+    middle, low, high = (
+        significant(1e3 * row[f"delta_rad_{end}"], 3) for end in ("median", "low", "high")
+    )
+    return f"{what}gap {middle} mrad ({low} to {high})"

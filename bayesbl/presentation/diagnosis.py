@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
-from bayesbl.units import in_words, number, quantity_and_unit
+from bayesbl.presentation.blocks import (
+    Advice,
+    Block,
+    Card,
+    Heading,
+    Sentence,
+    Table,
+    gap_card,
+    numbers,
+    table,
+    text,
+)
+from bayesbl.presentation.words import capitalised, significant
+from bayesbl.recording.types import CHANNELS
+from bayesbl.results.folder import AUGMENTED_BENCH
+from bayesbl.units import in_words, number, quantity_and_unit, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,8 +37,10 @@ if TYPE_CHECKING:
         HeldValue,
         LearnedDependence,
         LearnedSummary,
+        RemainingSummary,
     )
     from bayesbl.results.intervals import Interval
+
 
 FAR_BEYOND_NOISE = 10.0
 """Standard deviations from zero above which their number is of no use to a reader."""
@@ -207,7 +224,6 @@ def dependence(found: LearnedDependence | LearnedSummary) -> str:
 
 def remaining(summary: DiagnosisSummary) -> Iterator[str]:
     """What still repeats after naming."""
-    from bayesbl.presentation.residuals import unexplained_phrase  # numpy is behind it
 
     for line in summary["remaining"]:
         yield f"Still there: {unexplained_phrase(line)}."
@@ -215,7 +231,6 @@ def remaining(summary: DiagnosisSummary) -> Iterator[str]:
 
 def residuals_in_words(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
     """Residuals before naming, and after it if anything was named: heading, sentences."""
-    from bayesbl.presentation.residuals import residual_sentences
 
     stages = {"residuals_before": "Residuals of the bench before naming"}
     if tree.attrs.get("augmented_bench"):
@@ -311,8 +326,6 @@ def disagreement_table(found: DisagreementTableSummary) -> Table:
 
 def _rows(found: DisagreementTableSummary) -> Iterator[tuple[str, Use, DisagreementSummary]]:
     """(recording and channel, use, disagreement) of every row, those over all at the end."""
-    from bayesbl.recording.types import CHANNELS  # numpy is behind it
-
     recordings = found["recordings"]
     several = len({channel for channels in recordings.values() for channel in channels}) > 1
     for recording, channels in recordings.items():
@@ -337,3 +350,170 @@ def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_
     """``3.34 rpm``; over all channels ``4.2 × noise``."""
     unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
     return f"{row[key]:.3g}{unit}"
+
+
+def assumptions(_: DiagnosisSummary) -> Iterator[str]:
+    """Assumptions of a diagnosis."""
+    yield "What is missing, if anything, is in the catalogue (bayesbl effects)."
+    yield "Noise does not repeat; a named effect predicts what it was not fitted on."
+    yield "The bench's other parameters have the values in its file, within their tolerances."
+
+
+def advice(summary: DiagnosisSummary) -> Advice:
+    """Whether the bench can be used, and how it should be completed."""
+    withheld = summary.get("gap_withheld")
+    if withheld and learned_of(summary) is None:
+        return Advice("watch", "Correct the bench before you rely on it.", (withheld,))
+    match summary["verdict"]:
+        case "named" if has_augmented_bench(summary):
+            return Advice("note", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
+        case "named":
+            names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
+            return Advice(
+                "note",
+                "Complete the bench before you rely on it.",
+                (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
+            )
+        case "parameter_error":
+            wrong = tuple(parameter_errors(summary))
+            if has_augmented_bench(summary):
+                title = f"Go on with {AUGMENTED_BENCH}."
+                return Advice("note", title, (*wrong, *_go_on(summary)))
+            return Advice("note", "Correct the bench before you rely on it.", wrong)
+        case "unexplained" if has_augmented_bench(summary):
+            return Advice("watch", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
+        case "unexplained":
+            return Advice(
+                "watch",
+                "Look at the residuals before you rely on the bench.",
+                ("No effect of the catalogue explains them; the figures show where they are.",),
+            )
+        case _:
+            return Advice(
+                "fine", "The bench may be used as it is.", ("These recordings show no defect.",)
+            )
+
+
+def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
+    """What to do with the bench that the diagnosis wrote."""
+    yield (
+        f"{AUGMENTED_BENCH}, beside this page, is the bench with what was found, a bench file like "
+        "any other."
+    )
+    if any(effect["indistinguishable_from"] for effect in summary["effects"]):
+        yield "These recordings cannot tell all of it apart."
+        yield from suggestion(summary)
+    if learned_of(summary) and summary["delta_rad_after"] is None:
+        return
+    yield (
+        "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "
+        f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on it, and give its result to a '
+        "comparison: `--curve …/result.nc`"
+    )
+    yield (
+        "To measure without a curve: `bayesbl compare FIRST SECOND --route direct --bench "
+        f"{AUGMENTED_BENCH}`"
+    )
+
+
+def cards(summary: DiagnosisSummary) -> Iterator[Card]:
+    """How far bench and measurement lie apart, on held-out recordings where there are any; δ."""
+    overall = summary["disagreement"]["over_all"]
+    use: Use | None = "held_out" if "held_out" in overall else next(iter(overall), None)
+    if use is not None:
+        found, note = overall[use], use_in_words(use)
+        unit = "× noise" if found["unit"] == "noise" else found["unit"]
+        yield Card("Model error before", words.significant(found["before"], 3), unit, note)
+        yield Card("Model error after", words.significant(found["after"], 3), unit, note)
+    gap = summary["delta_rad_after"]
+    if gap is not None or "gap_withheld" in summary:
+        yield gap_card("Gap δ", gap, words.common_decimals([gap]))
+
+
+def residual_sentences(stored: xr.Dataset) -> list[str]:
+    """What is significant over all recordings, of a group that diagnosis.residual_groups stored."""
+    names = [str(name) for name in stored["recording"].values]
+    entries: list[RemainingSummary] = json.loads(stored.attrs["unexplained"])
+    if not entries:
+        rate = 100.0 * float(stored.attrs["false_discovery_rate"])
+        return [
+            "Nothing repeats, drifts or lags beyond noise in any channel "
+            f"(tested so that {rate:g} % of data without any show a line by chance)."
+        ]
+    sentences = [f"{unexplained_phrase(entry)}{_where(entry, names)}." for entry in entries]
+    shown = {entry["channel"] for entry in entries if entry["dependence"] == "offset"}
+    offsets = [o for o in json.loads(stored.attrs["offsets"]) if o["channel"] in shown]
+    if len(names) > 1:
+        sentences += filter(None, map(_offset_sentence, offsets))
+    return [capitalised(text) for text in sentences]
+
+
+def unexplained_phrase(entry: RemainingSummary) -> str:
+    """``motor current: 0.13 A at 7.3 Hz, periodic in time``; for a verdict's list."""
+    return f"{channel_name(entry['channel'])}: {_what(entry)}"
+
+
+def _what(entry: RemainingSummary) -> str:
+    size = quantity(entry["amplitude"], entry["unit"])
+    order, highest, hertz = entry["lowest_order"], entry["highest_order"], entry["frequency_hz"]
+    match entry["dependence"]:
+        case "offset":
+            return f"an offset of {size}"
+        case "drift":
+            return f"a drift of {size}"
+        case "skew":
+            return _lag(entry["amplitude"])
+        case "outliers":
+            return f"{entry['amplitude']:g} samples that no noise explains"
+        case "load angle":
+            return f"{size} with the load angle, mostly at {_orders(order, highest)}"
+        case "motor angle":
+            return f"{size} at order {order:.4g} of the motor"
+        case "time":
+            return f"{size} at {hertz:.4g} Hz, periodic in time"
+    return (
+        f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do not "
+        "show which)"
+    )
+
+
+def quantity(value: float, unit: str) -> str:
+    """Two significant figures and the unit: ``−0.25 A``."""
+    return f"{significant(value)} {unit}"
+
+
+def channel_name(channel: str) -> str:
+    """``motor speed``."""
+    return CHANNELS.get(channel, channel)
+
+
+def _orders(low: float | None, high: float | None) -> str:
+    return f"order {low:.0f}" if low == high else f"orders {low:.0f} to {high:.0f}"
+
+
+def _lag(seconds: float) -> str:
+    verb = "lags" if seconds > 0.0 else "leads"
+    return f"{verb} by {quantity(1e3 * abs(seconds), 'ms')}"
+
+
+def _where(entry: RemainingSummary, names: Sequence[str]) -> str:
+    """Which recordings show it, if not all do."""
+    if len(entry["recordings"]) == len(names):
+        return ""
+    return f" (in {', '.join(repr(name) for name in entry['recordings'])})"
+
+
+def _offset_sentence(offset: dict[str, Any]) -> str:
+    """How an offset depends on direction and speed; empty if that is not sure."""
+    unit = unit_of(offset["channel"])
+    parts = [
+        text.format(quantity(offset[part], unit))
+        for part, text in (
+            ("constant", "{} in both directions"),
+            ("with_direction", "{} with the sign of the motion"),
+            ("per_1000_rpm", "{} for every 1000 rpm"),
+        )
+        if offset[part] is not None and abs(offset[part]) > 3.0 * offset[f"{part}_error"]
+    ]
+    name = channel_name(offset["channel"])
+    return f"The {name}'s mean is off by {', '.join(parts)}." if parts else ""

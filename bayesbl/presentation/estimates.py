@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, torque_ramps, two_encoders, words
+from bayesbl.presentation import answer, play, words
 from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
 from bayesbl.units import number
 
@@ -44,9 +44,9 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
             if "cramer_rao_sd" in route:
                 yield from _of_simulation(route)
             elif "ramps" in route:
-                yield from torque_ramps.blocks(route)
+                yield from play.ramp_blocks(route)
             elif "transmission_error" in route:
-                yield from two_encoders.blocks(route)
+                yield from play.encoder_blocks(route)
             else:
                 yield from _of_amplitude(route, "; ".join(_rivals(tree, route, name)) or "none")
 

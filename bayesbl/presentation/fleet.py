@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import words
-from bayesbl.presentation.advice import Advice
-from bayesbl.presentation.blocks import Block, Sentence, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, numbers, table, text
 from bayesbl.presentation.wear import LAWS, median_in_mrad, month
 
 if TYPE_CHECKING:

@@ -6,9 +6,17 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.advice import Advice
-from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.cards import Card, of_interval
+from bayesbl.presentation.blocks import (
+    Advice,
+    Block,
+    Card,
+    Sentence,
+    Table,
+    gap_card,
+    numbers,
+    table,
+    text,
+)
 from bayesbl.presentation.diagnosis import disagreement_table, sized
 from bayesbl.units import in_words
 
@@ -126,7 +134,7 @@ def cards(summary: IdentificationSummary) -> Iterator[Card]:
     places = words.common_decimals(gap for _, gap in shown)
     for name, gap in shown:
         label = "Gap δ" if summary["gap_shared"] else f"Gap δ, {name}"
-        yield of_interval(label, gap, places)
+        yield gap_card(label, gap, places)
 
 
 def _parameters(summary: IdentificationSummary) -> Table:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bayesbl.errors import ResultError
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.recording.channels import did_you_mean
-from bayesbl.runs.summary import summarise
+from bayesbl.runs.kinds import summarise
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayesbl.presentation.figures.stored_figure import StoredFigure
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
 
 Row = Mapping[str, Any]
 
@@ -77,7 +77,7 @@ class Plots:
         return self._known()
 
     def _known(self) -> dict[str, StoredFigure]:
-        from bayesbl.presentation.figures.draw import figures_of
+        from bayesbl.presentation.figures.stored_figure import figures_of
 
         return {figure.name: figure for figure in figures_of(self._tree)}
 
@@ -120,7 +120,7 @@ class Result:
         ResultError
             If it cannot be written.
         """
-        from bayesbl.presentation.figures.draw import draw_all
+        from bayesbl.presentation.figures.stored_figure import draw_all
         from bayesbl.presentation.page.build import write_page_of
 
         return write_page_of(self._tree, Path(path), draw_all)

@@ -1,34 +1,270 @@
-"""What is said of each kind of result."""
+"""What is said of each kind of result.
+
+Sweeps, plans and studies are put in words here, other kinds in modules of their own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from bayesbl.presentation import (
-    advice,
-    answer,
-    assumptions,
-    cards,
-    diagnosis,
-    estimates,
-    fleet,
-    identification,
-    plan,
-    study,
-    sweep,
-)
-from bayesbl.presentation.advice import Advice
-from bayesbl.presentation.blocks import Block, Sentence
-from bayesbl.presentation.cards import Card
+from bayesbl.presentation import answer, diagnosis, estimates, fleet, identification
+from bayesbl.presentation.answer import GAP_EXPLAINED
+from bayesbl.presentation.blocks import Advice, Block, Card, Sentence, Table, numbers, table, text
+from bayesbl.presentation.words import percent, significant, source_in_words
+from bayesbl.units import number
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.measurement.summary_types import MeasuredSummary
-    from bayesbl.runs.summary import Summary
+    from bayesbl.runs.kinds import Summary
+    from bayesbl.runs.plan import PlannedEntry, PlanSummary
+    from bayesbl.runs.study import StudySummary
+    from bayesbl.runs.sweep import SweepSummary
+
+
+DEGREES_EXPLAINED = (
+    "Departure of δ from the polynomial alone, fitted with relative weights. The log evidence is "
+    "that of the polynomial with a smooth lack of fit."
+)
+
+_KINDS = {1: "straight line", 2: "parabola", 3: "cubic"}
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def sweep_headline(summary: SweepSummary) -> str:
+    """Over which gaps the bench was swept, and how it then rings."""
+    first, last = (f"{1e3 * gap:g}" for gap in summary["gap_rad"])
+    low, high = (f"{amplitude:.1f}" for amplitude in summary["amplitude_rpm"])
+    return (
+        f"As the gap grows from {first} to {last} mrad, the amplitude A of the ringing grows from "
+        f"{low} to {high} rpm."
+    )
+
+
+def sweep_blocks(summary: SweepSummary) -> Iterator[Block]:
+    """The curve in words, its polynomial, and other degrees beside it."""
+    for sentence in curve_quality(summary):
+        yield Sentence(sentence)
+    yield _coefficient_table(summary)
+    yield Sentence(GAP_EXPLAINED, "aside")
+    yield Sentence(polynomial(summary), "aside")
+    yield _degree_table(summary)
+    yield Sentence(DEGREES_EXPLAINED, "aside")
+
+
+def curve_quality(summary: SweepSummary) -> Iterator[str]:
+    """How well the polynomial describes the sweep, how sure the curve is, how far from eq. 4."""
+    degree = summary["degree"]
+    found = summary["degrees"].get(str(degree))
+    if found is not None:
+        yield (
+            f"A {_KINDS.get(degree, f'polynomial of degree {degree}')} describes δ of the sweep "
+            f"within {percent(found['largest_departure'])} "
+            f"({percent(found['rms_departure'])} RMS)."
+        )
+    ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
+    each = ", ".join(f"{source_in_words(name)} {percent(sd)}" for name, sd in ordered)
+    yield f"Largest standard deviation of δ along the curve, by source: {each}."
+    yield (
+        "At a given gap, A differs from that of the paper's eq. 4 by at most "
+        f"{percent(summary['largest_departure_from_published'])}."
+    )
+
+
+def polynomial(summary: SweepSummary) -> str:
+    """What the coefficients are, and what they lack."""
+    return (
+        "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
+        f"{percent(summary['largest_correction'])}. The stored curve includes the correction; the "
+        "coefficients alone are off by as much."
+    )
+
+
+def _coefficient_table(summary: SweepSummary) -> Table:
+    rows = []
+    for power, value in enumerate(summary["coefficients"]):
+        raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
+        term, unit = (f"A{raised}", f"rad/rpm{raised}") if power else ("1", "rad")
+        rows.append((term, f"{value:.6e}".replace("-", "−"), unit))
+    return table((text("Term"), numbers("Coefficient"), text("Unit")), rows)
+
+
+def _degree_table(summary: SweepSummary) -> Table:
+    titles = ("Degree", "RMS\ndeparture (%)", "Largest\ndeparture (%)", "Log evidence\nbelow best")
+    best = max(found["log_evidence"] for found in summary["degrees"].values())
+    rows = [
+        (
+            degree,
+            significant(100.0 * found["rms_departure"]),
+            significant(100.0 * found["largest_departure"]),
+            number(best - found["log_evidence"], 1),
+            "used" if int(degree) == summary["degree"] else "",
+        )
+        for degree, found in summary["degrees"].items()
+    ]
+    return table((*map(numbers, titles), text("")), rows)
+
+
+def sweep_assumptions(_: SweepSummary) -> Iterator[str]:
+    """Assumptions of a gap curve."""
+    yield "The simulated bench is a two-mass drive whose only play is one gap."
+    yield "The joint has the bench's parameters, within their tolerances where they have any."
+    yield "Measured recordings are fitted as these simulated ones were."
+
+
+def sweep_advice(_: SweepSummary) -> Advice:
+    """What the curve of a sweep is for."""
+    return Advice(
+        "note",
+        "Use this curve for recordings of this joint.",
+        (
+            "Give it to a comparison: `bayesbl compare FIRST SECOND --curve result.nc`. "
+            "It holds for a joint like the simulated bench, and for no other.",
+        ),
+    )
+
+
+MOST_ROWS = 12
+
+EXPLAINED = (
+    "Load angles: 0 hangs straight down. Expected standard deviation of δ, as a share of it, from "
+    "one recording with the noise and the tolerances of the bench file."
+)
+
+
+def plan_headline(summary: PlanSummary) -> str:
+    """The best motion."""
+    if summary["reason"]:
+        return "No motion within these limits shows the gap."
+    best, *_ = summary["plan"]["motions"]
+    return f"Record {strokes_in_words(best)}: δ to {_sd(best)}."
+
+
+def strokes_in_words(motion: PlannedEntry) -> str:
+    """``strokes from −30° to 30°, up to 1500 rpm at 6000 rpm/s, for 20 s``."""
+    low, high = (number(math.degrees(angle), 0) for angle in motion["range_rad"])
+    return (
+        f"strokes of the load from {low}° to {high}°, up to {motion['speed_rpm']:g} rpm of the "
+        f"motor at {motion['acceleration_rpm_per_s']:g} rpm/s, for {motion['duration_s']:g} s"
+    )
+
+
+def plan_blocks(summary: PlanSummary) -> Iterator[Block]:
+    """The best motions in a table, and how many show nothing."""
+    plan = summary["plan"]
+    shown = [m for m in plan["motions"] if m["expected_relative_sd"] is not None]
+    if summary["reason"]:
+        yield Sentence(summary["reason"], "warning", "Withheld")
+    if shown:
+        yield _plan_table(shown[:MOST_ROWS])
+        yield Sentence(EXPLAINED, "aside")
+    blind = len(plan["motions"]) - len(shown)
+    if blind and shown:
+        yield Sentence(
+            f"{blind} of {len(plan['motions'])} motions would show nothing: in them the load "
+            "never, or only just, passes from one tooth flank to the other.",
+            "aside",
+        )
+    yield Sentence(f"Reckoned for δ about {1e3 * plan['gap_rad']:g} mrad.", "aside")
+
+
+def _plan_table(motions: list[PlannedEntry]) -> Table:
+    titles = (
+        "From\n(°)",
+        "To\n(°)",
+        "Speed\n(rpm)",
+        "Acceleration\n(rpm/s)",
+        "Flank\nchanges",
+        "Expected sd\nof δ",
+    )
+    rows = [
+        (
+            *(number(math.degrees(angle), 1) for angle in motion["range_rad"]),
+            f"{motion['speed_rpm']:g}",
+            f"{motion['acceleration_rpm_per_s']:g}",
+            motion["flank_changes"],
+            _sd(motion),
+        )
+        for motion in motions
+    ]
+    return table(map(numbers, titles), rows)
+
+
+def _sd(motion: PlannedEntry) -> str:
+    sd = motion["expected_relative_sd"]
+    return "–" if sd is None else percent(sd)
+
+
+def plan_assumptions(_: PlanSummary) -> Iterator[str]:
+    """Assumptions of a plan."""
+    yield "The joint behaves as its bench file says, within the tolerances given there."
+    yield "Its noise is that of the bench file, and it starts from rest."
+
+
+def plan_advice(summary: PlanSummary) -> Advice:
+    """What to record."""
+    if summary["reason"]:
+        return Advice("withheld", "Widen the limits.", (summary["reason"],))
+    return Advice(
+        "note",
+        "Record the first motion of the table.",
+        (
+            "With the motor's speed and current, and the speed or position that the controller was "
+            "asked for, at 1 kHz or so. Then: `bayesbl fit RECORDING --bench FILE`.",
+        ),
+    )
+
+
+def study_headline(summary: StudySummary) -> str:
+    """Which study, and how much of it."""
+    rows = summary["rows"]
+    cases = sum(int(row["cases"]) for row in rows)
+    return f"Study {summary['study']}: {cases} cases in {len(rows)} rows."
+
+
+def study_blocks(summary: StudySummary) -> Iterator[Block]:
+    """The table with the time that each row took; commits are in the files."""
+    from bayesbl.runs.study import table_columns
+
+    yield study_table(summary["rows"], [*table_columns(summary["rows"])[:-1], "seconds"])
+
+
+def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
+    """One line a row, all values whole; what a row lacks stays empty.
+
+    Parameters
+    ----------
+    lines
+        The rows of the study, column to value.
+    columns
+        What is shown, in this order; the first one names the row.
+    """
+    from bayesbl.runs.study import cell
+
+    first, *others = columns
+    rows = [[cell(line.get(column)) for column in columns] for line in lines]
+    return table((text(first), *map(numbers, others)), rows)
+
+
+def study_assumptions(_: StudySummary) -> Iterator[str]:
+    """Assumptions of a study."""
+    yield "Each case has random numbers of its own, from the seed, the row and its number."
+
+
+def study_advice(summary: StudySummary) -> Advice:
+    """Whether all cases of a study count."""
+    failed = sum(int(row["failed"]) for row in summary["rows"])
+    if failed:
+        why = f"{failed} cases failed and are not in the numbers; result.nc says why."
+        return Advice("watch", "Look at the cases that failed first.", (why,))
+    return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))
+
 
 S = TypeVar("S", contravariant=True)
 """The summary of one kind of result."""
@@ -63,9 +299,9 @@ def _measured(title: str) -> Subject[MeasuredSummary]:
         title,
         lambda summary: next(answer.lead(summary)),
         answer.blocks,
-        advice.of_snapshots,
-        assumptions.of_snapshots,
-        cards.of_snapshots,
+        answer.advice,
+        answer.assumptions,
+        answer.cards,
         estimates.blocks,
     )
 
@@ -76,9 +312,9 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             "What a bench lacks",
             diagnosis.headline,
             diagnosis.blocks,
-            advice.of_diagnosis,
-            assumptions.of_diagnosis,
-            cards.of_diagnosis,
+            diagnosis.advice,
+            diagnosis.assumptions,
+            diagnosis.cards,
             diagnosis.residual_blocks,
             warning_label="Note",
         ),
@@ -93,21 +329,19 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
         ),
         "sweep": Subject(
             "Gap curve of a virtual bench",
-            sweep.headline,
-            sweep.blocks,
-            advice.of_sweep,
-            assumptions.of_sweep,
+            sweep_headline,
+            sweep_blocks,
+            sweep_advice,
+            sweep_assumptions,
         ),
         "plan": Subject(
             "Motions that would show the gap",
-            plan.headline,
-            plan.blocks,
-            advice.of_plan,
-            assumptions.of_plan,
+            plan_headline,
+            plan_blocks,
+            plan_advice,
+            plan_assumptions,
         ),
-        "study": Subject(
-            "Study", study.headline, study.blocks, advice.of_study, assumptions.of_study
-        ),
+        "study": Subject("Study", study_headline, study_blocks, study_advice, study_assumptions),
         "fleet": Subject(
             "Backlash gaps of a plant",
             fleet.headline,

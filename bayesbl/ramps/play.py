@@ -24,9 +24,8 @@ import numpy as np
 
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import SamplerSettings, thinned, walk
+from bayesbl.sampling.chains import Ensembles, SamplerSettings, thinned, walk
 from bayesbl.sampling.convergence import Diagnostics
-from bayesbl.sampling.ensemble import Ensembles
 
 SCATTER = (0.01, 1.0 / np.sqrt(2.0))
 """σ over the mean width. A width that goes once round the turn like a sine and is nowhere negative

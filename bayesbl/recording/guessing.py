@@ -53,7 +53,7 @@ _COUNTED = frozenset(("sample", "samples"))
 _COUNTERS_WORDS = _COUNTED | {"index", "number", "no", "nr", "count"}
 
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
-_LOAD = "load link joint output arm"
+_LOAD = "load link joint output out arm l wheel pendulum secondary external"
 _MOTOR = "motor mot m"
 _SIDES = f"{_REFERENCE} {_MOTOR} load"
 """What groups of one joint's columns are called: none of them is a joint."""
@@ -64,13 +64,17 @@ NO_UNIT = "no unit found: check it"
 UNKNOWN = "?"
 """In place of a unit that nothing tells now and nothing could check later."""
 
-_USUAL_RATES_HZ = (100.0, 1e5)
+_USUAL_RATES_HZ = (10.0, 1e5)
+_LONGEST_S = 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SIDES_ALIKE = 2.5
 """Ratio of the largest torques each way, up to which they may be ramps to and fro."""
 
 _TURNS_BACK = 1.5
 """Way over distance of a motor that goes to and fro."""
+
+_FOLLOWS = 0.5
+"""Share of a position's variance that another one explains, if both may be of one joint."""
 
 _AGREEMENT = 0.02
 """Relative; speed and position, or speed and reference, that differ by less belong together."""
@@ -150,6 +154,8 @@ def guess_columns(
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
+    if MOTOR_SPEED not in chosen:
+        chosen |= _pair_of_positions(table, named, chosen)
     both = _is_of_two_encoders(table, chosen)
     ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(table, chosen)
     moved = position_will_do and MOTOR_POSITION in chosen
@@ -227,6 +233,36 @@ def _is_of_ramps(table: Table, chosen: Mapping[str, _Named]) -> bool:
         return False
     low, high = -float(torque.min()), float(torque.max())
     return 0.0 < max(low, high) <= _SIDES_ALIKE * min(low, high)
+
+
+def _pair_of_positions(
+    table: Table, named: Sequence[_Named], chosen: Mapping[str, _Named]
+) -> dict[str, _Named]:
+    """Motor and load among positions that the names do not tell apart: what follows the first one.
+
+    The motor is the one that is called so, or that turns further.
+    """
+    sides = (MOTOR_POSITION, LOAD_POSITION)
+    there = [chosen[side] for side in sides if side in chosen]
+    kinds = [*sides] if there else [None]  # motor, axis: names of the sides alone
+    there = there or [c for c in named if c.is_called(_MOTOR) and _channel(c) is None][:1]
+    if len(there) != 1:
+        return {}
+    others = [c for c in named if c is not there[0] and _channel(c) in kinds]
+    first = _numbers(table, there[0])
+    follows: dict[float, _Named] = {}
+    for column in others:
+        values = _numbers(table, column)
+        good = np.isfinite(first) & np.isfinite(values) if values.size == first.size else False
+        pair = (np.unwrap(first[good]), np.unwrap(values[good])) if np.any(good) else None
+        if pair and min(map(np.ptp, pair)) > 0.0:
+            follows[float(np.corrcoef(*pair)[0, 1] ** 2)] = column
+    if not follows or max(follows) < _FOLLOWS:
+        return {}
+    both = [there[0], follows[max(follows)]]
+    ways = [float(np.nanmax(v) - np.nanmin(v)) for v in (_numbers(table, c) for c in both)]
+    swapped = not both[0].is_called(_MOTOR) and (both[1].is_called(_MOTOR) or ways[1] > ways[0])
+    return dict(zip(sides, reversed(both) if swapped else both, strict=True))
 
 
 def _is_of_two_encoders(table: Table, chosen: Mapping[str, _Named]) -> bool:
@@ -418,8 +454,10 @@ def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str
     steps = np.diff(time[np.isfinite(time)])
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     for unit in ("s", "ms", "us", "ns"):
-        rate = 1.0 / (step * conversion_factor(TIME, unit)) if step > 0.0 else 0.0
-        if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1]:
+        factor = conversion_factor(TIME, unit)
+        rate = 1.0 / (step * factor) if step > 0.0 else 0.0
+        lasts = factor * step * steps.size
+        if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1] and lasts <= _LONGEST_S:
             return unit, f"a sampling rate of {rate:.4g} Hz"
     return None
 

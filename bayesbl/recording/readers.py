@@ -88,7 +88,9 @@ def read_recording(
     _check_finite(path, table, others, values)
     rows = np.flatnonzero(np.isfinite(stamps))
     if rows.size >= MINIMUM_SAMPLES:
-        order, time = mended_clock(stamps[rows], values[rows], time_column.factor, repairs)
+        order, time = mended_clock(
+            stamps[rows], values[rows], time_column.factor, repairs, even=even
+        )
         rows, stamps = rows[order], time
     time_s = _seconds(path, table, time_column, stamps, rows)
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
@@ -255,6 +257,9 @@ def _parsed(path: Path) -> tuple[Table, str]:
     """The table in a file, and the SHA-256 of the file."""
     data = _read_bytes(path)
     format_ = _format_of(path)
+    beside = (path.with_suffix(s) for s in (format_.beside, format_.beside.upper()) if s)
+    if samples := next((file for file in beside if file.exists()), None):
+        data += _read_bytes(samples)
     sha256 = hashlib.sha256(data).hexdigest()
     data = unpacked(path, data)
     if not format_.signatures:  # text is read by this package itself

@@ -42,7 +42,12 @@ _ELSEWHERE = 0.05
 
 
 def mended_clock(
-    stamps: FloatArray, values: FloatArray, factor: float, repairs: Counter[str]
+    stamps: FloatArray,
+    values: FloatArray,
+    factor: float,
+    repairs: Counter[str],
+    *,
+    even: bool = True,
 ) -> tuple[IntArray, FloatArray]:
     """Which rows are kept, in the order of time, and their time in the unit of the stamps.
 
@@ -57,11 +62,14 @@ def mended_clock(
         Seconds in the unit of the stamps.
     repairs
         Gains what was done and how many times.
+    even
+        Whether samples are to be even in time. Then a single stamp that repeats the one before is
+        an error in the file; else its sample came before the next stamp, which is all that counts.
     """
     stamps = _continued(stamps, factor, repairs)
     order = _in_order(stamps, values, repairs)
     time = stamps[order]
-    return order, _spread(time, factor, repairs)
+    return order, _spread(time, factor, repairs, even=even)
 
 
 def _continued(stamps: FloatArray, factor: float, repairs: Counter[str]) -> FloatArray:
@@ -108,10 +116,11 @@ def _in_order(stamps: FloatArray, values: FloatArray, repairs: Counter[str]) -> 
     return order
 
 
-def _spread(time: FloatArray, factor: float, repairs: Counter[str]) -> FloatArray:
+def _spread(time: FloatArray, factor: float, repairs: Counter[str], *, even: bool) -> FloatArray:
     """Samples of a coarse clock on the line through all of them, or evenly within its ticks."""
     steps = np.diff(time)
-    if np.any(steps < 0.0) or np.mean(steps == 0.0) < SHARED_STAMPS:
+    is_coarse = np.mean(steps == 0.0) >= SHARED_STAMPS
+    if np.any(steps < 0.0) or not np.any(steps == 0.0) or (even and not is_coarse):
         return time
     starts = np.concatenate([[0], np.flatnonzero(steps > 0.0) + 1])
     if starts.size < 3:
@@ -130,9 +139,9 @@ def _spread(time: FloatArray, factor: float, repairs: Counter[str]) -> FloatArra
     lost[starts[1:][~ordinary]] = np.round((ticks[~ordinary] - usual) / period)
     number: FloatArray = np.arange(float(time.size)) + np.cumsum(lost)
     deviation, slope = deviation_from_grid(time, number)
-    if np.ptp(deviation) * slope <= 1.5 * float(ticks[ordinary].max()):
-        even: FloatArray = time.mean() + slope * (number - number.mean())
-        return even
+    if is_coarse and np.ptp(deviation) * slope <= 1.5 * float(ticks[ordinary].max()):
+        on_line: FloatArray = time.mean() + slope * (number - number.mean())
+        return on_line
     # Rows do not come evenly: the last tick ends where the next one would have come.
     ends = np.append(time[starts[1:]], time[starts[-1]] + usual)
     # Samples that follow a hole belong to its end: they came within an ordinary tick.

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.parameters import JointNormal
 from bayesbl.config.bench import load_bench, parse_bench
 from bayesbl.errors import ResultError
 from bayesbl.recording.types import FloatArray

@@ -1,8 +1,14 @@
-"""Result files: NetCDF trees and JSON, each written under another name and renamed."""
+"""Result files: NetCDF trees and JSON, each written under another name and renamed.
+
+The last bytes of a result file are its seal, the SHA-256 of all before them. It is asked before a
+library opens the file, since HDF5 may crash or hang on damaged bytes. HDF5 and NetCDF readers
+ignore what follows the end that a file states, and drop it when they change a file.
+"""
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import math
 import os
@@ -10,12 +16,12 @@ import shlex
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TypedDict
 
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.fields import RESULT_FILE
+from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError
 from bayesbl.recording.channels import did_you_mean_file
 from bayesbl.recording.formats import formats
@@ -23,7 +29,47 @@ from bayesbl.recording.formats.netcdf import RESULT_MARK
 from bayesbl.recording.hdf5 import require_whole
 from bayesbl.recording.input_bytes import LIMIT_VARIABLE, memory_bytes
 from bayesbl.results.atomic import replacing
-from bayesbl.results.seal import has_seal, is_intact, seal
+
+_MARK = b"\nbayesbl SHA-256 "
+_HEX_DIGITS = 64
+_BYTES = len(_MARK) + _HEX_DIGITS + 1
+_CHUNK_BYTES = 1 << 20
+
+
+def seal(path: Path) -> None:
+    """Append the seal to a file that has none."""
+    with open(path, "r+b") as file:
+        file.write(_seal_of(file, path.stat().st_size))
+
+
+def has_seal(path: Path) -> bool:
+    """Whether a file ends in a seal, right or wrong."""
+    with open(path, "rb") as file:
+        return len(_end(file)) == _BYTES and _end(file).startswith(_MARK)
+
+
+def is_intact(path: Path) -> bool:
+    """Whether a file ends in the seal of what it holds."""
+    with open(path, "rb") as file:
+        end = _end(file)
+        file.seek(0)
+        return end == _seal_of(file, path.stat().st_size - len(end))
+
+
+def _end(file: BinaryIO) -> bytes:
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - _BYTES))
+    return file.read()
+
+
+def _seal_of(file: BinaryIO, size: int) -> bytes:
+    """Seal of the next ``size`` bytes."""
+    digest = hashlib.sha256()
+    while size > 0 and (chunk := file.read(min(size, _CHUNK_BYTES))):
+        digest.update(chunk)
+        size -= len(chunk)
+    return _MARK + digest.hexdigest().encode() + b"\n"
+
 
 FORMAT_VERSION = 3
 
@@ -215,3 +261,38 @@ def _plain(value: Any) -> Any:
             return str(value)
         case _:
             return value
+
+
+class Origin(TypedDict):
+    """Where a result comes from."""
+
+    version: str | None
+    commit: str | None
+    seed: int | None
+
+
+class Head(Origin):
+    """How a run ended and where it came from; ``reason`` says why answers are withheld."""
+
+    outcome: str
+    reason: str | None
+    warnings: list[str]
+
+
+def origin(tree: xr.DataTree) -> Origin:
+    """Where a result comes from, by its attributes."""
+    return {
+        "version": tree.attrs.get("bayesbl_version"),
+        "commit": tree.attrs.get("git_commit"),
+        "seed": tree.attrs.get("seed"),
+    }
+
+
+def head(tree: xr.DataTree) -> Head:
+    """The keys that every summary begins with, from the attributes of a stored result."""
+    return {
+        "outcome": tree.attrs["outcome"],
+        "reason": tree.attrs.get("reason") or None,
+        "warnings": texts(tree.attrs.get("warnings")),
+        **origin(tree),
+    }

@@ -18,9 +18,9 @@ from scipy.linalg import cho_factor, cho_solve
 from bayesbl.errors import RecordingError
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.ringing.optimum import Optimum
 from bayesbl.ringing.symbols import ROTATION
+from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
 
 SAFE_SHARE = 0.2
 """Least eigenvalue of H, as a share of that of JᵀJ, below which JᵀJ replaces it."""

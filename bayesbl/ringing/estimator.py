@@ -20,16 +20,20 @@ from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.ringing.cleaning import FINDERS
+from bayesbl.ringing.cleaning import FINDERS, MotorLine, in_words, without_motor_lines
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
-from bayesbl.ringing.motor_lines import MotorLine, in_words, without_motor_lines
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import Optimum, SearchMethod, find_optimum
-from bayesbl.ringing.posterior import Posterior, sample_posterior
-from bayesbl.ringing.second_sampler import SamplerCheck, check_sampler
+from bayesbl.ringing.optimum import (
+    EarlierOptimum,
+    NoLongerFits,
+    Optimum,
+    SearchMethod,
+    find_optimum,
+    warm_optimum,
+)
+from bayesbl.ringing.posterior import Posterior, SamplerCheck, check_sampler, sample_posterior
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
-from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
 

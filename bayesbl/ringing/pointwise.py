@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.compiled import compiled
-from bayesbl.noise.autoregression import autocorrelation, innovation_share
 from bayesbl.noise.process import NoiseModel
-from bayesbl.noise.rotation_noise import Noise
+from bayesbl.noise.rotation_noise import Noise, autocorrelation, innovation_share
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import (
@@ -80,15 +79,20 @@ def log_likelihood(
         objective.time_s - objective.time_s[0], point.optimum.symbols[ROTATION]
     )
     coefficients = np.asarray(noise.coefficients, dtype=np.float64)
+    turn, baseline = point.optimum.symbols[ROTATION], baseline_rpm.reshape(len(rows), -1)
+    away = objective.time_s - 0.5 * (objective.time_s[0] + objective.time_s[-1])
+    orders = np.arange(1, baseline.shape[1] // 2 + 1)
     rotation = rotations_of(point)
     count = int(rotation[-1]) + 1
     found = np.zeros((len(rows), count))
     _log_densities(
         np.ascontiguousarray(rows),
-        np.ascontiguousarray(baseline_rpm.reshape(len(rows), -1)),
+        np.ascontiguousarray(baseline),
         objective.time_s,
         objective.period_s,
-        point.optimum.symbols[ROTATION],
+        turn,
+        away,
+        np.exp(2j * math.pi / turn * np.outer(orders, away)),
         objective.speed_rpm - repeats,
         _known_innovations(objective.used, coefficients.size),
         np.searchsorted(rotation, np.arange(count + 1)),
@@ -165,20 +169,17 @@ def _drawn(noise: Noise, size: int, generator: np.random.Generator) -> FloatArra
 
 @compiled(fastmath={"reassoc", "contract"})
 def _log_densities(  # type: ignore[no-untyped-def]
-    rows, baselines, time, period, nominal_turn, speed, counts, rotation,
+    rows, baselines, time, period, nominal_turn, away, waves, speed, counts, rotation,
     coefficients, differentiated, used, sd, freedom, found,
 ):  # fmt: skip
     """Adds to ``found`` (m, rotation) the log densities of innovations, draw by draw.
 
-    Waves of the load angle are those of ``nominal_turn`` with three terms in the change of their
-    rate: draws of T_w differ by some 1e-5 of it. ``counts`` is 1 where an innovation is known.
+    ``waves`` of the load angle, (harmonic, n), are those of ``nominal_turn``, with three terms in
+    the change of their rate: draws of T_w differ by some 1e-5 of it. ``counts`` is 1 where an
+    innovation is known.
     """
     n, order, harmonics = time.size, coefficients.size, baselines.shape[1] // 2
-    rest, e, away = np.empty(n), np.empty(n), time - 0.5 * (time[0] + time[n - 1])
-    cosine, sine = np.empty((harmonics, n)), np.empty((harmonics, n))
-    for k in range(harmonics):
-        rate = 2.0 * math.pi * (k + 1) / nominal_turn
-        cosine[k], sine[k] = np.cos(rate * away), np.sin(rate * away)
+    rest, e = np.empty(n), np.empty(n)
     if freedom > 0.0:
         scale = sd * math.sqrt((freedom - 2.0) / freedom)
         constant = (
@@ -201,7 +202,7 @@ def _log_densities(  # type: ignore[no-untyped-def]
             for i in range(n):
                 x = more * away[i]
                 even, odd = 1.0 - 0.5 * x * x, x * (1.0 - x * x / 6.0)
-                co, si = cosine[k, i], sine[k, i]
+                co, si = waves[k, i].real, waves[k, i].imag
                 rest[i] -= c * (co * even - si * odd) + s * (si * even + co * odd)
         for side in range(2):
             sign = 1.0 if side == 0 else -1.0
@@ -238,10 +239,16 @@ def _log_densities(  # type: ignore[no-untyped-def]
             for i in range(order, n):
                 e[i] -= phi * rest[i - 1 - k]
         for r in range(found.shape[1]):
-            total, known = 0.0, 0.0
+            total, known, product = 0.0, 0.0, 1.0
             for i in range(rotation[r], rotation[r + 1]):
                 square = counts[i] * e[i] * e[i] / (scale * scale)
-                total += math.log1p(square / freedom) if freedom > 0.0 else square
                 known += counts[i]
+                if freedom > 0.0:
+                    product *= 1.0 + square / freedom
+                    if product > 1e200:  # one logarithm of many factors
+                        total += math.log(product)
+                        product = 1.0
+                else:
+                    total += square
             share = freedom + 1.0 if freedom > 0.0 else 1.0
-            found[m, r] += known * constant - 0.5 * share * total
+            found[m, r] += known * constant - 0.5 * share * (total + math.log(product))

@@ -528,5 +528,8 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             factor,
         )
         if keep:
-            coefficients[row] = solution
-            factors[row] = factor
+            # Element by element: to compile the assignment of an array takes seconds.
+            for i in range(c):
+                coefficients[row, i] = solution[i]
+                for j in range(c):
+                    factors[row, i, j] = factor[i, j]

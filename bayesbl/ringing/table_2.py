@@ -15,8 +15,8 @@ import numpy as np
 
 from bayesbl.compiled import compiled
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.evolution import SearchHistory, minimise
 from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.search import SearchHistory, minimise
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,

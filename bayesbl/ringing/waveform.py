@@ -12,24 +12,29 @@ Two things differ from eq. 3, in three samples per pulse: its edges are resolved
   band-limited corner of Esqueda, Välimäki and Bilbao 2016). A sharp corner meets the misfit there,
   several rpm on a virtual bench, with a weight that depends on where between two samples the
   impact falls: at 1 kHz and δ = 3.3e-3 rad that scatters A by 0.1 rpm.
+
+Its derivatives are the columns behind every covariance in the package.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import (
+    AMPLITUDE,
     DECAY,
     FREQUENCY,
+    MEAN,
     ROTATION,
     SEPARATION,
     START,
     WINDOW_END,
     WINDOW_START,
+    DisturbanceModel,
 )
 
 
@@ -134,3 +139,159 @@ def baseline_columns(time_s: FloatArray, rotation_period_s: float, harmonics: in
     for k in range(1, harmonics + 1):
         columns += [np.cos(k * angle), np.sin(k * angle)]
     return np.stack(columns, axis=1)
+
+
+def model_speed(
+    time_s: FloatArray, symbols: Mapping[str, float], baseline_rpm: Sequence[float] = ()
+) -> FloatArray:
+    """The model h(t) of eq. 6 with its baseline, shape (n,), rpm.
+
+    Parameters
+    ----------
+    symbols
+        All nine by name.
+    baseline_rpm
+        cos and sin of each load-angle harmonic, shape (2k,).
+    """
+    harmonics = baseline_columns(time_s, symbols[ROTATION], len(baseline_rpm) // 2)[:, 1:]
+    period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    pulses = pulse_train(time_s, symbols, period_s)
+    waveform = symbols[AMPLITUDE] * pulses + harmonics @ np.asarray(baseline_rpm, dtype=float)
+    return np.asarray(symbols[MEAN] + waveform)
+
+
+def jacobian(
+    model: DisturbanceModel,
+    time_s: FloatArray,
+    symbols: Mapping[str, float],
+    baseline_rpm: FloatArray,
+) -> FloatArray:
+    """Gauss-Newton matrix J = ∂h/∂θ, analytic.
+
+    The position of the window's hard edge is not differentiated (except for a free window end):
+    the jump there belongs to the model, not to the data, and would count as information about
+    t0, T and T_w that no recording holds.
+
+    Parameters
+    ----------
+    symbols
+        The nine symbols by name.
+    baseline_rpm
+        Coefficients of cos and sin of each harmonic, shape (2k,), rpm.
+
+    Returns
+    -------
+    Shape (n, p), columns in the order of :func:`jacobian_columns`.
+    """
+    period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    amplitude, decay, frequency = symbols[AMPLITUDE], symbols[DECAY], symbols[FREQUENCY]
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    reach = window + period_s
+
+    by: dict[str, FloatArray] = {
+        name: np.zeros_like(time_s)
+        for name in (AMPLITUDE, START, DECAY, FREQUENCY, SEPARATION, ROTATION, WINDOW_END)
+    }
+    for sign, start, number in impacts(symbols, time_s[0], time_s[-1], period_s):
+        inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
+        u = time_s[inside] - start
+        ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
+        envelope = sign * ramp * np.exp(-decay * u)
+        sine, cosine = np.sin(frequency * u), np.cos(frequency * u)
+        near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
+        corner = sign * period_s * near**3 / 6.0
+        later = -amplitude * (
+            envelope * (frequency * cosine - decay * sine)
+            - 0.5 * sign * frequency * np.copysign(near**2, u)
+        )  # ∂/∂start
+        by[AMPLITUDE][inside] += envelope * sine + frequency * corner
+        by[DECAY][inside] -= amplitude * envelope * sine * u
+        by[FREQUENCY][inside] += amplitude * (envelope * cosine * u + corner)
+        by[START][inside] += later
+        by[ROTATION][inside] += later * number
+        if sign < 0.0:
+            by[SEPARATION][inside] -= later
+        on_ramp = (ramp > 0.0) & (ramp < 1.0)
+        by[WINDOW_END][inside] += on_ramp * sign * amplitude * np.exp(-decay * u) * sine / period_s
+    by[WINDOW_START] = by[START] - by[WINDOW_END]
+
+    rotation = symbols[ROTATION]
+    columns = baseline_columns(time_s, rotation, model.baseline_harmonics)
+    middle = 0.5 * (time_s[0] + time_s[-1])
+    for k in range(1, model.baseline_harmonics + 1):
+        cosine, sine = columns[:, 2 * k - 1], columns[:, 2 * k]
+        angle_rate = -2.0 * np.pi * k * (time_s - middle) / rotation**2
+        in_phase, in_quadrature = baseline_rpm[2 * k - 2], baseline_rpm[2 * k - 1]
+        by[ROTATION] += angle_rate * (in_quadrature * cosine - in_phase * sine)
+    by[MEAN] = np.ones_like(time_s)
+    free = [by[name] for name in _free_amplitude_first(model)]
+    return np.column_stack([*free, columns[:, 1:]])
+
+
+def misfit_curvature(
+    model: DisturbanceModel,
+    time_s: FloatArray,
+    symbols: Mapping[str, float],
+    residual_rpm: FloatArray,
+) -> FloatArray:
+    """Σ_n r_n ∂²h_n/∂θ∂θ: what a residual that is not small adds to the curvature.
+
+    Half the second derivative of the sum of squares is JᵀJ less this matrix. Analytic, the window's
+    end held still as in :func:`jacobian`. Rows of A and v_t vanish at an optimum and are zero
+    here, those of a free window and of the baseline are left out: the residual is orthogonal to
+    the one and the other carries no ringing.
+
+    Parameters
+    ----------
+    residual_rpm
+        Recording minus model, shape (n,), rpm.
+
+    Returns
+    -------
+    Shape (p, p), in the order of :func:`jacobian_columns`.
+    """
+    period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    exponent = complex(-symbols[DECAY], symbols[FREQUENCY])
+    window = symbols[WINDOW_END] - symbols[WINDOW_START]
+    reach = window + period_s
+    names = (DECAY, FREQUENCY, START, SEPARATION, ROTATION)
+    total = np.zeros((5, 5))
+    for sign, start, number in impacts(symbols, time_s[0], time_s[-1], period_s):
+        inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
+        u = time_s[inside] - start
+        ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
+        weight = sign * symbols[AMPLITUDE] * residual_rpm[inside]
+        near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
+        bend = symbols[FREQUENCY] / period_s * (weight @ near)
+        turn = 0.5 * (weight @ np.copysign(near**2, u))
+        wave = weight * ramp * np.exp(exponent * u)
+        # d/dτ is −u, d/dω is iu, d/d(start) is −λ acting on e^{λu}; λ itself moves with both.
+        mixed = wave @ (1.0 + exponent * u)
+        shape = np.array([[1.0, -1.0j], [-1.0j, -1.0]]) * (wave @ u**2)
+        moves = np.array([1.0, -1.0 if sign < 0.0 else 0.0, number])
+        total[:2, :2] += shape.imag
+        cross = np.outer([mixed.imag, turn - mixed.real], moves)
+        total[:2, 2:] += cross
+        total[2:, :2] += cross.T
+        total[2:, 2:] += np.outer(moves, moves) * ((exponent**2 * wave.sum()).imag + bend)
+    columns = jacobian_columns(model)
+    curvature = np.zeros((len(columns), len(columns)))
+    for i, a in enumerate(names):
+        for j, b in enumerate(names):
+            if a in columns and b in columns:
+                curvature[columns.index(a), columns.index(b)] = total[i, j]
+    return curvature
+
+
+def jacobian_columns(model: DisturbanceModel) -> tuple[str, ...]:
+    """Names of the columns: A first (if free), the other free symbols, then the baseline's."""
+    baseline = [
+        f"baseline_{part}_{k}_rpm"
+        for k in range(1, model.baseline_harmonics + 1)
+        for part in ("cos", "sin")
+    ]
+    return (*_free_amplitude_first(model), *baseline)
+
+
+def _free_amplitude_first(model: DisturbanceModel) -> tuple[str, ...]:
+    return tuple(sorted(model.free, key=lambda name: name != AMPLITUDE))

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import BrokerError, shortened
-from bayesbl.fleet.answer_message import ANSWER, decoded_answer
 from bayesbl.fleet.broker import (
     FIRST_WAIT_S,
     LONGEST_WAIT_S,
@@ -35,11 +34,13 @@ from bayesbl.fleet.mean_rotation import (
     store_rotation,
 )
 from bayesbl.fleet.message import (
+    ANSWER,
     LARGEST_MESSAGE_BYTES,
     REFUSED,
     REPLIES,
     STORED,
     decoded,
+    decoded_answer,
     encoded,
     name_of,
 )

@@ -1,4 +1,4 @@
-"""A first configuration for recordings that nobody has described yet."""
+"""A first configuration for recordings, or a bench file, that nobody has described yet."""
 
 from __future__ import annotations
 
@@ -6,17 +6,19 @@ import json
 import os
 import shlex
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from bayesbl.config.fields import name_of, names_of
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.files import require_text_names
+from bayesbl.config.sections import name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
 from bayesbl.recording.guessing import UNKNOWN, Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
-from bayesbl.results.inputs import require_apart
+from bayesbl.results.folder import require_apart
 from bayesbl.results.store import write_text
 
 
@@ -194,3 +196,184 @@ def quoted(text: str) -> str:
 def relative(file: Path, path: Path) -> str:
     """A file as the configuration at ``path`` names it."""
     return Path(os.path.relpath(file, path.parent)).as_posix()
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a parameter comes from.
+
+    Attributes
+    ----------
+    told
+        Where it stands, or how to weigh or estimate it.
+    usual
+        By size of robot; empty where it has none.
+    example
+        The entry, in a unit as it is printed.
+    given
+        Whether the entry stands as it is: most joints need no other.
+    """
+
+    told: str
+    usual: str
+    example: str
+    given: bool = False
+
+
+SOURCES: Mapping[str, Source] = {
+    "gear_ratio": Source(
+        "Gear ratio N: on the gearbox's type plate, times any belt or bevel stage in front of it. "
+        "Exact: no tolerance.",
+        "50 to 200",
+        "{value = 120}",
+    ),
+    "motor_inertia_kg_m2": Source(
+        "J_m: the motor's data sheet (rotor inertia), plus brake, coupling, and the gearbox's own "
+        "inertia at its input, which its data sheet gives.",
+        "small arm 0.1 to 1 kg cm2, 10 kg payload 1 to 10, 200 kg payload 10 to 100",
+        '{value = 12.1, unit = "kg cm2", relative_tolerance = 0.15}',
+    ),
+    "load_inertia_kg_m2": Source(
+        "J_l: all that turns behind the gear about the joint's axis, arm and payload: CAD, or "
+        "Σ m r² of its parts. The pose of the joints behind belongs to it: keep it in all "
+        "recordings.",
+        "small arm 0.1 to 2 kg m2, 10 kg payload 1 to 20, 200 kg payload 50 to 1500",
+        '{value = 20.0, unit = "kg m2", relative_tolerance = 0.25}',
+    ),
+    "shaft_stiffness_nm_per_rad": Source(
+        "K_s, seen at the load: the gearbox's data sheet (torsional stiffness, N m/arcmin; or "
+        "its inverse, arcmin/N m). Bearings and castings in series make the joint softer: by a "
+        "fifth to a half.",
+        "small arm 2 to 10 N m/arcmin, 10 kg payload 10 to 50, 200 kg payload 100 to 1000",
+        '{value = 35.0, unit = "N m/arcmin", relative_tolerance = 0.25}',
+    ),
+    "shaft_damping_nm_s_per_rad": Source(
+        "D_s, seen at the load: on no data sheet, and in a real contact less at a light touch. "
+        "Leave its tolerance wide: recordings tell it well, and one too narrow moves the gap.",
+        "damping ratio 0.005 to 0.2",
+        '{value = 0.1, unit = "damping ratio", relative_tolerance = 0.95}',
+    ),
+    "gravity_torque_nm": Source(
+        "m g l: the largest torque of gravity about the axis, held level. Mass times lever arm "
+        "(unit kg m) from CAD; or hold the arm level and read torque_constant × current × gear "
+        "ratio, without friction: the mean of moving up and down slowly.",
+        "small arm 2 to 30 N m, 10 kg payload 20 to 300, 200 kg payload 500 to 10000",
+        '{value = 43.0, unit = "kg m", relative_tolerance = 0.2}',
+    ),
+    "torque_constant_nm_per_a": Source(
+        "K_t: the motor's data sheet, for the current that is recorded. A drive may record peak "
+        "current, and a data sheet give the constant for the effective one: that is a factor of "
+        "1.41.",
+        "0.1 to 1.5 N m/A",
+        '{value = 0.5, unit = "N m/A", relative_tolerance = 0.1}',
+    ),
+    "speed_gain_nm_s_per_rad": Source(
+        "K_p of the speed controller: the drive's parameter list (speed controller gain). In "
+        'N m s/rad; "A s/rad" or "A/rpm" are multiplied by the torque constant; "1/s" is a '
+        "bandwidth, multiplied by all inertia at the motor. Read it from the drive: it decides "
+        "most.",
+        "small arm 0.005 to 0.05 N m s/rad, 10 kg payload 0.05 to 0.5, 200 kg payload 0.5 to 5",
+        '{value = 0.185, unit = "N m s/rad", relative_tolerance = 0.1}',
+    ),
+    "integral_gain_nm_per_rad": Source(
+        'K_i of the speed controller. Drives give the reset time instead (unit "ms"): K_i is K_p '
+        "over it.",
+        "reset time 5 to 50 ms",
+        '{value = 23.0, unit = "ms", relative_tolerance = 0.1}',
+    ),
+    "position_gain_per_s": Source(
+        'Gain of the position controller around it (Kv; "1/s", or "m/min/mm"): 0 where the '
+        "joint is run in speed control.",
+        "10 to 50 1/s",
+        "{value = 0.0}",
+        given=True,
+    ),
+    "current_limit_a": Source(
+        "i_max: the drive's largest current, in the same measure as the recorded one. The "
+        "recordings must stay below it.",
+        "",
+        '{value = 30.0, unit = "A"}',
+    ),
+    "reference_speed_rpm": Source(
+        "The motor's speed in most recordings. Others are given with their recording, or are "
+        "taken from its mean. Of a joint that only strokes, what its strokes reach.",
+        "500 to 3000 rpm",
+        "{value = 2000.0}",
+    ),
+}
+
+HEAD = """\
+# Data sheet of a joint. For each line under [parameters]: put in your number, its unit as it is
+# printed and how far it may be off, and take the # away in front. Then
+#
+#     bayesbl check {file}
+#     bayesbl identify FORWARD REVERSE SLOWER --bench {file}
+#
+# relative_tolerance = 0.25 is ± 25 %: a value beyond it counts as impossible, so be generous.
+# No tolerance: known exactly.
+
+schema = 1
+kind = "bench"
+drive = "two_mass"
+
+[parameters]
+"""
+
+
+def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> Path:
+    """Write the commented bench file; the path.
+
+    Raises
+    ------
+    UserError
+        If the file is there and ``force`` is not given, or cannot be written.
+    """
+    path = Path(out) if out is not None else Path("joint.toml")
+    require_new(path, "bench file", force)
+    write_text(first_bench(path.name), path)
+    return path
+
+
+DRIVE = """\
+# How often the drive's speed controller computes (its manual: sampling or cycle time, 62.5 µs to
+# 4 ms). Above 100 µs it matters. With dead time of a bus or torque filter also delay_periods: the
+# periods from reading the encoder to the torque (1 where it is not given).
+# [[effects]]
+# name = "sampled_control"
+# parameters = {period_s = {value = 250e-6}}
+
+# A belt between motor and gear: its stiffness at the motor (N m/rad: the belt's data sheet, or
+# (2 π f)² J of its frequency f), and how much of J_m is behind it (driven pulley, reducer's input).
+# [belt]
+# stiffness_nm_per_rad = {value = 80.0, relative_tolerance = 0.5}
+# damping_nm_s_per_rad = {value = 0.02, relative_tolerance = 0.9}
+# reducer_inertia_kg_m2 = {value = 4e-4, relative_tolerance = 0.3}
+
+# An arm or payload that bends: what of J_l and m g l is behind its spring. [base] is the same of
+# what the joint stands on, without gravity_share.
+# [arm]
+# stiffness_nm_per_rad = {value = 4e4, relative_tolerance = 0.5}
+# damping_nm_s_per_rad = {value = 60.0, relative_tolerance = 0.9}
+# inertia_kg_m2 = {value = 5.0, relative_tolerance = 0.3}
+# gravity_share = {value = 0.5, tolerance = 0.3}
+
+# What is recorded as the speed, if not what the controller sees: a mean over speed_filter_s, or the
+# encoder's position, differentiated from sample to sample (speed_source = "encoder").
+# [measurement]
+# encoder_counts = 16384
+# speed_filter_s = 4e-3
+"""
+
+
+def first_bench(file: str) -> str:
+    """The bench file as text; ``file`` is its name."""
+    entries = "\n".join(_entry(name, source) for name, source in SOURCES.items())
+    return HEAD.format(file=file) + "\n" + entries + "\n" + DRIVE
+
+
+def _entry(name: str, source: Source) -> str:
+    told = f"{source.told} Usual: {source.usual}." if source.usual else source.told
+    unit = PARAMETER_INFO[name].unit
+    without = "" if "unit" in source.example or not unit else f"    # {unit}"
+    sign = "" if source.given else "# "
+    return f"{commented(told)}\n{sign}{name} = {source.example}{without}\n"

@@ -22,11 +22,10 @@ import numpy as np
 import xarray as xr
 
 import bayesbl
-from bayesbl.config.fields import PUBLISHED
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.loading import dump_config
+from bayesbl.config.sections import PUBLISHED
 from bayesbl.errors import ResultError
-from bayesbl.fleet.draws_store import DrawsStore
 from bayesbl.fleet.inventory import (
     Found,
     Joint,
@@ -36,13 +35,21 @@ from bayesbl.fleet.inventory import (
     find_recordings,
     read_joints,
 )
-from bayesbl.fleet.joint_job import REFUSED, JointAnswer, JointJob, RecordingAnswer
-from bayesbl.fleet.measured_joint import MeasuredJoint, fits_beside, measure_joint
+from bayesbl.fleet.measured_joint import (
+    REFUSED,
+    JointAnswer,
+    JointJob,
+    MeasuredJoint,
+    RecordingAnswer,
+    fits_beside,
+    measure_joint,
+)
 from bayesbl.fleet.plant_tables import (
     JOINT_COLUMNS,
     JOINTS_FILE,
     RECORDING_COLUMNS,
     RECORDINGS_FILE,
+    DrawsStore,
     Level,
     Measured,
     joint_rows,
@@ -57,8 +64,7 @@ from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import file_sha256, git_commit
-from bayesbl.results.store import write_json, write_text
-from bayesbl.results.summary_types import Head
+from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_on_cluster
 from bayesbl.runs.workflow import Options, Plan, require_output, settings_of

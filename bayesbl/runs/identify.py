@@ -10,13 +10,14 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.flank_change import require_flank_change
+from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.bench import load_bench
 from bayesbl.config.identify import IdentifyConfig
 from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, identify
 from bayesbl.identification.problem import Problem
+from bayesbl.identification.summary import summarise_identification
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
@@ -25,20 +26,21 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.runs.asked_speed import asked_speed
+from bayesbl.runs.diagnose import asked_speed
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
 from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
-    from bayesbl.runs.summary import Summary
+    from bayesbl.identification.summary import IdentificationSummary
 
 
-def run(config: IdentifyConfig, options: Options) -> Summary:
+def run(config: IdentifyConfig, options: Options) -> IdentificationSummary:
     """Identify, and write the output folder with the bench."""
     return run_into_folder(
         config,
         options,
         lambda work: run_identify(config, options.progress, work),
+        summarise_identification,
     )
 
 
@@ -109,10 +111,8 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
     used = tuple(seen["fit"])
     steady = all(one.motion is None for one in used)
     if steady:
-        gravity = bench.parameters["gravity_torque_nm"]
-        heaviest = bench.with_parameters(gravity_torque_nm=gravity.value + gravity.tolerance)
         speeds = [one.reference_speed_rpm for one in used]
-        require_flank_change(heaviest, speeds, config.bench)
+        require_flank_change(heaviest(bench), speeds, config.bench)
     if steady and len({one.reference_speed_rpm for one in used}) < 2:
         notes.append(
             "All recordings are at one speed in one direction: strokes to and fro, another speed "

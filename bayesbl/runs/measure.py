@@ -10,34 +10,32 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.measurement.stored import as_stored
+from bayesbl.measurement.stored import as_stored, summary_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 from bayesbl.sentences import sentence
 
 if TYPE_CHECKING:
-    from bayesbl.runs.summary import Summary
+    import xarray as xr
+
+    from bayesbl.measurement.summary_types import MeasuredSummary
 
 
-def run(config: SnapshotConfig, options: Options) -> Summary:
+def run(config: SnapshotConfig, options: Options) -> MeasuredSummary:
     """Measure, and write the output folder."""
     swept = swept_benches(config)
     if config.estimator.bench is not None and swept.folder is None:
         options.say(
             f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
         )
-    return run_into_folder(
-        config,
-        options,
-        lambda work: measure(
-            config,
-            options.progress,
-            work,
-            options.say,
-            swept,
-            recordings=options.recordings,
-        ),
-    )
+
+    def make(work: WorkStore) -> xr.DataTree:
+        return measure(
+            config, options.progress, work, options.say, swept, recordings=options.recordings
+        )
+
+    summary: MeasuredSummary = run_into_folder(config, options, make, summary_of)
+    return summary
 
 
 def swept_benches(config: SnapshotConfig) -> WorkStore:

@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 import numpy as np
 import xarray as xr
 
-from bayesbl.config.plan import PlanConfig
+from bayesbl.config.kinds import PlanConfig
 from bayesbl.errors import ConfigError
 from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_bench, ranked_motions
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.summary_types import Head, head
+from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 
 if TYPE_CHECKING:
     from bayesbl.bench.bench import Bench
-    from bayesbl.runs.summary import Summary
 
 MOTIONS = Group(
     "motions",
@@ -69,9 +68,9 @@ def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     return (MOTIONS,)
 
 
-def run(config: PlanConfig, options: Options) -> Summary:
+def run(config: PlanConfig, options: Options) -> PlanSummary:
     """Rank, and write the output folder."""
-    return run_into_folder(config, options, lambda _: planned_tree(config))
+    return run_into_folder(config, options, lambda _: planned_tree(config), summarise_plan)
 
 
 def describe(config: PlanConfig, plan: Plan) -> None:

@@ -16,21 +16,23 @@ from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, cycle, sine, strokes, torque_ramps
 from bayesbl.config.bench import dump_bench
-from bayesbl.config.motion import (
+from bayesbl.config.simulate import (
     CycleMotion,
     MotionSection,
+    SimulatedRecording,
+    SimulateFile,
     SineMotion,
     StrokesMotion,
     TorqueRampMotion,
+    load_simulation,
 )
-from bayesbl.config.simulate import SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
+from bayesbl.processes import in_threads
 from bayesbl.recording.types import TIME, Recording
 from bayesbl.results.atomic import replacing, require_replaceable
+from bayesbl.results.folder import require_apart, require_inside
 from bayesbl.results.identified import bench_from
-from bayesbl.results.inputs import require_apart, require_inside
 from bayesbl.runs.workflow import Plan, require_affordable, require_writable
-from bayesbl.threads import in_threads
 
 BYTES_PER_SAMPLE = 400.0
 """Of a simulated recording: its channels, and all of them as text."""

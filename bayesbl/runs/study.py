@@ -1,37 +1,399 @@
 """Studies: many independent cases in rows, over processes or a cluster, resumed where left.
 
-For what a study is, see :mod:`bayesbl.runs.study_file`. ``result.nc`` holds all cases, a
-group per row; ``table.csv`` a line per row.
+``result.nc`` holds all cases, a group per row; ``table.csv`` a line per row.
+
+What a study is: a Python file that says how one independent case of a row is run.
+
+A study file defines three functions::
+
+    def count(row) -> int: ...
+        # How many independent cases the row has.
+
+    def run_case(row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]: ...
+        # One case: named numbers. ``seed`` belongs to this case alone. A UserError that leaves
+        # it is recorded as a failed case; anything else stops the study, as an error of its file.
+
+    def summarise(row, cases: xr.Dataset) -> Mapping[str, float | str]: ...
+        # The row's line of the table, from its cases that did not fail (dimension ``case``).
+
+and may define::
+
+    class Row(pydantic.BaseModel): ...
+        # What a row may say; the functions then get it in place of the plain table.
+
+    COLUMNS: Mapping[str, tuple[str, str]]
+        # Unit and long name of what the cases return.
+
+    def figure(table, cases) -> matplotlib.figure.Figure: ...
+        # From the table's lines and the cases of each row by name.
+
+Cases run in other processes, maybe on other machines, on one thread each, in any order. What is
+costly and shared by the cases of a row goes into a function under ``functools.cache``.
 """
 
 from __future__ import annotations
 
+import ast
 import csv
+import hashlib
+import importlib.util
 import io
 import json
+import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import Any, Literal
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
+from pydantic import BaseModel, ValidationError
 
-from bayesbl.config.study import StudyConfig
-from bayesbl.errors import ResultError
+from bayesbl.config.files import config_error, problems_of
+from bayesbl.config.kinds import StudyConfig
+from bayesbl.errors import ConfigError, ResultError, UserError, WorkerError
+from bayesbl.processes import processes
 from bayesbl.results.folder import figure_title, is_finished, require_free
 from bayesbl.results.provenance import git_commit, provenance_of
-from bayesbl.results.store import OUTCOME
-from bayesbl.results.summary_types import Head, head
-from bayesbl.results.variables import Group, Variable
+from bayesbl.results.store import OUTCOME, Head, head, read_tree
+from bayesbl.results.variables import Group, Variable, require_declared
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.cases import Case, Job, files_of_study, run_in_processes, run_of_file
 from bayesbl.runs.cluster import run_on_cluster
-from bayesbl.runs.declared_groups import read_result
-from bayesbl.runs.study_file import RESERVED, Study, Table, load_study
 from bayesbl.runs.workflow import Options, Plan, require_output, write_result
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+Table = Mapping[str, Any]
+"""A row as the configuration has it."""
+
+REQUIRED = ("count", "run_case", "summarise")
+RESERVED = ("failed", "message", "seconds", "commit")
+"""What the runner keeps of every case beside the study's own numbers."""
+
+AFTER_THE_CASES = frozenset({"summarise", "figure", "COLUMNS"})
+"""What a study file may change without its cases being run again."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file that was loaded."""
+
+    path: Path
+    module: ModuleType
+
+    @property
+    def name(self) -> str:
+        """The file's name without suffix."""
+        return self.path.stem
+
+    @property
+    def columns(self) -> Mapping[str, tuple[str, str]]:
+        """Unit and long name of the cases' numbers, as far as the study gives them."""
+        return getattr(self.module, "COLUMNS", {})
+
+    @property
+    def has_figure(self) -> bool:
+        """Whether the study draws one of its own."""
+        return hasattr(self.module, "figure")
+
+    def figure(self, table: Sequence[Table], cases: Mapping[str, xr.Dataset]) -> Figure:
+        """The study's own figure."""
+        with error_of(self.path, "in figure"):
+            found: Figure = self.module.figure(table, cases)
+        return found
+
+    def row(self, table: Table) -> Any:
+        """A row as the study's functions take it.
+
+        Raises
+        ------
+        ConfigError
+            With everything that the study's ``Row`` finds wrong.
+        """
+        model: type[BaseModel] | None = getattr(self.module, "Row", None)
+        if model is None:
+            return dict(table)
+        known = {k: v for k, v in table.items() if k != "name" or "name" in model.model_fields}
+        try:
+            return model.model_validate(known)
+        except ValidationError as error:
+            problems = [
+                replace(problem, where=f'[[rows]] "{table["name"]}" {problem.where or ""}'.rstrip())
+                for problem in problems_of(error, model, "")
+            ]
+            raise config_error(problems, None) from None
+
+    def count(self, table: Table) -> int:
+        """How many cases a row has."""
+        with error_of(self.path, f'in count, row "{table["name"]}"'):
+            count = self.module.count(self.row(table))
+        if not isinstance(count, int) or count < 1:
+            raise ConfigError(
+                "A row needs cases.",
+                file=self.path,
+                where=f'count, row "{table["name"]}"',
+                found=repr(count),
+                expected="a whole number, 1 or more",
+            )
+        return count
+
+    def run_case(self, table: Table, index: int, seed: np.random.SeedSequence) -> dict[str, float]:
+        """Run one case."""
+        values = self.module.run_case(self.row(table), index, seed)
+        if taken := sorted(values.keys() & set(RESERVED)):
+            raise ValueError(f"run_case returns names that are the runner's: {', '.join(taken)}")
+        return {str(name): float(value) for name, value in values.items()}
+
+    def summarise(self, table: Table, cases: xr.Dataset) -> dict[str, float | int | str]:
+        """The row's line of the table, in plain Python values."""
+        with error_of(self.path, f'in summarise, row "{table["name"]}"'):
+            line = {
+                str(name): value.item() if isinstance(value, np.generic) else value
+                for name, value in self.module.summarise(self.row(table), cases).items()
+            }
+            json.dumps(line)  # as it is stored
+        return line
+
+    def files(self, table: Table) -> list[str]:
+        """Paths of the files that a row names."""
+        return [value for value in table.values() if _is_file(value)]
+
+    def definition(self, table: Table, seed: int) -> str:
+        """SHA-256 of what decides a row's cases: its table, the code that runs them, the seed.
+
+        Files that a row names count with their content, wherever they are; comments, docstrings
+        and what is done with finished cases do not count.
+        """
+        said = {key: _content(value) for key, value in table.items()}
+        parts = [said, self._code_of_cases, seed]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+    @cached_property
+    def sha256(self) -> str:
+        """Of the whole file."""
+        return hashlib.sha256(self.path.read_bytes()).hexdigest()
+
+    @cached_property
+    def _code_of_cases(self) -> str:
+        tree = ast.parse(self.path.read_text(encoding="utf-8"))
+        tree.body = [node for node in tree.body if not _names(node) & AFTER_THE_CASES]
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if isinstance(body, list):
+                # Strings on their own are docstrings; a body needs something in their place.
+                node.body = [item for item in body if not _is_text(item)] or [ast.Pass()]  # type: ignore[attr-defined]
+        return ast.unparse(tree)
+
+
+def load_study(path: str | Path) -> Study:
+    """Load a study file.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be imported, whatever it does instead, or lacks one of the three functions.
+    """
+    path = Path(path)
+    # Registered under a name of its own: pydantic and pickle look modules up there.
+    name = f"bayesbl_study_{path.stem}"
+    specification = importlib.util.spec_from_file_location(name, path)
+    if specification is None or specification.loader is None:
+        raise ConfigError("This is not a study.", file=path, expected="a Python file, .py")
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module
+    with error_of(path, "while it was loaded"):
+        specification.loader.exec_module(module)
+    lacking = [f for f in REQUIRED if not callable(getattr(module, f, None))]
+    if lacking:
+        raise ConfigError(
+            "The study file lacks a function.",
+            file=path,
+            found=f"no {' and no '.join(lacking)}",
+            expected=f"functions {', '.join(REQUIRED)}",
+        )
+    return Study(path, module)
+
+
+@contextmanager
+def error_of(path: Path, when: str) -> Iterator[None]:
+    """Whatever leaves the code of a study file, ``sys.exit`` too, is an error of this file.
+
+    But for a :class:`UserError`, which the file raises in words of its own.
+    """
+    try:
+        yield
+    except (UserError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise ConfigError(
+            f"The study file failed {when}.",
+            file=path,
+            where=_line_of(error, path),
+            found=f"{type(error).__name__}: {error}",
+        ) from error
+
+
+def seed_of_case(seed: int, row: str, index: int) -> np.random.SeedSequence:
+    """The seed of one case, from the run's seed and the row's name: other rows do not matter."""
+    words = hashlib.sha256(row.encode()).digest()[:16]
+    return np.random.SeedSequence([seed, int.from_bytes(words, "little")], spawn_key=(index,))
+
+
+def _content(value: Any) -> Any:
+    """A file's name and hash in place of its path."""
+    if _is_file(value):
+        return [Path(value).name, hashlib.sha256(Path(value).read_bytes()).hexdigest()]
+    return value
+
+
+def _is_file(value: Any) -> bool:
+    return isinstance(value, str) and os.path.isfile(value)
+
+
+def _names(node: ast.stmt) -> set[str]:
+    """What a statement at the top of a module defines."""
+    match node:
+        case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+            return {name}
+        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+            return {name}
+    return set()
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+def _line_of(error: BaseException, path: Path) -> str | None:
+    """The last line of the study file that an exception passed through."""
+    if isinstance(error, SyntaxError) and error.lineno is not None:
+        return f"line {error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+    return f"line {lines[-1]}" if lines else None
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One finished case.
+
+    Attributes
+    ----------
+    values
+        What the study returned; empty if the case failed.
+    message
+        Why it failed; empty if it did not.
+    """
+
+    index: int
+    values: Mapping[str, float]
+    seconds: float
+    commit: str
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A case that is to be run; ``seed`` is the study's."""
+
+    table: Table
+    index: int
+    seed: int
+
+    @property
+    def row(self) -> str:
+        """The row's name."""
+        return str(self.table["name"])
+
+    @property
+    def in_words(self) -> str:
+        """Which case it is."""
+        return f'case {self.index} of row "{self.row}"'
+
+
+def run_in_processes(
+    study: Study, jobs: Sequence[Job], commit: str, workers: int
+) -> Iterator[tuple[Job, Case]]:
+    """Run cases in processes of their own; yields them as they end, in any order.
+
+    One worker is a process of its own too: linear algebra on one thread rounds differently than on
+    many, and the numbers must not depend on the workers.
+
+    Raises
+    ------
+    ConfigError
+        If a case fails by anything but a :class:`UserError`, or its process dies.
+    """
+    try:
+        with processes(min(workers, len(jobs)), _load, study.path) as pool:
+            futures = {pool.submit(_run_loaded, job, commit): job for job in jobs}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+    except WorkerError:
+        raise ConfigError(
+            "A process died that ran cases of this study.",
+            file=study.path,
+            expected="cases that return, and memory enough for one in each worker",
+        ) from None
+
+
+def run_job(study: Study, job: Job, commit: str) -> Case:
+    """Run a case here; a :class:`UserError` of the study is its message."""
+    start = time.perf_counter()
+    values, message = {}, ""
+    seed = seed_of_case(job.seed, job.row, job.index)
+    with error_of(study.path, f"in {job.in_words}"):
+        try:
+            values = study.run_case(job.table, job.index, seed)
+        except UserError as error:
+            message = str(error)
+    return Case(job.index, values, time.perf_counter() - start, commit, message)
+
+
+def files_of_study(study: Study, jobs: Sequence[Job]) -> list[str]:
+    """Path of the study file and of every file that the rows of these cases name."""
+    named = (path for job in jobs for path in study.files(job.table))
+    return list(dict.fromkeys([str(study.path), *named]))
+
+
+def run_of_file(path: str, commit: str, job: Job) -> Case:
+    """Run a case of the study in a file, in a process that stays for others."""
+    return run_job(_study_in(path), job, commit)
+
+
+@cache
+def _study_in(path: str) -> Study:
+    return load_study(path)
+
+
+_loaded: Study | None = None
+"""The study of this worker process."""
+
+
+def _load(path: Path) -> None:
+    global _loaded
+    _loaded = load_study(path)
+
+
+def _run_loaded(job: Job, commit: str) -> Case:
+    assert _loaded is not None
+    return run_job(_loaded, job, commit)
+
 
 TABLE_FILE = "table.csv"
 _FORMULA = ("=", "+", "-", "@", "\t", "\n")
@@ -205,9 +567,10 @@ def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.D
 
 def _take_from_result(study: Study, rows: Sequence[Row], output: Path) -> None:
     """Give rows the cases of a finished result that this run may add to, or refuse."""
-    tree = read_result(output)
+    tree = read_tree(output)
     if tree.attrs.get("kind") != "study":
         require_free(output)
+    require_declared(tree, declared_groups(tree), output)
     stored = {group.attrs["name"]: group for group in _groups(tree)}
     definitions = {row.name: row.definition for row in rows}
     lost = [n for n, g in stored.items() if definitions.get(n) != g.attrs["definition"]]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
 import xarray as xr
@@ -13,36 +14,192 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.config.bench import dump_bench
-from bayesbl.config.sweep import SweepConfig
+from bayesbl.config.kinds import SweepConfig
+from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.sweep import SweepRow, SweepSettings
-from bayesbl.curve.swept_curve import swept_curve
+from bayesbl.curve.swept_curve import SweptDraws, degree_reports, swept_curve
 from bayesbl.errors import ConfigError
-from bayesbl.measurement.bench_sweep import SweepProblem
-from bayesbl.measurement.stored_curve import GAP_CURVE, curve_to_dataset, one_curve_group
-from bayesbl.recording.types import Recording
+from bayesbl.measurement.curves import (
+    CURVE,
+    GAP_CURVE,
+    SOURCE_PREFIX,
+    SweepProblem,
+    curve_to_dataset,
+    one_curve_group,
+)
+from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
+from bayesbl.results.store import Head, head
+from bayesbl.results.variables import Group, attributes, dataset, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
-from bayesbl.ringing.symbols import DisturbanceModel
-from bayesbl.runs.sweep_groups import (
-    BENCH_DRAWS,
-    degree_group,
-    draw_group,
-    example_group,
-    sweep_group,
-)
-from bayesbl.runs.workflow import (
-    Options,
-    Plan,
-    require_affordable,
-    require_output,
-    run_into_folder,
-)
+from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
+from bayesbl.runs.workflow import Options, Plan, require_affordable, require_output, run_into_folder
 
 if TYPE_CHECKING:
     from bayesbl.progress import StageProgress
-    from bayesbl.runs.summary import Summary
+
+
+EXAMPLE_GAPS = 6
+
+SWEEP = Group(
+    "sweep",
+    table("""
+        gap_rad (gap) | rad | backlash gap simulated
+        start_angle_rad (gap, start) | rad | load angle at the start
+        amplitude_rpm (gap, start) | rpm | amplitude of the impact ringing
+        angular_frequency_rad_per_s (gap, start) | rad/s | angular frequency of the ringing
+        decay_rate_per_s (gap, start) | 1/s | decay rate of the ringing
+        rmse_rpm (gap, start) | rpm | misfit of the waveform
+        amplitude_over_published (gap) | 1 | amplitude over that of the paper's eq. 4
+    """),
+)
+
+DEGREES = Group(
+    "degrees",
+    table("""
+        rms_departure (degree) | 1 | RMS relative departure of δ from the polynomial
+        largest_departure (degree) | 1 | largest relative departure of δ from the polynomial
+        log_evidence (degree) | 1 | restricted log likelihood with a smooth lack of fit beside it
+    """),
+    table("degree (degree) | 1 | degree of the polynomial"),
+)
+
+EXAMPLES = Group(
+    "examples",
+    table("""
+        gap_rad (example) | rad | backlash gap simulated
+        time_s (sample) | s | time
+        motor_speed_rpm (example, sample) | rpm | motor speed, noise-free
+    """),
+)
+
+BENCH_DRAWS = Group(
+    "bench_draws",
+    table("""
+        shift (draw, parameter) | 1 | departure of the parameter in units of its tolerance
+        departure (draw, gap, quantity) | 1 | departure of ln A, ln ω and ln τ from the nominal
+            sweep
+    """),
+    (
+        labels("parameter", "parameter of the bench"),
+        labels("quantity", "quantity of the ringing"),
+    ),
+    optional=True,
+)
+
+
+def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
+    """All groups of a sweep."""
+    return SWEEP, DEGREES, EXAMPLES, CURVE, GAP_CURVE, BENCH_DRAWS
+
+
+def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
+    """What was simulated at every gap and start angle, and what the fits gave."""
+    published = _published_amplitude(nominal.gap_rad)
+    return dataset(
+        SWEEP,
+        {
+            **attributes(SWEEP, nominal),
+            FREQUENCY: nominal.symbol(FREQUENCY, model.fixed),
+            DECAY: nominal.symbol(DECAY, model.fixed),
+            "amplitude_over_published": nominal.amplitude_rpm.mean(axis=1) / published,
+        },
+    )
+
+
+def degree_group(nominal: SweepRow) -> xr.Dataset:
+    """How well polynomials of several degrees describe the sweep."""
+    reports = degree_reports(nominal)
+    names = [variable.name for variable in (*DEGREES.variables, *DEGREES.coordinates)]
+    return dataset(DEGREES, {name: [getattr(r, name) for r in reports] for name in names})
+
+
+def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
+    """Noise-free speed over one rotation at a few gaps, for the figures."""
+    gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
+    speeds = bench.simulate_many(
+        gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=0.5 * math.pi
+    )
+    time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
+    return dataset(EXAMPLES, {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds})
+
+
+def draw_group(swept: SweptDraws) -> xr.Dataset:
+    """Drawn benches, and how their ringing departs from the nominal bench's."""
+    return dataset(
+        BENCH_DRAWS,
+        {"shift": swept.shifts, "departure": swept.departures},
+        {
+            "parameter": list(swept.names),
+            "quantity": ["ln_amplitude", "ln_frequency", "ln_decay"],
+        },
+    )
+
+
+def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
+    """Inverse of eq. 4, by interpolation on a fine grid, rpm."""
+    curve = published_curve(draws=1)
+    low, high = curve.amplitude_range_rpm
+    grid = np.geomspace(0.5 * low, 2.0 * high, 20_000)
+    return np.asarray(np.interp(gap_rad, curve.gap(grid), grid))
+
+
+class DegreeSummary(TypedDict):
+    """How well a polynomial of one degree describes the sweep."""
+
+    rms_departure: float
+    largest_departure: float
+    log_evidence: float
+
+
+class SweepSummary(Head):
+    """``summary.json`` of a sweep."""
+
+    kind: Literal["sweep"]
+    curve: str
+    coefficients: list[float]
+    degree: int
+    gap_rad: list[float]
+    amplitude_rpm: list[float]
+    largest_correction: float
+    relative_sd: dict[str, float]
+    largest_departure_from_published: float
+    degrees: dict[str, DegreeSummary]
+
+
+def summarise_sweep(tree: xr.DataTree) -> SweepSummary:
+    """``summary.json`` of a sweep."""
+    sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
+    stored = tree["gap_curve"].to_dataset()
+    return {
+        "kind": "sweep",
+        **head(tree),
+        "curve": tree["curve"].attrs["name"],
+        "coefficients": stored["coefficients"].values.tolist(),
+        "degree": int(tree.attrs["degree"]),
+        "gap_rad": [float(sweep["gap_rad"][0]), float(sweep["gap_rad"][-1])],
+        "amplitude_rpm": [float(stored["knots_rpm"][0]), float(stored["knots_rpm"][-1])],
+        "largest_correction": float(np.abs(stored["correction"]).max()),
+        "relative_sd": {
+            name.removeprefix(SOURCE_PREFIX): float(stored[name].values.std(axis=0).max())
+            for name in map(str, stored.data_vars)
+            if name.startswith(SOURCE_PREFIX)
+        },
+        "largest_departure_from_published": float(
+            np.abs(sweep["amplitude_over_published"] - 1.0).max()
+        ),
+        "degrees": {
+            str(int(d)): {
+                "rms_departure": float(degrees["rms_departure"].sel(degree=d)),
+                "largest_departure": float(degrees["largest_departure"].sel(degree=d)),
+                "log_evidence": float(degrees["log_evidence"].sel(degree=d)),
+            }
+            for d in degrees["degree"].values
+        },
+    }
+
 
 CACHE = ".sweep-cache"
 
@@ -53,11 +210,13 @@ BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
 """What simulating and fitting takes, roughly: all recordings of a row are held at once."""
 
 
-def run(config: SweepConfig, options: Options) -> Summary:
+def run(config: SweepConfig, options: Options) -> SweepSummary:
     """Sweep, and write the output folder; the rows are kept for other sweeps."""
-    return run_into_folder(
-        config, options, lambda _: run_sweep(config, options.progress, fresh=options.force)
-    )
+
+    def make(_: WorkStore) -> xr.DataTree:
+        return run_sweep(config, options.progress, fresh=options.force)
+
+    return run_into_folder(config, options, make, summarise_sweep)
 
 
 def describe(config: SweepConfig, plan: Plan) -> None:

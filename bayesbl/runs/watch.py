@@ -22,8 +22,7 @@ from typing import Any
 
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.errors import ConfigError
-from bayesbl.fleet.answer_message import encoded_answer
-from bayesbl.fleet.broker import Address, Credentials, stays_known_by
+from bayesbl.fleet.broker import Address, Credentials, Outbox, Sender, stays_known_by
 from bayesbl.fleet.inventory import (
     FileState,
     Found,
@@ -34,13 +33,17 @@ from bayesbl.fleet.inventory import (
     read_joints,
     state_of,
 )
-from bayesbl.fleet.joint_job import REFUSED, JointJob, RecordingAnswer
-from bayesbl.fleet.mean_rotation import encoded_rotation
-from bayesbl.fleet.measured_joint import fits_beside, measure_recording
+from bayesbl.fleet.mean_rotation import encoded_rotation, mean_rotation
+from bayesbl.fleet.measured_joint import (
+    REFUSED,
+    JointJob,
+    RecordingAnswer,
+    fits_beside,
+    measure_recording,
+)
+from bayesbl.fleet.message import encoded_answer
 from bayesbl.fleet.plant_tables import Level, recording_row
 from bayesbl.fleet.recording_table import RecordingTable
-from bayesbl.fleet.reduced_recording import mean_rotation
-from bayesbl.fleet.sender import Outbox, Sender
 from bayesbl.results.atomic import PrivateFolder, sibling
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.fleet import KEPT, identity, job_maker

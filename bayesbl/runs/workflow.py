@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from bayesbl.config.fields import RESULT_FILE
 from bayesbl.config.loading import dump_config
+from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.results.folder import (
     AUGMENTED_BENCH,
@@ -25,6 +25,7 @@ from bayesbl.results.folder import (
     require_no_file,
 )
 from bayesbl.results.work import WorkStore, problem_of
+from bayesbl.sentences import told
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,13 +33,15 @@ if TYPE_CHECKING:
     from bayesbl.config.sections import RunConfig
     from bayesbl.progress import StageProgress
     from bayesbl.recording.types import Recording
-    from bayesbl.runs.summary import Summary
 
 Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]
 """Draws the figures of a result into a folder in the formats given, png and pdf.
 
 Passed in, as figures are made from results.
 """
+
+S = TypeVar("S", bound=Mapping[str, Any])
+"""A summary."""
 
 LONGEST_S = 7 * 24 * 3600.0
 USUAL_MEMORY_BYTES = 8e9
@@ -103,7 +106,7 @@ class Plan:
 class Workflow(Protocol):
     """The module of a kind of run."""
 
-    def run(self, config: Any, options: Options) -> Summary:
+    def run(self, config: Any, options: Options) -> Any:
         """Run a configuration and write its output folder; the summary that was stored."""
 
     def describe(self, config: Any, plan: Plan) -> None:
@@ -117,13 +120,16 @@ def run_into_folder(
     config: RunConfig,
     options: Options,
     make: Callable[[WorkStore], xr.DataTree],
-) -> Summary:
+    summarise: Callable[[xr.DataTree], S],
+) -> S:
     """Make a result, going on where an unfinished run of the same problem was left, and write it.
 
     Parameters
     ----------
     make
         Makes the result; what takes long goes through the store that it is given.
+    summarise
+        From the result to its ``summary.json``, but for the sentences of its reasons.
 
     Raises
     ------
@@ -147,13 +153,10 @@ def run_into_folder(
         except UserError:
             work.clear()  # it would end the same way again
             raise
-        # Imported after the questions that can be answered at once: xarray takes a second.
-        from bayesbl.runs.summary import summarise
-
         texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench", "")}
         if "identified_bench" in tree.attrs:
             texts[IDENTIFIED_BENCH] = tree.attrs["identified_bench"]
-        summary = summarise(tree)
+        summary: S = told(summarise(tree))
         write_result(tree, summary, config, options, texts, work)
     return summary
 
@@ -228,7 +231,7 @@ def settings_of(config: RunConfig) -> dict[str, Any]:
 
 def write_result(
     tree: xr.DataTree,
-    summary: Summary,
+    summary: Mapping[str, Any],
     config: RunConfig,
     options: Options,
     texts: Mapping[str, str],

@@ -80,6 +80,8 @@ class Diagnostics:
         ``converged``; ``usable`` with the warnings given; ``withheld`` where δ must not be used.
     reasons
         Why it is not simply converged, in sentences.
+    code
+        Of the first of them, for programs.
     """
 
     r_hat: Mapping[str, float]
@@ -89,6 +91,7 @@ class Diagnostics:
     acceptance: FloatArray
     outcome: Outcome
     reasons: tuple[str, ...]
+    code: str = "sampling"
 
 
 def rank_r_hat_and_ess(
@@ -212,4 +215,5 @@ def judge(
         acceptance,
         outcome,
         tuple(failures + doubts),
+        NoFlankChange.code if is_weak else "sampling",
     )

@@ -1,11 +1,95 @@
-"""Draws with importance weights: how many independent ones they are worth, and resampling."""
+"""Draws with importance weights: of a normal distribution in a box, of a density nearly like it."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.recording.types import FloatArray
+
+TRIALS = 20
+"""Candidates for each draw of a normal distribution in a box."""
+PROPOSED = 8000
+"""Draws of each proposal."""
+ADAPTATIONS = 4
+LARGEST_TAIL = 0.7
+"""Pareto k̂ up to which so many weights are enough (Vehtari et al. 2024)."""
+LEAST_SHARE = 0.25
+"""Kish's effective share of the draws from which on they are not drawn again."""
+FEWEST = 3.0
+"""Effective draws for each coordinate below which a proposal is not adapted, but given up."""
+FLATTEST = 0.1
+"""Least curvature of a proposal, over that of a normal distribution as wide as the draws: where the
+box alone ends them, the quadratic may bend upwards."""
+
+
+def independent_draws(
+    target: Callable[[FloatArray], FloatArray],
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> tuple[FloatArray, float] | None:
+    """Draws of a density that is nearly normal within a box, and their effective share.
+
+    Proposed by a normal distribution within the box, weighted with Pareto-smoothed weights,
+    resampled. The proposal adapts: a quadratic is fitted to the weighted log density.
+
+    Parameters
+    ----------
+    target
+        Log density of points (m, d), shape (m,).
+    peak, covariance
+        Of the first proposal without its box, shapes (d,) and (d, d).
+    box
+        Low and high end of every range, shapes (d,); infinite where there is none.
+
+    Returns
+    -------
+    Shape (count, d); ``None`` where no proposal is near enough, as for a density of another shape.
+    """
+    from arviz_stats.base import array_stats
+
+    for _ in range(ADAPTATIONS):
+        points, log_proposal = normal_in_box(peak, covariance, box, PROPOSED, generator)
+        density = target(points)
+        log_weights = density - log_proposal
+        if effective_size(log_weights) < FEWEST * peak.size:
+            return None
+        possible = np.isfinite(log_weights)
+        # ArviZ weighs by the inverse of a likelihood.
+        log_weights[possible], tail = array_stats.psislw(-log_weights[possible])
+        share = effective_size(log_weights) / PROPOSED
+        if tail < LARGEST_TAIL and share > LEAST_SHARE:
+            return points[resampled(log_weights[None], count, generator)[0]], share
+        peak, covariance = _quadratic(points, density, np.exp(log_weights - log_weights.max()))
+    return None
+
+
+def _quadratic(
+    points: FloatArray, log_density: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Peak (d,) and covariance (d, d) of the quadratic through the weighted log density (m,).
+
+    No weight is less than a thousandth of the mean: the quadratic also holds where few draws are.
+    """
+    weights = np.where(np.isfinite(log_density), np.maximum(weights, 1e-3 * weights.mean()), 0.0)
+    mean = np.average(points, axis=0, weights=weights)
+    sd = np.sqrt(np.average((points - mean) ** 2, axis=0, weights=weights))
+    u, root = (points - mean) / sd, np.sqrt(weights)
+    first, second = np.triu_indices(len(mean))
+    terms = np.column_stack([np.ones(len(u)), u, u[:, first] * u[:, second]])
+    values = np.where(weights > 0.0, log_density, 0.0)
+    found = np.linalg.lstsq(terms * root[:, None], values * root, rcond=None)[0]
+    slope, precision = found[1 : 1 + len(mean)], np.zeros((len(mean), len(mean)))
+    precision[first, second] = -found[1 + len(mean) :]
+    precision += precision.T
+    rates, axes = np.linalg.eigh(precision)
+    covariance = axes / np.maximum(rates, FLATTEST) @ axes.T
+    return mean + sd * (covariance @ slope), covariance * np.outer(sd, sd)
 
 
 def effective_size(log_weights: FloatArray) -> float:
@@ -42,3 +126,78 @@ def resampled(
             index = np.linspace(0, candidates - 1, count).round().astype(np.int64)
         picked[chain] = generator.permutation(index)
     return picked
+
+
+def truncated_normal(
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> FloatArray:
+    """Draws of a normal distribution within a box, shape (count, d).
+
+    By rejection where that is quick, else resampled from :func:`normal_in_box` by weights.
+
+    Parameters
+    ----------
+    peak, covariance
+        Of the normal distribution without the box, shapes (d,) and (d, d); the peak may lie out.
+    box
+        Low and high end of every range, shapes (d,); infinite where there is none.
+    """
+    low, high = box
+    root = np.linalg.cholesky(covariance)
+    tried = peak + generator.standard_normal((TRIALS * count, peak.size)) @ root.T
+    inside = tried[np.all((tried > low) & (tried < high), axis=1)]
+    if len(inside) >= count:
+        return inside[:count]
+    points, log_density = normal_in_box(peak, covariance, box, TRIALS * count, generator)
+    white = np.linalg.solve(root, (points - peak).T)
+    log_weights = -0.5 * np.sum(white**2, axis=0) - log_density
+    return np.asarray(points[resampled(log_weights[None], count, generator)[0]])
+
+
+def normal_in_box(
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Points (count, d) in a box, roughly those of a normal distribution, and their log density.
+
+    One coordinate after the other, the shortest range first, each normal given those before it and
+    within its range (Geweke 1989, Hajivassiliou and McFadden 1998). The density, up to a constant,
+    is that by which they were drawn.
+    """
+    from scipy.special import log_ndtr
+
+    low, high = box
+    order = np.argsort((high - low) / np.sqrt(np.diag(covariance)))
+    root = np.linalg.cholesky(covariance[np.ix_(order, order)])
+    white, log_mass = np.empty((count, peak.size)), np.zeros(count)
+    points = np.empty((count, peak.size))
+    for k, i in enumerate(order):
+        before = peak[i] + white[:, :k] @ root[k, :k]
+        begin, end = (low[i] - before) / root[k, k], (high[i] - before) / root[k, k]
+        white[:, k] = _between(begin, end, generator.random(count))
+        points[:, i] = np.clip(before + root[k, k] * white[:, k], low[i], high[i])
+        mirrored = begin > -end
+        above = log_ndtr(np.where(mirrored, -begin, end))
+        below = log_ndtr(np.where(mirrored, -end, begin))
+        log_mass += above + np.log1p(-np.exp(below - above))
+    return points, -0.5 * np.sum(white**2, axis=1) - log_mass
+
+
+def _between(low: FloatArray, high: FloatArray, share: FloatArray) -> FloatArray:
+    """Quantiles of the standard normal distribution between two ends, all (m,)."""
+    from scipy.special import log_ndtr, ndtri_exp
+
+    # Mirrored, so that the ends lie where the logarithm of the distribution is exact.
+    mirrored = low > -high
+    low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+    below, above = log_ndtr(low), log_ndtr(high)
+    quantile = ndtri_exp(above + np.log(share + (1.0 - share) * np.exp(below - above)))
+    found = np.clip(quantile, low, high)
+    return np.asarray(np.where(mirrored, -found, found))

@@ -3,8 +3,8 @@
 The motor is scaled to the load: x = θ_m/N. With play the load follows at θ_l = x − s, where the
 lag s stays within ±δ. A load with much friction stays where it is while the play is crossed, so
 that s is the play operator of x (Krasnosel'skiĭ and Pokrovskiĭ 1989); one with less coasts on and
-reaches the other flank by itself. :func:`load_lag` follows both: a load that is slowed by its
-friction alone, until a flank takes it along.
+reaches the other flank by itself, or falls there by its weight. :func:`load_lag` follows all: a
+load that friction and weight alone move until a flank takes it along.
 """
 
 from __future__ import annotations
@@ -253,6 +253,8 @@ def load_lag(
     half_play: float,
     drag: float,
     start: float,
+    weight_cos: float = 0.0,
+    weight_sin: float = 0.0,
 ) -> FloatArray:  # pragma: no cover (compiled)
     """The lag s of the load behind the motor, shape (n,), within ±``half_play``, rad.
 
@@ -262,11 +264,15 @@ def load_lag(
         Deceleration of a free load by its friction, rad/s²; infinite for one that stays.
     start
         s at the first sample.
+    weight_cos, weight_sin
+        Deceleration of a free load by its weight, rad/s²: by cos and sin of its angle.
     """
     lag = np.empty(motor.size)
     load, moving = motor[0] - start, 0.0
     for k in range(motor.size):
         period = time_s[k] - time_s[k - 1] if k else 0.0
+        if weight_cos != 0.0 or weight_sin != 0.0:
+            moving -= period * (weight_cos * np.cos(load) + weight_sin * np.sin(load))
         slowed = drag * period if k else np.inf
         if abs(moving) <= slowed:
             moving = 0.0

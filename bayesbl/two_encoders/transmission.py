@@ -5,21 +5,21 @@ With x the motor's position at the load and θ_l the load's,
     θ_l = x − s(x; h) + H β + e,        s within ±h
 
 where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, what the
-ratio is off by (x), the skew of the channels (ẋ), inertia that winds the joint up (ẍ), torque, and
-the transmission error: harmonics of motor and load angle (one curve of the angle, the same both
-ways, where the load makes less than a turn). β is normal and integrated out. The noise e is white
+ratio is off by (x), the skew of the channels (ẋ), inertia that winds the joint up (ẍ), and the
+transmission error: harmonics of motor and load angle (one curve of the angle, the same both ways,
+where the load makes less than a turn). β is normal and integrated out. The noise e is white
 beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
 drift from stroke to stroke so counts once a stroke, not once a sample. In the gap the load is
 where it likes, so the noise is as wide as the gap there.
 
-Every course of the flanks (a load that stays, or coasts on by some deceleration) is tried over a
-grid of h, and their probabilities are added. h, half of what lies between both directions, is δ
-and half of what friction of the load winds up:
+Every course of the flanks (a load that stays, coasts on by some deceleration, or is moved by its
+weight) is tried over a grid of h, and their probabilities are added. h, half of what lies between
+both directions, is δ and half of what friction of the load winds up:
 
     h = δ + w/2
 
-w is c T u with a torque that tells the compliance c and the friction T, of which an unknown share u
-is the load's; else what makers' sheets let expect. δ has a mass at zero. Skew, eccentricity and a
+w is what makers' sheets let expect, and, where there is a torque, what it does on the way between
+the flanks (:func:`of_windup`). δ has a mass at zero. Skew, eccentricity and a
 wrong ratio make no lag that keeps its size from slow to fast and turns with the direction: they are
 told from play by their evidence, here and not before.
 """
@@ -39,10 +39,10 @@ from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.two_encoders.paths import (
     LONGEST_SKEW_S,
+    STILL,
     Channels,
     Paths,
     load_lag,
-    moving_mean,
     scaled_paths,
 )
 
@@ -61,6 +61,10 @@ about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 
 COASTING = (np.inf, 3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
+
+WEIGHT, RUBBED, DIRECTIONS = 30.0, (0.05, 0.1, 0.2, 0.4, 0.8), 8
+"""Deceleration by the load's weight, rad/s² (gravity over a third of a metre), parts of it that
+friction makes, and directions of the weight: to begin with."""
 
 STAYS = 0.5
 """Probability of the first, beforehand."""
@@ -82,10 +86,6 @@ Over a part of a turn it looks like another gear ratio.
 ALIKE_RAD = 1e-3
 """Lag up to which the transmission error is the same at the motor's and the load's angle."""
 
-TURNING, SMOOTHED = (1e-4, 1e-3, 1e-2, 5e-2, 2e-1), 0.1
-"""Lags over the travel that friction may turn behind, and part of a stroke that what is left of the
-torque is averaged over: noise in it would pass for less compliance."""
-
 PLACES = 24
 """Along the travel, at which misfits of one pass and the next are compared."""
 
@@ -97,8 +97,8 @@ MOST_CURVE_RAD = 8e-3
 """Largest standard deviation of the first order of the transmission error: more is another motion.
 """
 
-SLOWED = (0.5, 0.7, 0.85, 1.2, 1.45, 2.0)
-"""Times a deceleration that are tried in its place."""
+ANY_PART = 0.5
+"""Standard deviation of the part of h that is wind-up, from which it tells nothing."""
 
 LOOSE = 0.3
 """Standard deviation in the gap, over h."""
@@ -142,13 +142,20 @@ class Noise:
 class Course:
     """How the load gets from flank to flank.
 
-    By its free deceleration, rad/s²; or in no way that is known (``free``): the
-    lag is then what was measured, wherever that is well within the gap.
+    By its free deceleration through friction and weight, rad/s²; or in no way that is known
+    (``free``): the lag is then what was measured, wherever that is well within the gap.
     """
 
     drag: float
     prior: float
     free: bool = False
+    weight_cos: float = 0.0
+    weight_sin: float = 0.0
+
+    @property
+    def falls(self) -> bool:
+        """Whether the load's weight moves it."""
+        return self.weight_cos != 0.0 or self.weight_sin != 0.0
 
 
 @dataclass(slots=True)
@@ -217,7 +224,7 @@ class Design:
     The load's angle in them is as modelled, x − s.
     """
 
-    def __init__(self, paths: Paths, torque: FloatArray | None, *, stated: bool) -> None:
+    def __init__(self, paths: Paths, *, stated: bool) -> None:
         self.motor_rad = paths.binned(paths.motor_rad)
         self.load_rad = paths.binned(paths.load_rad)
         self.time_s = paths.binned(paths.time_s)
@@ -227,11 +234,7 @@ class Design:
         plain += [paths.binned(paths.speed), paths.binned(paths.acceleration)]
         names = ["offset", "ratio", "skew", "inertia"]
         sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S]
-        sd += [INERTIA_S2 if torque is None else 0.1]
-        if torque is not None:
-            plain.append(paths.binned(torque))
-            names.append("torque")
-            sd.append(1.0 / max(float(np.std(torque)), 1e-12))
+        sd += [INERTIA_S2]
         self.turns = self.travel_rad > 2.0 * np.pi
         first = len(names) + (0 if self.turns else 2)
         orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
@@ -253,7 +256,6 @@ class Design:
         self.plain, self.names, self.sd = plain, tuple(names), np.array(sd)
         self.curve = slice(first, len(names))
         self.alike: FloatArray | None = None
-        self.stiff = False
         self.centre = np.zeros(len(names))
         # The stated ratio, and channels of one clock.
         self.centre[1], self.centre[2] = 1.0, paths.skew_s
@@ -298,8 +300,6 @@ class Design:
         """Of the prior of β."""
         sd = self.sd.copy()
         sd[self.curve] *= noise.curve_rad
-        if self.stiff and "torque" in self.names:
-            sd[self.names.index("torque")] *= 1e-4
         return sd**-2.0
 
 
@@ -357,9 +357,9 @@ class Model:
             return np.zeros(self.paths.motor_rad.size)
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
-        return np.asarray(
-            load_lag(path.motor_rad, path.speed, path.time_s, half_rad, how.drag, start)
-        )
+        motion = path.motor_rad, path.speed, path.time_s
+        weight = how.weight_cos, how.weight_sin
+        return np.asarray(load_lag(*motion, half_rad, how.drag, start, *weight))
 
     def cell(self, course: int, half_rad: float, noise: Noise) -> Cell:
         """The evidence there, and β."""
@@ -484,28 +484,68 @@ def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
     return float(np.copysign(best, seen)), True
 
 
-def of_friction(paths: Paths) -> tuple[float, FloatArray, FloatArray]:
-    """Friction that turns with the direction, N m; the torque of the load's weight; the rest.
-
-    Friction of the load turns when it is taken along again, behind a play that is not known yet: so
-    lags of several sizes are taken off. The rest, smoothed, is what winds the joint up beside it.
+def of_friction(paths: Paths) -> tuple[float, FloatArray]:
+    """Friction that turns with the direction, N m, and the torque of the load's weight, by the
+    motor's torque. Inertia that is a curve of the angle counts as weight: it holds the load on a
+    flank as well.
     """
     assert paths.torque_nm is not None
-    travel = float(np.ptp(paths.motor_rad))
-    turning = [
-        load_lag(paths.motor_rad, paths.speed, paths.time_s, half, np.inf, 0.0) / half
-        for half in travel * np.array(TURNING)
-    ]
+    usual = float(np.sqrt(np.mean(paths.speed**2)))
     load = paths.load_rad
-    weight = np.stack([np.ones_like(load), np.cos(load), np.sin(load)], axis=1)
-    columns = np.column_stack([*turning, paths.speed, paths.acceleration, weight])
-    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    beta = np.linalg.lstsq(columns / scale, paths.torque_nm, rcond=1e-6)[0] / scale
-    friction = float(beta[: len(TURNING)].sum())
-    rest = paths.torque_nm - np.stack(turning, axis=1) @ beta[: len(TURNING)]
-    stroke = float(np.ptp(paths.time_s)) / (paths.reversals + 1)
-    smooth = moving_mean(rest, paths.time_s, SMOOTHED * stroke)
-    return max(friction, 0.0), weight @ beta[len(TURNING) + 2 :], smooth
+    columns = np.column_stack(
+        [
+            np.tanh(paths.speed / (STILL * usual)),
+            paths.speed / usual,
+            np.ones(load.size),
+            np.cos(load),
+            np.sin(load),
+        ]
+    )
+    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-6)[0]
+    return max(float(beta[0]), 0.0), columns[:, 2:] @ beta[2:]
+
+
+def of_windup(model: Model, cell: Cell) -> tuple[float, float, float | None]:
+    """Which part of h is wind-up, by the torque on the way between the flanks, its standard
+    deviation, and the load's friction, N m; ``None`` where the torque does not tell them.
+
+    Wind-up hands the load's friction over in proportion to the lag, play all of it at the flank. So
+    the torque is fitted by both, beside the motor's own friction, inertia, viscous friction and the
+    load's weight. What that plain law leaves is no noise: it counts whole.
+    """
+    paths, design, half = model.paths, model.design, cell.half_rad
+    how = model.courses[cell.course]
+    if paths.torque_nm is None or how.falls or half <= 0.0:
+        return 0.5, np.inf, None
+    other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ cell.beta)
+    other -= np.interp(paths.time_s, design.time_s, cell.beta[1] * (design.motor_rad - cell.lag))
+    lag = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
+    model_lag = model.lag(0 if how.free else cell.course, half) / half
+    at_flank = np.where(np.abs(model_lag) > 1.0 - 1e-9, np.sign(model_lag), 0.0)
+    inside = at_flank == 0.0
+    usual = float(np.sqrt(np.mean(paths.speed**2)))
+    direction = np.tanh(paths.speed / (STILL * usual))
+    columns = np.column_stack(
+        [
+            np.where(inside, np.clip(lag, -1.0, 1.0), at_flank),
+            at_flank,
+            direction,
+            paths.speed / usual,
+            paths.acceleration / max(paths.typical_acceleration, 1e-300),
+            np.cos(paths.load_rad),
+            np.sin(paths.load_rad),
+            np.ones(lag.size),
+        ]
+    )
+    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-8)[0]
+    handed = float(beta[0] + beta[1])
+    left = float(np.std(paths.torque_nm - columns @ beta))
+    # A lag that noise blurs is a poor measure of the way.
+    blurred = float(np.mean((lag - model_lag)[inside] ** 2)) if inside.any() else np.inf
+    spread = float(np.hypot(left / max(handed, 1e-300), np.sqrt(blurred)))
+    if inside.sum() < columns.shape[1] or spread > ANY_PART:
+        return 0.5, np.inf, None
+    return float(beta[0]) / handed, spread, handed
 
 
 def fit_transmission(
@@ -518,31 +558,35 @@ def fit_transmission(
     told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
+    weighed = False
     for made in range(8):
         told(made, 10)
         model, friction, weight = _model(channels, slope, skew, stated)
-        # A torque turns with the direction as a lag does, and would take its place in the search.
-        model.design.stiff = True
-        free, best = model.fitted(*_searched(model, noise))
-        free, best = _slowed(model, free, best)
+        free, best = model.fitted(*_searched(model, noise, 0))
+        free, best = _coasting(model, free, best)
+        if weighed:
+            free, best = _with_weight(model, free, best)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
         moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
         moved &= abs(skew + late) < LONGEST_SKEW_S
         scaled = not stated and abs(scale - 1.0) > 5e-3
         if not moved and not scaled:
-            break
+            if weighed:
+                break
+            weighed = True
+            continue
         skew += float(late) if moved else 0.0
         slope *= float(scale) if scaled else 1.0
     # A load that goes its own way is tried last: it would follow any other skew and ratio too.
     model.see(best)
+    freely = next(i for i, how in enumerate(model.courses) if how.free)
     for _ in range(2):
-        fitted, own = model.fitted(*_searched(model, free, freely=True))
+        fitted, own = model.fitted(*_searched(model, free, freely))
         if own.log_evidence > best.log_evidence:
             free, best = fitted, own
             model.see(best)
     told(9, 10)
-    model.design.stiff = False
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
@@ -559,15 +603,14 @@ def _model(
     rest = 1.0 - STAYS
     courses = [Course(np.inf, STAYS)]
     coasting = COASTING[1:]
-    torque, friction, weight = None, None, 0.0
+    friction, weight = None, 0.0
     if paths.torque_nm is not None:
-        friction, held, torque = of_friction(paths)
-        level = np.abs(held)
+        friction, held = of_friction(paths)
         moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
-        weight = float(np.mean(level[moving] > friction))
-    courses += [Course(c * usual, 0.8 * rest / len(coasting)) for c in coasting]
+        weight = float(np.mean(np.abs(held)[moving] > friction))
+    courses += [Course(c * usual, 0.5 * rest / len(coasting)) for c in coasting]
     courses.append(Course(0.0, 0.2 * rest, free=True))
-    return Model(paths, Design(paths, torque, stated=stated), courses), friction, weight
+    return Model(paths, Design(paths, stated=stated), courses), friction, weight
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
@@ -575,51 +618,78 @@ def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
     return np.geomspace(least, most, int(per_decade * np.log10(most / least)) + 2)
 
 
-def _searched(model: Model, noise: Noise, *, freely: bool = False) -> tuple[int, float, Noise]:
+def _searched(model: Model, noise: Noise, course: int) -> tuple[int, float, Noise]:
     """Course, h and noise to begin with: over a grid, then between its points.
 
     A peak of h is as narrow as the noise is small, so the noise is sized anew for every h.
     """
-    courses = [i for i, how in enumerate(model.courses) if how.free == freely]
-    found: list[tuple[float, int, float]] = []
-    for course in courses:
-        halves = _halves(model, 3e-5, 8 if len(courses) == 1 or not course else 4)
-        logs = [model.profiled(course, float(h), noise)[1].log_evidence for h in halves]
-        at = int(np.argmax(logs))
-        found.append((logs[at], course, float(halves[at])))
-    found.sort(reverse=True)
-    refined = []
-    for _, course, half in found[:2]:
-        step = np.log(10.0) / (8 if not course else 4)
-        result = minimize_scalar(
-            lambda log, c=course: -model.profiled(c, float(np.exp(log)), noise)[1].log_evidence,
-            bounds=(np.log(half) - step, np.log(half) + step),
-            method="bounded",
-            options={"maxiter": 16, "xatol": 1e-4},
-        )
-        refined.append((-float(result.fun), course, float(np.exp(result.x))))
-    _, course, half = max(refined)
+
+    def cost(log: float) -> float:
+        return -model.profiled(course, float(np.exp(log)), noise)[1].log_evidence
+
+    logs = np.log(_halves(model, 3e-5, 2 * PER_DECADE))
+    first = float(logs[int(np.argmin([cost(log) for log in logs]))])
+    step = float(logs[1] - logs[0])
+    result = minimize_scalar(
+        cost,
+        bounds=(first - step, first + step),
+        method="bounded",
+        options={"maxiter": 16, "xatol": 1e-4},
+    )
+    half = float(np.exp(result.x))
     return course, half, model.profiled(course, half, noise)[0]
 
 
-def _slowed(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
-    """With the deceleration of the best course moved to where the evidence is largest."""
-    how = model.courses[best.course]
-    if how.free or not 0.0 < how.drag < np.inf:
+def _placed(
+    model: Model, noise: Noise, best: Cell, tried: Sequence[FloatArray], prior: float
+) -> tuple[Noise, Cell]:
+    """With one more course, where its evidence is the largest.
+
+    ``tried``: ln h, ln of the drag, and, where the load's weight moves it, both of its parts. The
+    best of them are moved to where the evidence is largest, with the noise of what was best
+    without: with less of it the peak is too narrow to be found.
+    """
+    trial = len(model.courses)
+
+    def at(point: FloatArray) -> Cell:
+        weight_cos, weight_sin = point[2:] if point.size > 2 else (0.0, 0.0)
+        how = Course(float(np.exp(point[1])), prior, False, float(weight_cos), float(weight_sin))
+        model.courses[trial:] = [how]
+        return model.cell(trial, float(np.exp(point[0])), noise)
+
+    order = np.argsort([-at(point).log_evidence for point in tried])
+    moved: list[tuple[float, FloatArray]] = []
+    for point in (tried[int(i)] for i in order[:3]):
+        steps = np.diag([0.2, 0.4, 0.2 * WEIGHT, 0.2 * WEIGHT][: point.size])
+        simplex = np.vstack([point, point + steps])
+        found = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
+        moved.append((at(found).log_evidence, found))
+    fitted, cell = model.fitted(trial, at(max(moved, key=lambda m: m[0])[1]).half_rad, noise)
+    if cell.log_evidence + np.log(prior / model.courses[best.course].prior) <= best.log_evidence:
+        del model.courses[trial:]
         return noise, best
-    for _ in range(2):
-        before, drag = best, model.courses[best.course].drag
-        kept = drag
-        for times in SLOWED:
-            model.courses[best.course] = replace(how, drag=times * drag)
-            cell = model.cell(best.course, best.half_rad, noise)
-            if cell.log_evidence > best.log_evidence:
-                best, kept = cell, times * drag
-        model.courses[best.course] = replace(how, drag=kept)
-        if best is before:
-            break
-        noise, best = model.fitted(best.course, best.half_rad, noise)
-    return noise, best
+    return fitted, cell
+
+
+def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
+    """With a load that coasts by a deceleration of its own."""
+    drags = np.array(COASTING[1:-1]) * model.paths.typical_acceleration
+    halves = _halves(model, 1e-4, PER_DECADE)
+    tried = [np.log([half, drag]) for drag in drags for half in halves]
+    return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
+
+
+def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
+    """With a load that its weight moves, by some frictions and directions to begin with."""
+    turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    tried = [
+        np.array([np.log(half), np.log(rubbed * WEIGHT), *pull])
+        for rubbed in RUBBED
+        for pull in WEIGHT * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        for half in _halves(model, 1e-4, PER_DECADE)
+    ]
+    prior = 0.2 * (1.0 - STAYS) / (len(RUBBED) * DIRECTIONS)
+    return _placed(model, noise, best, tried, prior)
 
 
 def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
@@ -672,15 +742,6 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
-def _held_quantiles(compliance: tuple[float, float], friction: float | None) -> FloatArray:
-    """Equally probable values of w/2, rad, shape (q,)."""
-    if friction is None or compliance[0] < 3.0 * compliance[1]:
-        return np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
-    spread = np.maximum(compliance[0] + compliance[1] * ndtri((np.arange(20) + 0.5) / 20), 1e-12)
-    share = (np.arange(40) + 0.5) / 40
-    return np.asarray(np.maximum((friction * spread[:, None] * share).ravel(), 1.1e-6))
-
-
 def _drawn(
     model: Model,
     cells: Sequence[Cell],
@@ -691,12 +752,8 @@ def _drawn(
 ) -> Transmission:
     best = max(cells, key=lambda c: c.log_evidence)
     names = model.design.names
-    compliance = (0.0, np.inf)
-    if friction is not None:
-        at = names.index("torque")
-        covariance = cho_solve((best.root, True), np.eye(len(names))[:, at])
-        compliance = (-float(best.beta[at]), float(np.sqrt(model.counted * covariance[at])))
-    held = _held_quantiles(compliance, friction)
+    count = int(np.prod(DRAWS))
+    held = np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
     half = np.array([c.half_rad for c in cells])
     low, high = PLAY_RAD
     # Densities over ln h without play, and with it, by a smooth histogram of ln w/2.
@@ -704,16 +761,22 @@ def _drawn(
     breadth = 0.1 + 0.2 * float(np.std(logs))
     bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
     bare /= breadth * np.sqrt(2.0 * np.pi)
-    gap = half[:, None] - held
+    # A load that its weight moves changes the flank where the joint is not wound up.
+    falls = np.array([model.courses[c.course].falls for c in cells])
+    bare[falls] = 0.0
+    gap = half[:, None] - np.where(falls[:, None], 0.0, held)
     inside = (gap > low) & (gap < high)
     of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
+    part, spread, handed_nm = of_windup(model, best)
+    if handed_nm is not None:
+        of_gap *= np.exp(-0.5 * ((held / half[:, None] - part) / spread) ** 2)
+        bare *= np.exp(-0.5 * (max(1.0 - part, 0.0) / spread) ** 2)
     with_play = of_gap.mean(axis=1) / np.log(high / low)
     density = NO_PLAY * bare + (1.0 - NO_PLAY) * with_play
     with np.errstate(divide="ignore"):
         prior = np.log(density)
     masses = _log_masses(cells, prior, model)
     probability = np.exp(masses - logsumexp(masses))
-    count = int(np.prod(DRAWS))
     interval = generator.choice(probability.size, size=count, p=probability)
     share = generator.uniform(size=count)
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
@@ -726,7 +789,7 @@ def _drawn(
         mine = plays & (nearest == cell)
         each = of_gap[cell] / of_gap[cell].sum()
         chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each)]
-        delta[mine] = np.clip(lost[mine] - chosen, low, high)
+        delta[mine] = np.clip(lost[mine] - (0.0 if falls[cell] else chosen), low, high)
     beta, wider = np.empty((count, len(names))), np.sqrt(model.counted)
     for cell in np.unique(nearest):
         mine = np.flatnonzero(nearest == cell)
@@ -746,6 +809,7 @@ def _drawn(
     lost = np.maximum(lost * scale + moved, 0.0)
     delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
     plays = delta > 0.0
+    goes = [how.falls or how.free for how in model.courses]
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
     draws = {
@@ -757,8 +821,9 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")],
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    if friction is not None and compliance[0] > 3.0 * compliance[1]:
-        draws["compliance_rad_per_nm"] = -beta[:, names.index("torque")]
+    if handed_nm is not None:
+        about = np.exp(spread * generator.standard_normal(count))
+        draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm * about
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
     harmonics = {
         (side, int(order)): np.hypot(
@@ -785,5 +850,5 @@ def _drawn(
         float(np.mean([model.courses[cells[c].course].free for c in nearest])),
         paths.reversals,
         friction,
-        weight,
+        0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else weight,
     )

@@ -92,7 +92,7 @@ def killed(child: int) -> None:
 def measured(job: Any, number: int, before: object) -> Any:
     """An answer in place of a fit, which takes a moment."""
     from bayesbl.errors import RecordingError
-    from bayesbl.fleet.joint_job import REFUSED, RecordingAnswer
+    from bayesbl.fleet.measured_joint import REFUSED, RecordingAnswer
 
     one = job.recordings[number]
     time.sleep(0.05)
@@ -107,12 +107,12 @@ def measured(job: Any, number: int, before: object) -> Any:
 def command(*arguments: str) -> Callable[[], int]:
     def work() -> int:
         from bayesbl.cli import status
-        from bayesbl.fleet import measured_joint, sender
+        from bayesbl.fleet import broker, measured_joint
         from bayesbl.runs import collect, watch
 
         measured_joint.measure_recording = watch.measure_recording = measured  # type: ignore
-        sender.FIRST_AGAIN_S = sender.LONGEST_AGAIN_S = 0.5
-        sender.REPLY_S, collect.IDLE_S = 1.0, 1.0
+        broker.FIRST_AGAIN_S = broker.LONGEST_AGAIN_S = 0.5
+        broker.REPLY_S, collect.IDLE_S = 1.0, 1.0
         return status(list(arguments))
 
     return work
@@ -268,7 +268,6 @@ def warm(folder: Path) -> None:
     from paho.mqtt.client import Client  # noqa: F401
 
     from bayesbl import library
-    from bayesbl.presentation.page import plant  # noqa: F401
     from bayesbl.results.work import code_identity
     from bayesbl.runs import collect, fleet, watch  # noqa: F401
 

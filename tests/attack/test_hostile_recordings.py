@@ -138,8 +138,7 @@ def test_no_hdf5_file_shows_what_it_does_not_hold(
 def test_no_result_shows_what_it_does_not_hold(
     leave: Callable[[h5py.File, Path], None], tmp_path: Path, secret: Path
 ) -> None:
-    from bayesbl.results.seal import seal
-    from bayesbl.results.store import read_tree
+    from bayesbl.results.store import read_tree, seal
 
     path = tmp_path / "result.nc"
     with h5py.File(path, "w") as file:

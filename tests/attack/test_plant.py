@@ -26,13 +26,13 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import RecordingError, UnavailableError
 from bayesbl.fleet import measured_joint
 from bayesbl.fleet.broker import Credentials, read_address
-from bayesbl.fleet.joint_job import REFUSED, JointJob, RecordingAnswer
+from bayesbl.fleet.measured_joint import REFUSED, JointJob, RecordingAnswer
 from bayesbl.library import draw
 from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
 from bayesbl.runs.collect import collect
 from bayesbl.runs.fleet import identity
-from bayesbl.runs.run import run
+from bayesbl.runs.kinds import run
 from bayesbl.runs.watch import Watched, watch
 
 pytest.importorskip("pyarrow")
@@ -280,7 +280,7 @@ def test_another_subscriber_empties_no_outbox(plant, broker):
         for day in ("2025-01-01", "2025-02-01"):
             put(plant, "J1", day)
         address = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
-        with patch("bayesbl.fleet.sender.REPLY_S", 0.5):
+        with patch("bayesbl.fleet.broker.REPLY_S", 0.5):
             watched(plant, publish=address, credentials=ANN)
             assert len(got) >= 2
             assert len(outbox(plant)) == 2

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesbl.bench.measured_channels import Measurement
+from bayesbl.bench.simulation import Measurement
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError

@@ -19,7 +19,7 @@ from places import AFTER, BEFORE, CONFIGS, RECORDINGS
 from quick import two_ensembles, without_figures
 
 from bayesbl import cli
-from bayesbl.cli.volume import brought_forward
+from bayesbl.cli.running import brought_forward
 
 ROTATION_SAMPLES = 3600
 
@@ -366,7 +366,7 @@ def test_a_bug_is_told_with_its_traceback_and_status_1(monkeypatch, capsys):
     def broken(*arguments, **keywords):
         raise KeyError("posterior")
 
-    monkeypatch.setattr("bayesbl.runs.run.run", broken)
+    monkeypatch.setattr("bayesbl.runs.kinds.run", broken)
     assert cli.status(["fit", str(BEFORE)]) == cli.FAILED
     errors = capsys.readouterr().err
     assert errors.startswith("This is a bug in bayesbl")

@@ -23,8 +23,8 @@ from bayesbl.errors import RecordingError, UserError
 from bayesbl.matching.observed import observed
 from bayesbl.measurement.amplitude_route import verdict
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
+from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset
 from bayesbl.measurement.measurement import Reason
-from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset
 from bayesbl.recording.channels import MOTOR_SPEED
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
 from bayesbl.recording.readers import read_recording

@@ -15,7 +15,7 @@ from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import REFERENCE_BENCH, dump_bench, load_bench, reference_bench
 from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.noise.process import NoiseModel
-from bayesbl.runs.run import check
+from bayesbl.runs.kinds import check
 from bayesbl.runs.simulate import run_simulate
 
 SHIPPED = CONFIGS / "bench.toml"

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from places import BEFORE, CONFIGS
 from pydantic import ValidationError
 
+from bayesbl.config.kinds import StudyConfig
 from bayesbl.config.loading import (
     OPTIONS,
     config_from_options,
@@ -23,9 +24,8 @@ from bayesbl.config.loading import (
     load_config,
 )
 from bayesbl.config.measurement import CompareConfig, FitConfig, SnapshotConfig
-from bayesbl.config.study import StudyConfig
 from bayesbl.errors import ConfigError, UserError
-from bayesbl.measurement.task import estimator_of
+from bayesbl.measurement.measurement import estimator_of
 from bayesbl.recording.channels import ColumnSpec
 
 COMPARE = """schema = 1

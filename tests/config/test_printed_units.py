@@ -10,10 +10,9 @@ import pytest
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.config.bench import load_bench, reference_bench
-from bayesbl.config.printed_units import CONVERSIONS, reduced_inertia_kg_m2
+from bayesbl.config.bench import CONVERSIONS, load_bench, reduced_inertia_kg_m2, reference_bench
 from bayesbl.errors import ConfigError
-from bayesbl.runs.first_bench import SOURCES, first_bench
+from bayesbl.runs.first_configuration import SOURCES, first_bench
 
 HEAD = 'schema = 1\nkind = "bench"\n[parameters]\n'
 

@@ -10,18 +10,16 @@ import pytest
 from places import RECORDINGS
 
 from bayesbl.config.bench import dump_bench, reference_bench
+from bayesbl.config.kinds import SweepConfig
 from bayesbl.config.loading import load_config
-from bayesbl.config.sweep import SweepConfig
-from bayesbl.curve.bench_draws import SweptDraws, virtual_departures
-from bayesbl.curve.branch import likeliest_branch
-from bayesbl.curve.gap_curve import GapCurve
+from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
-from bayesbl.curve.swept_curve import degree_reports, swept_curve
+from bayesbl.curve.swept_curve import SweptDraws, degree_reports, swept_curve, virtual_departures
 from bayesbl.errors import ConfigError, CurveError, UserError
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
-from bayesbl.measurement.stored_curve import curve_from_dataset, curve_to_dataset, read_curve
+from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset, read_curve
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
@@ -30,13 +28,12 @@ from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
-from bayesbl.runs.declared_groups import declared_groups
-from bayesbl.runs.run import check
+from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
+from bayesbl.runs.kinds import check, declared_groups
 from bayesbl.runs.sweep import run_sweep
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
@@ -477,7 +474,7 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
         made.append("row")
         return sweep_nominal(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("bayesbl.measurement.bench_sweep.sweep_nominal", counted)
+    monkeypatch.setattr("bayesbl.measurement.curves.sweep_nominal", counted)
     run_sweep(config)
     assert not made
     with monkeypatch.context() as edited:

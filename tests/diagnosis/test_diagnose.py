@@ -271,6 +271,24 @@ def test_a_bench_of_two_masses_is_refused(folder: Path, capsys: pytest.CaptureFi
     assert "rigid bench" in capsys.readouterr().err
 
 
+def test_a_bench_that_never_changes_flank_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A forward comparison of an axis without gravity at one speed: no gap shows."""
+    from bayesbl.config.bench import reference_bench
+
+    bench = reference_bench()
+    for name in "ab":
+        made = bench.simulate(7e-4, rotations=4.2, sampling_hz=500.0, name=name)
+        write_csv(made, folder / f"{name}.csv", (MOTOR_SPEED, "motor_current_a"))
+    (folder / "bench.toml").write_text(dump_bench(bench.with_parameters(gravity_torque_nm=0.0)))
+    config = CONFIG.replace('method = "inverse"', 'method = "forward"')
+    config = config.replace("load_angle_known = true\nmotor_angle_known = true\n", "")
+    (folder / "config.toml").write_text(config)
+    assert status(["check", str(folder / "config.toml")]) == 2
+    assert "never changes from one tooth flank" in capsys.readouterr().err
+
+
 def test_current_needs_a_torque_constant(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for seed, name in enumerate("ab"):
         made = recording(name, seed)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.bench.simulation import Measurement
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
 from bayesbl.config.loading import load_config

@@ -24,7 +24,7 @@ from bayesbl.diagnosis.rigid.inverse import (
 from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
-from bayesbl.runs.study_file import seed_of_case
+from bayesbl.runs.study import seed_of_case
 from experiments.positioning_axis import Axis, Row, believed, drawn_axis, recorded, run_case
 
 pytestmark = pytest.mark.long

@@ -18,9 +18,9 @@ from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.diagnosis.summary import plain
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed
-from bayesbl.presentation.figures.residuals_by_angle import residuals_by_angle
+from bayesbl.presentation.diagnosis import residual_sentences, unexplained_phrase
+from bayesbl.presentation.figures.diagnosis import residuals_by_angle
 from bayesbl.presentation.figures.style import look
-from bayesbl.presentation.residuals import residual_sentences, unexplained_phrase
 
 HZ = 500.0
 GEAR = 40.0

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from places import ROOT
 
-from bayesbl.runs.study_file import load_study
+from bayesbl.runs.study import load_study
 
 LAWS = (
     *("linear", "running_in", "quadratic", "power", "exponential", "logistic", "gamma", "steps"),

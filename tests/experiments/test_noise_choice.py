@@ -10,8 +10,7 @@ import xarray as xr
 from places import ROOT
 
 from bayesbl.config.loading import load_config
-from bayesbl.runs.study import prepare
-from bayesbl.runs.study_file import load_study
+from bayesbl.runs.study import load_study, prepare
 
 SMALL = {"name": "small", "cases": 1, "rotations": 2.5, "sampling_hz": 500.0}
 

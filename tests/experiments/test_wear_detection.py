@@ -13,8 +13,7 @@ from scipy.stats import norm
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError
 from bayesbl.results.store import write_tree
-from bayesbl.runs.study import prepare
-from bayesbl.runs.study_file import load_study
+from bayesbl.runs.study import load_study, prepare
 from bayesbl.runs.sweep import run_sweep
 
 pytestmark = pytest.mark.long

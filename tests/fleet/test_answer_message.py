@@ -7,10 +7,15 @@ import json
 import numpy as np
 import pytest
 
-from bayesbl.fleet.answer_message import ANSWER, decoded_answer, encoded_answer
 from bayesbl.fleet.inventory import Joint
-from bayesbl.fleet.joint_job import RecordingAnswer
-from bayesbl.fleet.message import LARGEST_MESSAGE_BYTES, decoded
+from bayesbl.fleet.measured_joint import RecordingAnswer
+from bayesbl.fleet.message import (
+    ANSWER,
+    LARGEST_MESSAGE_BYTES,
+    decoded,
+    decoded_answer,
+    encoded_answer,
+)
 from bayesbl.fleet.plant_tables import Level, recording_row
 
 JOINT = Joint("R1-J2", limit_rad=1.2e-3)

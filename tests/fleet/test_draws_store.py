@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from bayesbl.fleet.draws_store import DrawsStore
+from bayesbl.fleet.plant_tables import DrawsStore
 
 
 @pytest.fixture

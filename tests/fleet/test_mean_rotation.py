@@ -14,16 +14,16 @@ from watch_memory import CONFIG
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.loading import load_config
 from bayesbl.fleet.inventory import digest_of_file, find_recordings, read_joints
-from bayesbl.fleet.joint_job import JointJob, RecordingAnswer
 from bayesbl.fleet.mean_rotation import (
     ROTATION_MESSAGE,
     MeanRotation,
     decoded_rotation,
     encoded_rotation,
+    mean_rotation,
     store_rotation,
 )
+from bayesbl.fleet.measured_joint import JointJob, RecordingAnswer
 from bayesbl.fleet.message import decoded, encoded
-from bayesbl.fleet.reduced_recording import mean_rotation
 from bayesbl.runs.fleet import job_maker
 
 ROTATION_S, SAMPLING_HZ, ROTATIONS = 3.6012, 500.0, 20

@@ -15,8 +15,7 @@ from places import CONFIGS
 
 from bayesbl.config.loading import load_config
 from bayesbl.fleet.inventory import Found, Joint
-from bayesbl.fleet.joint_job import JointJob, RecordingAnswer
-from bayesbl.fleet.measured_joint import measure_joint
+from bayesbl.fleet.measured_joint import JointJob, RecordingAnswer, measure_joint
 from bayesbl.results.provenance import file_sha256
 from bayesbl.runs.workflow import settings_of
 

@@ -7,7 +7,7 @@ import pytest
 from pooled_coverage import case, fleet, of_rate
 
 from bayesbl.fleet.pooled_rates import Draws, alarms, pooled
-from bayesbl.measurement.wear_laws import KINDS
+from bayesbl.measurement.wear import KINDS
 from bayesbl.recording.types import FloatArray
 
 PRIOR = [kind.probability for kind in KINDS]

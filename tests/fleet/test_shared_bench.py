@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesbl.bench.joint_normal import JointNormal
+from bayesbl.bench.parameters import JointNormal
 from bayesbl.fleet.shared_bench import (
     FALSE_ALARM,
     MatchedAlone,

@@ -22,10 +22,9 @@ from bayesbl.bench.bench import (
     BenchParameter,
     EffectParameterValue,
 )
-from bayesbl.bench.joint_normal import JointNormal
-from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import strokes
-from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, JointNormal
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.identification.beyond_data_sheet import chance_at_edges, far_beyond_data_sheet
 from bayesbl.identification.groups import identification_tree

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import strokes
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError, RecordingError
 from bayesbl.matching.least_squares import fit_simulated

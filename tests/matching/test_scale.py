@@ -16,8 +16,8 @@ import pytest
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.joint_size import search_scale
-from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import strokes
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesbl.bench.measured_channels import Measurement
 from bayesbl.bench.motion import held_motion, strokes
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit

@@ -18,7 +18,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.measurement.amplitude_route import prepare
 from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.curves import BenchCurves
-from bayesbl.measurement.task import Seeds, Task
+from bayesbl.measurement.measurement import Seeds, Task
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator
@@ -91,7 +91,7 @@ def test_what_was_swept_is_read_the_next_time_and_the_store_is_bounded(
     def never(*_: object) -> None:
         raise AssertionError("swept again")
 
-    monkeypatch.setattr("bayesbl.measurement.bench_sweep.sweep_nominal", never)
+    monkeypatch.setattr("bayesbl.measurement.curves.sweep_nominal", never)
     read, _ = BenchCurves(bench, task.config).curves(task)
     assert np.array_equal(read.coefficients, first.coefficients)
     monkeypatch.setattr("bayesbl.measurement.curves.MOST_KEPT", 0)

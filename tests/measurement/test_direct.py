@@ -16,7 +16,7 @@ from places import CONFIGS
 from scipy.stats import chi2, kstest, truncnorm
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.measured_channels import Measurement
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import load_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated

@@ -18,7 +18,7 @@ from bayesbl.errors import ResultError
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.results.store import read_tree
 from bayesbl.results.variables import require_declared
-from bayesbl.runs.declared_groups import declared_groups
+from bayesbl.runs.kinds import declared_groups
 
 pytestmark = pytest.mark.long
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesbl.measurement.held_compliance import DIFFERS, HELD, SOFTER, Held, held_alike
+from bayesbl.measurement.ramp_route import DIFFERS, HELD, SOFTER, Held, held_alike
 
 RNG = np.random.default_rng(1)
 CYCLES = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])

@@ -13,10 +13,10 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import ConfigError, UserError
-from bayesbl.measurement.bench_of import bench_with
+from bayesbl.measurement.compatibility import bench_with
 from bayesbl.measurement.curves import BenchCurves
+from bayesbl.measurement.measurement import Seeds, Task, recording_of
 from bayesbl.measurement.routes import measurer_of
-from bayesbl.measurement.task import Seeds, Task, recording_of
 from bayesbl.results.work import WorkStore
 
 BENCH = CONFIGS / "bench.toml"

@@ -15,24 +15,32 @@ from scipy import stats
 from stored_measurement import stored_comparison
 
 from bayesbl.config.measurement import CompareConfig
-from bayesbl.measurement.dated_wear import date_after, summarise_wear, wear_of, years_between
 from bayesbl.measurement.measurement import Answer, Reason, Verdict
 from bayesbl.measurement.stored import as_stored
 from bayesbl.measurement.wear import (
+    HAZARD,
+    KINDS,
     LONGEST_YEARS,
+    NORMALS,
     SCATTER,
+    Laws,
     _fit,
     _growth_needed,
+    by_law,
+    date_after,
     fall,
     probability_before,
+    shares,
     since_repair,
+    summarise_wear,
     trend,
     wear,
+    wear_of,
+    years_between,
 )
-from bayesbl.measurement.wear_laws import HAZARD, KINDS, NORMALS, Laws, by_law, shares
+from bayesbl.presentation.figures.gap import path_band, reached
+from bayesbl.presentation.figures.gap import wear as wear_figure
 from bayesbl.presentation.figures.style import save
-from bayesbl.presentation.figures.wear import path_band, reached
-from bayesbl.presentation.figures.wear import wear as wear_figure
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.wear import LAWS as LAWS_IN_WORDS
 from bayesbl.presentation.wear import blocks

@@ -22,8 +22,8 @@ import bayesbl
 from bayesbl import cli
 from bayesbl.noise.rotation_noise import estimate_noise
 from bayesbl.results.store import read_tree
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.symbols import SYMBOLS
+from bayesbl.ringing.waveform import model_speed
 
 pytestmark = pytest.mark.long
 

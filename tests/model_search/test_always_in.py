@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
-from bayesbl.bench.drift import DEFAULT_DRIFT, drift_of
 from bayesbl.bench.effects import EFFECT_BY_NAME
-from bayesbl.bench.parameters import BENCH_PARAMETERS, PARAMETER_INFO
+from bayesbl.bench.parameters import BENCH_PARAMETERS, DEFAULT_DRIFT, PARAMETER_INFO, drift_of
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit

@@ -20,7 +20,7 @@ from paper_results import FROM_TABLES, GOLDEN, SAMPLED, described, make
 from places import EXPERIMENTS, ROOT
 
 from bayesbl.bench.effects import EFFECTS
-from bayesbl.presentation.figures.snapshots import snapshots
+from bayesbl.presentation.figures.stored_figure import snapshots
 from bayesbl.presentation.figures.style import publication_style
 
 pytestmark = pytest.mark.long

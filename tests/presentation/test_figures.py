@@ -18,32 +18,30 @@ from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
+from bayesbl.measurement.curves import curve_from_dataset
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.stored_curve import curve_from_dataset
 from bayesbl.presentation import figures
-from bayesbl.presentation.figures.amplitude_to_gap import amplitude_to_gap
-from bayesbl.presentation.figures.bench_draws import bench_draws, standardised_slopes
-from bayesbl.presentation.figures.convergence import convergence
-from bayesbl.presentation.figures.corner import corner, enclosing_levels
-from bayesbl.presentation.figures.curve import curve, departures_from_curve, source_bands
-from bayesbl.presentation.figures.degrees import degrees, departure_of_degree
-from bayesbl.presentation.figures.disturbance import disturbance
-from bayesbl.presentation.figures.draw import caption, draw_all, figures_of
-from bayesbl.presentation.figures.gap import gap
-from bayesbl.presentation.figures.misfit import misfit
-from bayesbl.presentation.figures.named_effects import named_effects
-from bayesbl.presentation.figures.noise import noise
-from bayesbl.presentation.figures.scales import scale_of
-from bayesbl.presentation.figures.signal import signal
-from bayesbl.presentation.figures.snapshots import snapshots
-from bayesbl.presentation.figures.style import publication_style, save
-from bayesbl.presentation.figures.trace import trace
-from bayesbl.presentation.figures.traces import envelope
+from bayesbl.presentation.figures.diagnosis import named_effects
+from bayesbl.presentation.figures.gap import amplitude_to_gap, gap
+from bayesbl.presentation.figures.posterior import corner, enclosing_levels, trace
+from bayesbl.presentation.figures.ringing import convergence, misfit, noise, signal
+from bayesbl.presentation.figures.stored_figure import caption, draw_all, figures_of, snapshots
+from bayesbl.presentation.figures.style import envelope, publication_style, save, scale_of
+from bayesbl.presentation.figures.sweep import (
+    bench_draws,
+    curve,
+    degrees,
+    departure_of_degree,
+    departures_from_curve,
+    disturbance,
+    source_bands,
+    standardised_slopes,
+)
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
-from bayesbl.runs.declared_groups import declared_groups
+from bayesbl.runs.kinds import declared_groups
 from bayesbl.runs.sweep import run_sweep
 
 FIXED = ("window_start_s", "window_end_s")
@@ -316,7 +314,7 @@ def test_a_file_in_the_folder_of_figures_is_a_figure(tree, tmp_path, monkeypatch
         assert [figure.name for figure in figures_of(tree)][-1] == "durations"
         assert caption("durations", figures_of(tree)) == "How long each recording is."
         only = [figure for figure in figures_of(tree) if figure.name == "durations"]
-        monkeypatch.setattr("bayesbl.presentation.figures.draw.figures_of", lambda _: only)
+        monkeypatch.setattr("bayesbl.presentation.figures.stored_figure.figures_of", lambda _: only)
         (pdf, png) = draw_all(tree, tmp_path / "figures", BOTH)
     assert {pdf.name, png.name} == {"durations.pdf", "durations.png"}
     assert pdf.stat().st_size > 1000
@@ -533,7 +531,7 @@ def test_slopes_are_left_out_where_the_draws_are_too_few(swept):
 
 @pytest.mark.long
 def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monkeypatch):
-    save = "bayesbl.presentation.figures.draw.save"
+    save = "bayesbl.presentation.figures.stored_figure.save"
     monkeypatch.setattr(save, lambda _, folder, name, formats: [folder / name])
     nominal = swept.copy()
     del nominal["bench_draws"]

@@ -13,7 +13,7 @@ from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import answer_of
 from bayesbl.presentation.diagnosis import headline, learned
-from bayesbl.presentation.figures.learned_course import encoder_course, learned_course
+from bayesbl.presentation.figures.diagnosis import encoder_course, learned_course
 
 TURN = 2.0 * math.pi
 TORQUE = LearnedTorque("motor", "motor_angle", TURN, 0.0, (0.02, 0.0), (0.01, 0.03))

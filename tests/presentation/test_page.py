@@ -21,20 +21,19 @@ from stored_measurement import judged
 import bayesbl
 from bayesbl import cli
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.measurement.dated_wear import summarise_wear, wear_group, years_between
-from bayesbl.measurement.wear import trend
+from bayesbl.measurement.wear import summarise_wear, trend, wear_group, years_between
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
-from bayesbl.presentation.advice import NOT_SHOWN
-from bayesbl.presentation.figures.draw import caption, figures_of, reading_order
+from bayesbl.presentation.answer import NOT_SHOWN
+from bayesbl.presentation.figures.stored_figure import caption, figures_of, reading_order
 from bayesbl.presentation.page.build import page
 from bayesbl.presentation.page.templates import prose
 from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.runs.summary import summarise
+from bayesbl.runs.kinds import summarise
 
 HOSTILE = "<script>alert('δ')</script> & \"July\""
 CONFIG_OF_A_LOST_STUDY = 'schema = 1\nkind = "study"\nstudy = "/gone/study.py"\n'

@@ -30,9 +30,8 @@ from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
 from bayesbl.presentation.identification import compared
-from bayesbl.presentation.shown_progress import progress
-from bayesbl.presentation.study import study_table
-from bayesbl.presentation.terminal import error, filled, print_table, wrapped
+from bayesbl.presentation.subjects import study_table
+from bayesbl.presentation.terminal import error, filled, print_table, progress, wrapped
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
 from bayesbl.sentences import sentence
@@ -533,7 +532,7 @@ def test_inspect_of_a_withheld_fit_gives_no_gap(stored):
 
 
 def _summary(tree):
-    from bayesbl.runs.summary import summarise
+    from bayesbl.runs.kinds import summarise
 
     return summarise(tree)
 

@@ -7,14 +7,14 @@ import io
 import pytest
 from rich.console import Console
 
-from bayesbl.presentation import shown_progress as shown
+from bayesbl.presentation import terminal
 
 
 @pytest.mark.parametrize(("every_s", "lines"), [(3600.0, 0), (0.0, 3)])
 def test_a_pipe_gets_a_line_no_more_often_than_agreed(monkeypatch, every_s, lines):
-    monkeypatch.setattr(shown, "EVERY_S", every_s)
+    monkeypatch.setattr(terminal, "EVERY_S", every_s)
     pipe = io.StringIO()
-    with shown.progress(Console(file=pipe)) as tell:
+    with terminal.progress(Console(file=pipe)) as tell:
         for done in (1, 2, 3):
             tell("Sampling before [1]", done, 3)
     told = pipe.getvalue().splitlines()

@@ -9,7 +9,7 @@ from pathlib import Path
 from quick import without_figures
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.measured_channels import Measurement
+from bayesbl.bench.simulation import Measurement
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.noise.process import NoiseModel

@@ -381,7 +381,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         lambda p: write_csv(p / "a.csv", changed(plain(), time_s=1e3 * plain()[TIME])),
         "looks like ms, not s",
         "1 Hz",
-        "at least 100 Hz",
+        "at least 50 Hz",
     ),
     "speed in rad/s, not declared": (
         lambda p: write_csv(p / "a.csv", changed(plain(), motor_speed_rpm=plain()[SPEED] / RPM)),
@@ -486,11 +486,11 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         "1.03 rotations",
         "at least 2",
     ),
-    "50 Hz": (
-        lambda p: write_csv(p / "a.csv", {k: v[::20] for k, v in _whole().items()}),
+    "40 Hz": (
+        lambda p: write_csv(p / "a.csv", {k: v[::25] for k, v in _whole().items()}),
         "too low",
-        "50 Hz",
-        "at least 100 Hz",
+        "40 Hz",
+        "at least 50 Hz",
     ),
     "dates and then none": (
         lambda p: write_csv(

@@ -3,6 +3,7 @@ in one note, or refused with the place and what to do."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -520,3 +521,141 @@ def test_the_form_of_a_date_is_no_unit_and_a_count_of_samples_is_asked_for(tmp_p
 def test_a_table_of_few_rows_is_too_short_in_every_stage(count: int, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="too short"):
         recorded(tmp_path, {"time_s": TIME[:count], "motor_speed_rpm": SPEED[:count]})
+
+
+# Files of other people's tools
+
+
+def test_an_event_log_of_two_positions_is_held_until_the_next_event(tmp_path: Path) -> None:
+    start = np.datetime64("2020-12-08T16:17:33.317076", "us")
+    lines = []
+    for i in range(COUNT):
+        stamp = str(start + np.timedelta64(10_000 * i, "us")).replace("T", " ")
+        lines.append(f"IOC:Enc-PosAct {stamp} {0.5 * i}  ")
+        if i % 2 == 0:
+            lines.append(f"IOC:Axis1-PosAct          {stamp} {-float(i)} HIGH MINOR")
+    lines.insert(7, "IOC:Axis1-PosAct *** Disconnected")
+    path = tmp_path / "axis.log"
+    path.write_text("\n".join(lines))
+    columns = {
+        "motor_position_rad": ColumnSpec("IOC:Axis1-PosAct", "deg"),
+        "load_position_rad": ColumnSpec("IOC:Enc-PosAct", "deg"),
+    }
+    read = read_recording(path, columns=columns, even=False)
+    np.testing.assert_allclose(read.time_s, 0.01 * np.arange(COUNT), atol=1e-9)
+    steps = np.repeat(-np.arange(0.0, COUNT, 2.0), 2)
+    np.testing.assert_allclose(read.channels["motor_position_rad"], np.deg2rad(steps))
+    (note,) = (n for n in read.notes if "Put right" in n)
+    assert f"{COUNT // 2} × value of an event log" in note
+    assert "1 × line that is no event" in note
+
+
+def test_an_event_log_of_one_value_has_its_stamps_in_two_cells(tmp_path: Path) -> None:
+    lines = [f"2026-03-01 12:00:{t:06.3f} {n}" for t, n in PAIRS]
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(lines))
+    read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("value")})
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-6)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+
+
+RECORDS = [{"time_s": t, "joint": {"n": n, "pose": [n, 0.0]}, "note": "x"} for t, n in PAIRS]
+JSON_LOGS = {
+    "lists by name": ({"time_s": TIME.tolist(), "n": SPEED.tolist(), "rate": 1000}, "n"),
+    "lists within": ({"time_s": TIME.tolist(), "log": {"n": SPEED.tolist()}}, "log/n"),
+    "records": (RECORDS, "joint/n"),
+    "records below a head": ({"mass": 1.0, "entries": RECORDS}, "entries/joint/pose[0]"),
+    "rows": ({"data": [[t, n] for t, n in PAIRS]}, "data[1]"),
+}
+
+
+@pytest.mark.parametrize("kind", JSON_LOGS)
+def test_json_logs_are_tables(kind: str, tmp_path: Path) -> None:
+    content, name = JSON_LOGS[kind]
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(content))
+    time = {"records below a head": "entries/time_s", "rows": "data[0]"}.get(kind, "time_s")
+    columns = {"time_s": ColumnSpec(time), "motor_speed_rpm": ColumnSpec(name)}
+    read = read_recording(path, columns=columns)
+    np.testing.assert_array_equal(read.time_s, TIME)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+
+
+def test_a_record_a_line_is_a_table_and_other_json_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_text("\n".join(map(json.dumps, RECORDS)))
+    read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("joint/n")})
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+    for text, problem in (("[1", "cannot be read as JSON"), ('{"a": 1}', "no series of numbers")):
+        (tmp_path / "b.json").write_text(text)
+        with pytest.raises(RecordingError, match=problem):
+            read_recording(tmp_path / "b.json")
+
+
+def kuka_trace(folder: Path, samples: np.ndarray, words: tuple[str, str]) -> Path:
+    """As a KRC controller writes it: a header, and interleaved 64-bit floats beside it."""
+    implicit, explicit = words
+    channels = [f"200,Zeit\n202,s\n210,{implicit}\n220,{len(samples)}\n240,0.\n241,0.012"] + [
+        f"200,{name}\n202,{unit}\n210,{explicit}\n211,a.r64\n213,BLOCK\n214,REAL64\n"
+        f"220,{len(samples)}\n221,{i}\n240,0.\n241,{factor}"
+        for i, (name, unit, factor) in enumerate(
+            (("AXIS_POS_ACT A1", "deg", "1."), ("MOTOR_VEL A1", "rpm", "2.")), 1
+        )
+    ]
+    body = "".join(f"#BEGINCHANNELHEADER\n{c}\n#ENDCHANNELHEADER\n" for c in channels)
+    path = folder / "a.dat"
+    path.write_text("#BEGINGLOBALHEADER\n101,KRC\n#ENDGLOBALHEADER\n" + body)
+    samples.astype("<f8").tofile(folder / "a.r64")
+    return path
+
+
+@pytest.mark.parametrize("words", [("IMPLIZIT", "EXPLIZIT"), ("IMPLICIT", "EXPLICIT")])
+def test_a_kuka_trace_is_read_with_its_samples(words: tuple[str, str], tmp_path: Path) -> None:
+    path = kuka_trace(tmp_path, np.column_stack([SPEED, 0.5 * SPEED]), words)
+    columns = {"time_s": ColumnSpec("Zeit"), "motor_speed_rpm": ColumnSpec("MOTOR_VEL A1")}
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.time_s, 0.012 * np.arange(COUNT))
+    np.testing.assert_allclose(read.motor_speed_rpm, SPEED)
+    first = read.source.sha256 if read.source else ""
+    (tmp_path / "a.r64").write_bytes((tmp_path / "a.r64").read_bytes()[:-8] + bytes(8))
+    again = read_recording(path, columns=columns)
+    assert again.source is not None
+    assert again.source.sha256 != first
+    (tmp_path / "a.r64").write_bytes(bytes(80))
+    with pytest.raises(RecordingError, match="not all there"):
+        read_recording(path, columns=columns)
+
+
+def test_a_stamp_that_comes_twice_is_spread_where_no_even_samples_are_needed(
+    tmp_path: Path,
+) -> None:
+    time = TIME.copy()
+    time[300] = time[299]
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{t},{n}" for t, n in zip(time, SPEED, strict=True)]))
+    read = read_recording(path, even=False)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+    np.testing.assert_allclose(read.time_s, TIME, atol=5.1e-4)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "time,theta_m,theta_l",
+        "t,motor_pos,output_pos",
+        "time,q_motor,q_link",
+        "time,enc1_angle,enc2_angle",
+        "time,joint_rel_pos,joint_abs_pos",
+        "time,motor,axis",
+    ],
+)
+def test_positions_of_motor_and_load_are_told_apart(names: str, tmp_path: Path) -> None:
+    load = np.sin(4.0 * np.pi * TIME / TIME[-1])
+    path = tmp_path / "a.csv"
+    rows_ = [f"{t},{50.0 * x},{x}" for t, x in zip(TIME, load, strict=True)]
+    path.write_text(text(rows_, names))
+    guess = guess_columns(path, read_table(path))
+    assert guess.two_encoders
+    told = {column.channel: column.name for column in guess.columns}
+    assert list(told.values()) == names.split(",")
+    assert list(told) == ["time_s", "motor_position_rad", "load_position_rad"]

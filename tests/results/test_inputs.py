@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bayesbl.errors import ResultError
-from bayesbl.results.inputs import require_apart, require_inside
+from bayesbl.results.folder import require_apart, require_inside
 
 
 @pytest.fixture

@@ -18,11 +18,10 @@ import pytest
 import xarray as xr
 
 from bayesbl.errors import ResultError
-from bayesbl.results import folder as folder_module
+from bayesbl.results import folder
 from bayesbl.results.folder import is_finished, new_result, require_free
 from bayesbl.results.provenance import git_commit, provenance
-from bayesbl.results.seal import seal
-from bayesbl.results.store import read_tree, write_json, write_text, write_tree
+from bayesbl.results.store import read_tree, seal, write_json, write_text, write_tree
 
 
 def tree(outcome: str | None = "converged") -> xr.DataTree:
@@ -257,7 +256,7 @@ def test_a_failed_rename_puts_the_old_result_back(
             raise OSError("disk full")
         return real(source, target)
 
-    monkeypatch.setattr(folder_module.Path, "rename", fails_for_staging)
+    monkeypatch.setattr(folder.Path, "rename", fails_for_staging)
     with pytest.raises(OSError, match="disk full"):
         finish(path, "new", force=True)
     assert mark_of(path) == "old"

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from bayesbl.errors import ResultError
-from bayesbl.results.codec import address, decoder, encoded
-from bayesbl.results.work import WorkStore
+from bayesbl.results.work import WorkStore, address, decoder, encoded
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from made_recordings import synthetic_recording
 from synthetic_ringing import NOISE, STRONG, ambiguous, clean
 
 from bayesbl import cli
-from bayesbl.presentation.figures.signal import signal
+from bayesbl.presentation.figures.ringing import signal
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.covariance import Covariance
@@ -90,6 +90,8 @@ def test_ringing_lost_in_noise_is_the_first_reason_and_its_band_can_be_drawn(
     )
     reason = withheld(silent, tmp_path, capsys, "[posterior]\nensembles = 2\nmax_steps = 500\n")
     assert reason.startswith("The impact ringing is too weak")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["reason"]["code"] == "no_flank_change"
     tree = read_tree(tmp_path / "out")
     assert all(
         np.isfinite(tree["amplitude/predictive"][name]).all() for name in ("low_rpm", "high_rpm")

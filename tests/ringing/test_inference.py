@@ -18,9 +18,14 @@ from scipy.linalg import toeplitz
 from synthetic_ringing import TRUTH
 
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.noise.autoregression import autocorrelation, correlated, innovation_share
 from bayesbl.noise.process import NO_NOISE, NoiseModel
-from bayesbl.noise.rotation_noise import Noise, estimate_noise
+from bayesbl.noise.rotation_noise import (
+    Noise,
+    autocorrelation,
+    correlated,
+    estimate_noise,
+    innovation_share,
+)
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing import optimum as optimum_module
 from bayesbl.ringing import table_2
@@ -28,11 +33,10 @@ from bayesbl.ringing.covariance import Covariance, covariance
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.guess import guesses
 from bayesbl.ringing.misfit import repeating_misfit
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, find_optimum, local_search
 from bayesbl.ringing.posterior import sample_posterior
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -46,7 +50,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.waveform import pulse_train
+from bayesbl.ringing.waveform import model_speed, pulse_train
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import (
     Contender,

@@ -12,8 +12,8 @@ from places import CONFIGS
 from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import load_bench
 from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.ringing.cleaning import without_motor_lines
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.motor_lines import without_motor_lines
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 BENCH = load_bench(CONFIGS / "bench.toml")

@@ -9,17 +9,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesbl.bench.measured_channels import Measurement
+from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
 from bayesbl.noise.process import NoiseModel, quantised
 from bayesbl.noise.quantisation import speed_steps
-from bayesbl.noise.rotation_noise import estimate_noise, rotation_difference
-from bayesbl.noise.tails import _difference_density, tails
+from bayesbl.noise.rotation_noise import (
+    _difference_density,
+    estimate_noise,
+    rotation_difference,
+    tails,
+)
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing.cleaning import FINDERS, without_bursts, without_drift, without_jitter
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, ROTATION
 from bayesbl.units import RPM_PER_RAD_PER_S
 

@@ -10,12 +10,12 @@ from made_recordings import synthetic_recording
 from scipy import stats
 from synthetic_ringing import QUICK
 
-from bayesbl.noise.autoregression import innovation_share, innovations
 from bayesbl.noise.process import NoiseModel
+from bayesbl.noise.rotation_noise import innovation_share, innovations
 from bayesbl.ringing.estimator import Estimator, PointEstimate
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.pointwise import innovation_sd, log_likelihood, predicted, rotations_of
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, ROTATION
+from bayesbl.ringing.waveform import model_speed
 
 
 @pytest.fixture(scope="module")

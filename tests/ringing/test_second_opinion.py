@@ -16,7 +16,7 @@ from synthetic_ringing import ambiguous, clean
 from bayesbl import cli
 from bayesbl.recording.types import MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.second_sampler import SamplerCheck
+from bayesbl.ringing.posterior import SamplerCheck
 from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.sampling.chains import SamplerSettings
 

@@ -10,11 +10,17 @@ import pytest
 
 from bayesbl.errors import ConfigError
 from bayesbl.ringing import objective as objective_module
-from bayesbl.ringing.jacobian import jacobian, jacobian_columns, misfit_curvature
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
-from bayesbl.ringing.waveform import baseline_columns, impact, pulse_train
+from bayesbl.ringing.waveform import (
+    baseline_columns,
+    impact,
+    jacobian,
+    jacobian_columns,
+    misfit_curvature,
+    model_speed,
+    pulse_train,
+)
 
 
 @dataclass(frozen=True)

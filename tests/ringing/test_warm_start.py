@@ -24,7 +24,13 @@ from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.store import write_tree
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.objective import Objective
-from bayesbl.ringing.optimum import Optimum, find_optimum
+from bayesbl.ringing.optimum import (
+    EarlierOptimum,
+    NoLongerFits,
+    Optimum,
+    find_optimum,
+    warm_optimum,
+)
 from bayesbl.ringing.posterior import LogPosterior
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
@@ -36,8 +42,7 @@ from bayesbl.ringing.symbols import (
     START,
     DisturbanceModel,
 )
-from bayesbl.ringing.warm_start import EarlierOptimum, NoLongerFits, warm_optimum
-from bayesbl.runs.run import check, run
+from bayesbl.runs.kinds import check, run
 
 NOISE = NoiseModel(1.5, (0.6,))
 OLD = EarlierOptimum("the old optimum", TRUTH, 1.5)

@@ -7,7 +7,7 @@ import pytest
 
 from bayesbl.config.bench import reference_bench
 from bayesbl.recording.types import Recording
-from bayesbl.runs.asked_speed import asked_speed
+from bayesbl.runs.diagnose import asked_speed
 
 
 def recorded(speed_rpm: float, start_angle_rad: float) -> Recording:

@@ -22,10 +22,9 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ClusterError
 from bayesbl.results.store import read_tree
 from bayesbl.runs import cluster as clusters
-from bayesbl.runs.cases import Job, files_of_study
 from bayesbl.runs.cluster import Common
 from bayesbl.runs.simulate import recording_csv
-from bayesbl.runs.study import prepare
+from bayesbl.runs.study import Job, files_of_study, prepare
 from bayesbl.runs.study import run as run_study
 from bayesbl.runs.workflow import Options
 

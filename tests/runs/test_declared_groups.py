@@ -7,7 +7,7 @@ import xarray as xr
 
 from bayesbl.errors import ResultError
 from bayesbl.results.store import write_tree
-from bayesbl.runs.declared_groups import read_result
+from bayesbl.runs.kinds import read_result
 
 ROW = xr.Dataset({name: ("case", [0.0]) for name in ("failed", "seconds", "own")})
 TEXTS = xr.Dataset({name: ("case", ["text"]) for name in ("message", "commit")})

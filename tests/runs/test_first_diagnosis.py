@@ -22,8 +22,7 @@ from bayesbl.recording.types import (
     REFERENCE_SPEED,
     Recording,
 )
-from bayesbl.runs.diagnosis_file import diagnosis_of
-from bayesbl.runs.first_diagnosis import guess_diagnosis
+from bayesbl.runs.first_diagnosis import diagnosis_of, guess_diagnosis
 
 RIGID = """
 schema = 1

@@ -13,11 +13,10 @@ from places import AFTER, BEFORE, CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.loading import load_config
-from bayesbl.fleet.joint_job import JointJob
-from bayesbl.fleet.measured_joint import measure_joint
+from bayesbl.fleet.measured_joint import JointJob, measure_joint
 from bayesbl.library import draw
 from bayesbl.runs import fleet, watch
-from bayesbl.runs.run import run
+from bayesbl.runs.kinds import run
 from bayesbl.runs.simulate import run_simulate
 from bayesbl.runs.watch import Watched
 

@@ -20,7 +20,7 @@ from bayesbl.errors import RecordingError, ResultError
 from bayesbl.results.store import read_tree
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.posterior import SamplerSettings
-from bayesbl.runs.run import load_run, run
+from bayesbl.runs.kinds import load_run, run
 from bayesbl.runs.simulate import recording_csv
 
 pytestmark = pytest.mark.long
@@ -191,7 +191,7 @@ def test_what_was_finished_is_not_done_again(config, monkeypatch):
 def test_any_number_of_workers_gives_the_same_numbers_and_resumes_those_of_one(
     config, whole, monkeypatch
 ):
-    monkeypatch.setattr("bayesbl.measurement.fits.FEWEST_PER_PROCESS", 1)
+    monkeypatch.setattr("bayesbl.measurement.amplitude_route.FEWEST_PER_PROCESS", 1)
     finish(config, workers=2)
     assert numbers(config) == whole[1]
 

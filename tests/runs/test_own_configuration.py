@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from places import BEFORE
 
-from bayesbl.runs.run import check
+from bayesbl.runs.kinds import check
 
 
 @pytest.mark.parametrize(("name", "refused"), [("config.toml", False), ("mine.toml", True)])

@@ -14,9 +14,8 @@ from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.results.store import read_tree
+from bayesbl.runs.study import load_study, seed_of_case, table_csv
 from bayesbl.runs.study import run as run_study
-from bayesbl.runs.study import table_csv
-from bayesbl.runs.study_file import load_study, seed_of_case
 from bayesbl.runs.workflow import Options
 
 STUDY = '''"""The mean of normal draws."""

@@ -22,9 +22,8 @@ from test_fleet import configure, start, table
 from bayesbl import cli
 from bayesbl.config.loading import load_config
 from bayesbl.errors import BrokerError, ConfigError, ResultError
-from bayesbl.fleet.broker import Credentials, read_address
+from bayesbl.fleet.broker import Credentials, Outbox, read_address
 from bayesbl.fleet.message import name_of
-from bayesbl.fleet.sender import Outbox
 from bayesbl.results.atomic import PrivateFolder
 from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
@@ -128,7 +127,7 @@ def test_what_cannot_be_watched_is_told(plant):
 KILLED = """
 import os, signal, sys
 from bayesbl.fleet.recording_table import RecordingTable
-from bayesbl.fleet.sender import Outbox
+from bayesbl.fleet.broker import Outbox
 from bayesbl import cli
 kind, name = sys.argv[1].split(".")
 of = {"RecordingTable": RecordingTable, "Outbox": Outbox}[kind]
@@ -282,7 +281,7 @@ def test_a_mean_rotation_goes_with_its_answer_where_it_is_asked_for(plant, broke
 def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, broker):
     from paho.mqtt.publish import multiple
 
-    from bayesbl.fleet.answer_message import encoded_answer
+    from bayesbl.fleet.message import encoded_answer
 
     address = read_address(f"mqtt://localhost:{broker.port}/plant")
     said: list[str] = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from bayesbl.sampling.edges import chance_at_edge
+from bayesbl.sampling.chains import chance_at_edge
 
 
 @pytest.mark.parametrize("beyond", [0.5, 1.3, 3.0])

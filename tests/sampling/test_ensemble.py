@@ -7,9 +7,8 @@ import pytest
 from emcee.autocorr import integrated_time as emcee_integrated_time
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.chains import thinned
+from bayesbl.sampling.chains import Ensembles, thinned
 from bayesbl.sampling.convergence import integrated_time
-from bayesbl.sampling.ensemble import Ensembles
 
 COVARIANCE = np.array([[1.0, 0.9], [0.9, 4.0]])
 BOX = np.full(2, -np.inf), np.full(2, np.inf)

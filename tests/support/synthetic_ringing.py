@@ -8,10 +8,9 @@ from scipy.optimize import brentq
 
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
-from bayesbl.ringing.model import model_speed
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import exchanged
-from bayesbl.ringing.refine import refine
+from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -24,6 +23,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
+from bayesbl.ringing.waveform import model_speed
 
 TRUTH = {
     AMPLITUDE: 20.0,

@@ -129,6 +129,52 @@ def test_a_skew_of_3_ms_of_a_large_robot_is_no_play():
     assert np.quantile(found.draws["delta_rad"], 0.95) < 5e-5
 
 
+def test_a_load_that_its_weight_moves_shows_its_play():
+    generator = np.random.default_rng(3)
+    step, half = 5e-4, 2.5e-3
+    time = np.arange(0.0, 24.0, step)
+    motor = 0.4 * np.sin(np.pi * time) + 0.6 * np.sin(0.43 * np.pi * time)
+    load, at, speed = [], motor[0] - half, 0.0
+    for x, taken in zip(motor, np.gradient(motor, step), strict=True):
+        pull = -40.0 * np.sin(at + 0.1)
+        rubs = 6.0 * step
+        speed += pull * step
+        speed = 0.0 if abs(speed) <= rubs else speed - np.sign(speed) * rubs
+        at += speed * step
+        if abs(at - x) >= half:
+            at, speed = x + np.sign(at - x) * half, taken
+        load.append(at)
+    read = np.array(load)[::8] + 3e-3 * np.sin(np.array(load)[::8])
+    read += 2e-5 * generator.standard_normal(read.size)
+    found = fitted(Channels.unwrapped(time[::8], RATIO * motor[::8], read))
+    low, high = bounds(found.draws["delta_rad"], 0.99)
+    assert low <= half <= high
+    assert found.probability_of_play > 0.95
+
+
+@pytest.mark.parametrize(("wound", "is_play"), [(1.0, False), (0.1, True)])
+def test_the_torque_on_the_way_tells_wind_up_from_play(wound, is_play):
+    generator = np.random.default_rng(4)
+    half, friction = 1e-3, 20.0
+    time = np.arange(0.0, 20.0, 2e-3)
+    path = 0.7 * np.sin(np.pi * time) + 0.3 * np.sin(2.0 * np.pi * time / 3.1)
+    load = dragged(path, half)
+    lag = (path - load) / half
+    # Of its whole way a part ``wound`` hands the load's friction over, half of it at each end.
+    handed = np.sign(lag) * np.clip(1.0 - (1.0 - np.abs(lag)) / wound, 0.0, 1.0)
+    if wound == 1.0:
+        handed = lag
+    torque = friction * handed + 0.5 * friction * np.sign(np.gradient(path))
+    torque += 0.05 * friction * generator.standard_normal(time.size)
+    read = load + 2e-6 * generator.standard_normal(time.size)
+    found = fitted(Channels.unwrapped(time, RATIO * path, read, torque / RATIO))
+    assert (found.probability_of_play > 0.95) == is_play
+    low, high = bounds(found.draws["lost_motion_rad"], 0.99)
+    assert low <= 2.0 * half <= high
+    low, high = bounds(found.draws["play_rad"], 0.99)
+    assert low <= 2.0 * (1.0 - wound) * half <= high
+
+
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
 def test_of_a_load_without_friction_that_bounces_the_play_is_not_told_wrong(restitution):
     generator = np.random.default_rng(int(10.0 * restitution))

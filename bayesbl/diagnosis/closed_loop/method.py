@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
 from bayesbl.diagnosis.closed_loop.findings import (
@@ -151,6 +152,8 @@ def forward_problem(
             held_out.append(second)
         else:
             (used if entry.use == "fit" else held_out).append(seen)
+    speeds = [seen.reference_speed_rpm for seen in used]
+    require_flank_change(heaviest(bench), speeds, config.bench)
     unknowns = _unknowns(config, bench, used, recordings)
     notes += _counted_twice(bench, recordings)
     notes += [] if MOTOR_CURRENT in channels else [SPEED_ALONE]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from bayesbl.noise.autoregression import bic, innovations, levinson, log_variances
+from bayesbl.noise.rotation_noise import bic, innovations, levinson, log_variances
 from bayesbl.recording.types import FloatArray
 
 HIGHEST_ORDER = 30

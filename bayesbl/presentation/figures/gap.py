@@ -1,33 +1,47 @@
-"""The gap of every snapshot and its change, by each route that answers."""
+"""The gap: of every snapshot with its change, where it comes from, and its wear over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date as Date
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
-from bayesbl.measurement.stored import routes_of, stored_answers, summary_of
-from bayesbl.presentation.figures import layout, panels, style
-from bayesbl.presentation.figures.snapshots import (
-    GAP,
+from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summary_of
+from bayesbl.measurement.summary_types import SnapshotSummary
+from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, used_dates
+from bayesbl.presentation.figures import style
+from bayesbl.presentation.figures.stored_figure import (
     credible_interval,
+    curve_name,
     decimals,
     gap_colour,
+    gap_in_words,
+    gap_interval,
+    group_of,
+    holding,
     holds,
     interval_name,
+    snapshots,
+    stored_figure,
 )
-from bayesbl.presentation.figures.stored_figure import holding, stored_figure
+from bayesbl.presentation.figures.style import GAP
 from bayesbl.presentation.words import route_in_words
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.variables import STACKED
+from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.units import number
 
 _ROW_IN = 0.5
-_RIDGE = 0.72
+_RIDGE = 0.6
 """Height of a density, in rows."""
 _BINS = 60
 
@@ -55,15 +69,15 @@ def gap(tree: xr.DataTree) -> Figure:
     count = max(len(gaps), len(changes))
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.85 + _ROW_IN * count)
     columns = 2 if changes else 1
-    spec = layout.grid(
+    spec = style.grid(
         figure, 1, columns, left=1.45, right=0.2, between=(0.0, 1.25), widths=(1.35, 1.0)[:columns]
     )
     axes = [figure.add_subplot(spec[0, column]) for column in range(columns)]
     titles = [f"gap δ, {interval_name(tree)}"]
     limit = tree.attrs.get("limit_rad")
-    _draw(axes[0], tree, gaps, count, "Gap δ (mrad)", limit)
+    _draw_rows(axes[0], tree, gaps, count, "Gap δ (mrad)", limit)
     if changes:
-        _draw(axes[1], tree, changes, count, "Change of the gap δ (mrad)")
+        _draw_rows(axes[1], tree, changes, len(changes), "Change of the gap δ (mrad)")
         axes[1].axvline(0.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
         titles.append("change from first to last")
     style.head_panels(axes, titles)
@@ -142,7 +156,7 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
     return rows
 
 
-def _draw(
+def _draw_rows(
     panel: Axes,
     tree: xr.DataTree,
     rows: Sequence[_Row],
@@ -177,7 +191,7 @@ def _draw(
     high = max(float(np.quantile(draws, 0.999)) for draws in everything)
     if limit_rad is not None:
         limit = 1e3 * float(limit_rad)
-        panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=panels.LIMIT_DASHES)
+        panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.LIMIT_DASHES)
         panel.annotate(
             f"limit {limit:g}", (limit, -0.95), (-3.0, 0.0), textcoords="offset points",
             ha="right", va="top", fontsize=7.0,
@@ -199,3 +213,419 @@ def _draw(
     panel.spines["left"].set_visible(False)
     panel.grid(axis="x", color=style.NEUTRAL, alpha=0.15, linewidth=0.5)
     panel.set_xlabel(label)
+
+
+_WIDTH_IN, _PICTURE_ROW_IN, _MARGINS_IN = 3.7, 0.42, 0.95
+_LONGEST_NAME = 18
+
+
+@style.publication_style()
+def answer_picture(parts: Sequence[tuple[str, SnapshotSummary]], decimals: int = 2) -> Figure:
+    """A line per snapshot, large enough to be read on a phone.
+
+    Parameters
+    ----------
+    parts
+        (name, ``summary.json``'s part) of each snapshot in order; ``delta_rad`` may be ``None``.
+    decimals
+        Of the gaps written beside their marks, in mrad.
+    """
+    mpl.rcParams.update(
+        {"font.size": 9.0, "axes.labelsize": 9.0, "xtick.labelsize": 8.0, "ytick.labelsize": 9.0}
+    )
+    figure = style.new_figure(_WIDTH_IN, _MARGINS_IN + _PICTURE_ROW_IN * len(parts))
+    panel = figure.add_subplot(
+        style.grid(figure, 1, 1, left=1.15, right=0.2, top=0.3, bottom=0.48)[0, 0]
+    )
+    limit = next((part["limit_rad"] for _, part in parts if part.get("limit_rad")), None)
+    for row, (_, part) in enumerate(parts):
+        found, own = part["delta_rad"], style.look(row)
+        if found is None:
+            panel.annotate(
+                "withheld", (0.5, row), xycoords=("axes fraction", "data"), ha="center", va="center"
+            )
+            continue
+        low, middle, high = (1e3 * found[key] for key in ("low", "median", "high"))
+        # A tick for the median: a round mark would hide an interval that is narrower than it.
+        panel.plot(
+            [low, high],
+            [row, row],
+            color=own.colour,
+            linewidth=6.0,
+            solid_capstyle="butt",
+            alpha=0.5,
+        )
+        panel.plot([middle], [row], color=own.colour, marker="|", markersize=15.0, mew=1.4)
+        panel.annotate(
+            f"{middle:.{decimals}f}", (middle, row), (0.0, 9.0), textcoords="offset points",
+            ha="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+        )  # fmt: skip
+    if limit is not None:
+        panel.axvline(1e3 * limit, color=style.LIMIT, linewidth=1.2, linestyle=(0.0, (6.0, 2.0)))
+        panel.annotate(
+            "limit", (1e3 * limit, 1.0), (0.0, 3.0), xycoords=("data", "axes fraction"),
+            textcoords="offset points", ha="center", va="bottom",
+        )  # fmt: skip
+    panel.set_ylim(len(parts) - 0.5, -0.7)
+    left, right = panel.get_xlim()
+    panel.set_xlim(left - 0.06 * (right - left), right + 0.06 * (right - left))
+    panel.set_yticks(range(len(parts)), [_shortened(name) or "gap" for name, _ in parts])
+    panel.tick_params(left=False)
+    panel.spines["left"].set_visible(False)
+    panel.grid(axis="x", color=style.NEUTRAL, alpha=0.15, linewidth=0.6)
+    panel.set_xlabel("Gap δ (mrad)")
+    return figure
+
+
+def _shortened(name: str) -> str:
+    return name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 1] + "…"
+
+
+THROUGH = "curve_amplitude_rpm"
+_MOST_SHOWN = 400
+"""Draws that are drawn one by one."""
+
+
+@stored_figure(
+    "(a) The gap curve with the draws of the ringing's amplitude pushed through it: above them the "
+    "distribution of the amplitude, beside them that of the gap; (b) the whole curve.",
+    30,
+    holding("posterior/curve_amplitude_rpm", "curve/delta_rad"),
+)
+def amplitude_to_gap(tree: xr.DataTree) -> Figure:
+    """δ against A with the draws of both, their densities along the axes, and the whole curve."""
+    parts = snapshots(tree, "posterior/curve_amplitude_rpm")
+    lines = 2 + len(parts) + ("limit_rad" in tree.attrs)
+    top = 0.28 + style.LINE_IN * ((lines + 1) // 2)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + 2.9)
+    outer = style.grid(figure, 1, 2, top=top, widths=(1.6, 1.0))
+    joint = outer[0, 0].subgridspec(
+        2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
+    )
+    main = figure.add_subplot(joint[1, 0])
+    above = figure.add_subplot(joint[0, 0], sharex=main)
+    side = figure.add_subplot(joint[1, 1], sharey=main)
+    _draw_joint(main, above, side, tree, parts)
+    overview = figure.add_subplot(outer[0, 1])
+    _draw_overview(overview, main, tree, parts)
+    style.head_panels([above, overview], ["from amplitude to gap", "the whole curve; grey: (a)"])
+    handles, labels = main.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=2)
+    return figure
+
+
+def _draw_joint(
+    main: Axes, top: Axes, side: Axes, tree: xr.DataTree, parts: list[Snapshot]
+) -> None:
+    _draw_curve(main, tree)
+    for index, snapshot in enumerate(parts):
+        _draw_snapshot(main, tree, snapshot, index)
+        _draw_marginals(top, side, snapshot, index)
+    _set_view(main, tree, parts)
+    for panel in (main, side):
+        style.limit_line(panel, tree)
+    main.set_xlabel("Amplitude of the ringing A (rpm)")
+    main.set_ylabel("Gap δ (mrad)")
+    for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
+        panel.tick_params(labelbottom=False, labelleft=False)
+        panel.spines[spine].set_visible(False)
+        axis.set_visible(False)
+
+
+def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
+    curve = group_of(tree, "curve")
+    if STACKED not in curve.dims:
+        _draw_one_curve(main, curve, "")
+        return
+    for name in curve[STACKED].values:
+        _draw_one_curve(main, curve.sel({STACKED: name}), f" of {name}")
+
+
+def _draw_one_curve(main: Axes, curve: xr.Dataset, whose: str) -> None:
+    amplitude = curve["amplitude"].values
+    name = curve_name(curve.attrs["name"])
+    main.fill_between(
+        amplitude, 1e3 * curve["low_rad"].values, 1e3 * curve["high_rad"].values,
+        color="#c8c8c8", linewidth=0.0,
+    )  # fmt: skip
+    main.plot(
+        amplitude, 1e3 * curve["delta_rad"].values, color=style.NEUTRAL, linewidth=0.9,
+        label=f"gap curve{whose} ({name}), {style.band_in_words(curve)}",
+    )  # fmt: skip
+
+
+def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
+    """Draws, and their median with intervals both ways; hollow and grey where withheld."""
+    drawn, gaps = (snapshot.values("posterior", name).ravel() for name in (THROUGH, GAP))
+    shown = slice(None, None, max(1, drawn.size // _MOST_SHOWN))
+    colour = gap_colour(snapshot, index)
+    main.plot(
+        drawn[shown], 1e3 * gaps[shown], linestyle="none", marker=".", markersize=1.6,
+        markeredgewidth=0.0, color=colour, alpha=0.45, zorder=2.0,
+    )  # fmt: skip
+    amplitude = credible_interval(tree, drawn)
+    delta = credible_interval(tree, 1e3 * gaps)
+    main.errorbar(
+        [amplitude["median"]],
+        [delta["median"]],
+        xerr=style.reach(amplitude),
+        yerr=style.reach(delta),
+        capsize=2.0,
+        zorder=3.0,
+        label=gap_in_words(tree, snapshot),
+        **_marker(snapshot, index),
+    )
+
+
+def _marker(snapshot: Snapshot, index: int) -> dict[str, Any]:
+    """The look of a snapshot's point; hollow and grey where δ must not be read."""
+    colour = gap_colour(snapshot, index)
+    face = "white" if snapshot.withheld else colour
+    marker = style.look(index).marker
+    return {"color": colour, "marker": marker, "markerfacecolor": face, "linestyle": "none"}
+
+
+def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
+    own = style.look(index)
+    outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
+    style.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
+    draws = 1e3 * snapshot.values("posterior", GAP)
+    style.density(side, draws, gap_colour(snapshot, index), orientation="horizontal", **outline)
+    if snapshot.withheld:
+        side.annotate(
+            "withheld",
+            (0.75, 1e3 * _median(snapshot, GAP)),
+            xycoords=("axes fraction", "data"),
+            rotation=90.0,
+            va="center",
+            fontsize=7.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+        )
+
+
+def _spread(parts: list[Snapshot], name: str) -> tuple[float, float]:
+    draws = np.concatenate([p.values("posterior", name).ravel() for p in parts])
+    low, high = np.quantile(draws, (0.001, 0.999))
+    return float(low), float(high)
+
+
+def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
+    """Around the posteriors, and up to a limit that is not far away."""
+    for name, factor, setter in (
+        (AMPLITUDE, 1.0, main.set_xlim),
+        (GAP, 1e3, main.set_ylim),
+    ):
+        low, high = _spread(parts, name)
+        margin = max(0.35 * (high - low), 0.12 * high)
+        limit = tree.attrs.get("limit_rad")
+        bottom, top = max(0.0, low - margin), high + margin
+        if limit is not None and name == GAP and low - 3.0 * margin < limit < high + 3.0 * margin:
+            bottom, top = min(bottom, 0.97 * float(limit)), max(top, 1.05 * float(limit))
+        setter(factor * bottom, factor * top)
+
+
+def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
+    """The curve over its whole range, with the view of the main panel marked."""
+    (left, right), (bottom, top) = main.get_xlim(), main.get_ylim()
+    panel.add_patch(
+        Rectangle((left, bottom), right - left, top - bottom, color="#e6e6e6", linewidth=0.0)
+    )
+    _draw_curve(panel, tree)
+    style.limit_line(panel, tree)
+    for index, snapshot in enumerate(parts):
+        place = _median(snapshot, AMPLITUDE), 1e3 * _median(snapshot, GAP)
+        panel.plot(*place, **_marker(snapshot, index))
+    panel.set_xlabel("Amplitude of the ringing A (rpm)")
+    panel.set_ylabel("Gap δ (mrad)")
+
+
+def _median(snapshot: Snapshot, name: str) -> float:
+    return float(np.median(snapshot.values("posterior", name)))
+
+
+_RAREST = 0.005
+"""A probability nearer than this to 0 or 1 is given as less than 1 % or more than 99 %."""
+
+_HIGHEST_VIEW = 1.3
+"""How far beyond the limit and the gaps is shown: a path that speeds up would hide them."""
+
+_LONGEST_VIEW = 3.0
+"""How far ahead is shown at most, in times since the first snapshot in use."""
+
+
+@stored_figure(
+    "(a) The gap against the date, with its path; (b) the probability that it reached the limit.",
+    5,
+    holding(WEAR.name),
+)
+def wear(tree: xr.DataTree) -> Figure:
+    """δ of every dated snapshot with its path since the last repair; when the limit is reached."""
+    group = tree[WEAR.name].to_dataset()
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.9)
+    limited = "years_to_limit" in group
+    spec = style.grid(figure, 1, 2 if limited else 1, top=0.6)
+    panels, titles = (
+        [figure.add_subplot(spec[0, 0])],
+        ["gap and its path" + (" since the repair" if np.any(group["used"] == 0.0) else "")],
+    )
+    ahead = _years_ahead(group)
+    _draw_gaps(panels[0], tree, group, ahead)
+    if limited:
+        panels.append(figure.add_subplot(spec[0, 1]))
+        titles.append("probability that the limit is reached")
+        _draw_limit_reached(panels[1], group, ahead)
+    for panel in panels:
+        locator = AutoDateLocator(minticks=3, maxticks=7)  # type: ignore[no-untyped-call]
+        panel.xaxis.set_major_locator(locator)
+        formatter = ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
+        panel.xaxis.set_major_formatter(formatter)
+        panel.set_xlabel("Date")
+    style.head_panels(panels, titles)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    return figure
+
+
+def path_band(group: xr.Dataset, years: FloatArray, level: float) -> FloatArray:
+    """Low, median and high of the mean path, years from the last snapshot, shape (3, n), rad.
+
+    Equal-tailed: between first and last gap by the law that leads from one to the other, beyond
+    by the law alone, without what irregular wear adds.
+    """
+    days = _days(used_dates(group))
+    span = (days[-1] - days[0]) / DAYS_PER_YEAR
+    laws = Laws(group["law_shape"].values.reshape(-1, group["law"].size))
+    first, current, expected = (
+        group[name].values.ravel() for name in ("first_rad", "current_rad", "expected_growth_rad")
+    )
+    quantiles = [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]
+    bands = []
+    for elapsed in 1.0 + years / span:
+        share = laws.grown(np.asarray(elapsed)) - 1.0
+        path = current + share * np.where(elapsed < 1.0, current - first, expected)
+        bands.append(np.quantile(path, quantiles))
+    return np.transpose(bands)
+
+
+def reached(group: xr.Dataset, years: FloatArray) -> FloatArray:
+    """Probability that the limit is reached within so many years of the last snapshot."""
+    times = np.sort(group["years_to_limit"].values.ravel())
+    return np.asarray(np.searchsorted(times, years, side="right") / times.size)
+
+
+def _days(days: list[Date]) -> FloatArray:
+    """Days since 1970, which is how matplotlib counts them."""
+    return np.array(days, dtype="datetime64[D]").astype(np.float64)
+
+
+def _years_ahead(group: xr.Dataset) -> float:
+    """Up to where 80 % of the draws have reached the limit, or as far as the path may be drawn."""
+    days = _days(used_dates(group))
+    span = (days[-1] - days[0]) / DAYS_PER_YEAR
+    ahead = 0.5 * span
+    if "years_to_limit" in group:
+        ahead = float(np.quantile(group["years_to_limit"].values, 0.8))
+    if "decide_before" in group.attrs:
+        asked = _days([Date.fromisoformat(group.attrs["decide_before"])])[0] - days[-1]
+        ahead = max(ahead, 1.2 * asked / DAYS_PER_YEAR)
+        return float(min(ahead, max(_LONGEST_VIEW * span, 1.2 * asked / DAYS_PER_YEAR)))
+    return float(np.clip(ahead, 0.2 * span, min(_LONGEST_VIEW * span, LONGEST_YEARS)))
+
+
+def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) -> None:
+    has_rate = "law" in group
+    days = _days(used_dates(group))
+    level = float(tree.attrs["interval_level"])
+    if has_rate:
+        years = np.linspace((days[0] - days[-1]) / DAYS_PER_YEAR, ahead, 100)
+        shown = days[-1] + DAYS_PER_YEAR * years
+        low, middle, high = 1e3 * path_band(group, years, level)
+        panel.fill_between(
+            shown,
+            low,
+            high,
+            color=style.BAND,
+            linewidth=0.0,
+            label=f"{interval_name(tree)} of the path",
+        )
+        panel.plot(shown, middle, color=style.MODEL, label="path, median")
+    parts, used = snapshots(tree), group["used"].values
+    every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
+    own = style.look(1)
+    for index, (day, part) in enumerate(zip(every, parts, strict=True)):
+        found = gap_interval(tree, part)
+        colour = gap_colour(part, 1) if used[index] or part.withheld else style.NEUTRAL
+        panel.errorbar(
+            [day],
+            [found["median"]],
+            yerr=style.reach(found),
+            color=colour,
+            marker=own.marker,
+            markerfacecolor=colour if used[index] and not part.withheld else "white",
+            linestyle="none",
+            markersize=3.0,
+            capsize=2.5,
+            zorder=3.0,
+            label=None if index else f"gap with its {interval_name(tree)}",
+        )
+        above = False  # on the side of the point where the path is not
+        if has_rate and used[index]:
+            at = np.array([(day - days[-1]) / DAYS_PER_YEAR])
+            above = bool(found["low"] > 1e3 * path_band(group, at, level)[1, 0])
+        panel.annotate(
+            f"{part.name}: withheld" if part.withheld else part.name,
+            (day, found["high" if above else "low"]),
+            xytext=(0.0, 4.0) if above else (4.0, -4.0), textcoords="offset points",
+            ha="center" if above else "left", va="bottom" if above else "top", fontsize=7.0,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6}, zorder=0.5,
+        )  # fmt: skip
+    if np.any(used == 0.0):
+        first = every[np.flatnonzero(used)[0]]
+        panel.axvline(
+            first, color=style.NEUTRAL, linewidth=0.6, linestyle=":", label="after the repair"
+        )
+    style.limit_line(panel, tree)
+    panel.margins(y=0.12)
+    gaps = [gap_interval(tree, part) for part in parts]
+    lowest = min(found["low"] for found in gaps)
+    limit = 1e3 * float(tree.attrs.get("limit_rad", 0.0))
+    highest = max(limit, *(found["high"] for found in gaps))
+    room = (_HIGHEST_VIEW - 1.0) * highest
+    panel.set_ylim(max(0.0, lowest - 0.5 * room), highest + room)
+    panel.set_ylabel("Gap δ (mrad)")
+
+
+def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
+    years = np.linspace(0.0, ahead, 300)
+    last = _days(used_dates(group))[-1]
+    passed = float(reached(group, np.zeros(1))[0])
+    if passed > _RAREST:
+        low = passed < 0.2  # no room below
+        panel.plot([last], [passed], color=style.MODEL, marker="o")
+        panel.annotate(
+            f"passed before {used_dates(group)[-1]}: {_share(passed)}", (last, passed),
+            xytext=(4.0, 6.0 if low else -6.0), textcoords="offset points",
+            va="bottom" if low else "top", fontsize=7.0,
+        )  # fmt: skip
+    panel.plot(last + DAYS_PER_YEAR * years, reached(group, years), color=style.MODEL)
+    if "decide_before" in group.attrs:
+        asked = group.attrs["decide_before"]
+        day = _days([Date.fromisoformat(asked)])[0]
+        share = float(reached(group, np.array([(day - last) / DAYS_PER_YEAR]))[0])
+        panel.axvline(day, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
+        panel.plot([day], [share], color=style.NEUTRAL, marker="o")
+        early = day < last + 0.5 * DAYS_PER_YEAR * ahead  # no room before
+        panel.annotate(
+            f"by {asked}: {_share(share)}", (day, share),
+            xytext=(4.0, -4.0) if early else (-4.0, 4.0), textcoords="offset points",
+            ha="left" if early else "right", va="top" if early else "bottom", fontsize=7.0,
+        )  # fmt: skip
+    panel.set_ylim(0.0, 1.03)
+    panel.set_ylabel("Probability")
+
+
+def _share(probability: float) -> str:
+    """``68 %``; never 0 % or 100 %, which no number of draws can show."""
+    if probability < _RAREST:
+        return "< 1 %"
+    return "> 99 %" if probability > 1.0 - _RAREST else f"{100.0 * probability:.0f} %"

@@ -1,15 +1,110 @@
-"""A figure of stored results: what it needs, what it shows, where it comes among the others."""
+"""Figures of a stored result, from its tree alone: what each needs, shows, and where it comes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import gc
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from bayesbl.presentation.figures.snapshots import holds, route_holding, snapshots
-from bayesbl.presentation.figures.style import publication_style
+from bayesbl.declared import declared
+from bayesbl.errors import ResultError
+from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summary_of
+from bayesbl.presentation import figures
+from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_style, save
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.intervals import Interval, interval
+
+
+def route_holding(tree: xr.DataTree, path: str) -> str | None:
+    """The route whose group holds this variable (``misfit/mean_rpm``) or group (``loop``)."""
+    return next((name for name in routes_of(tree) if holds(tree.children[name], path)), None)
+
+
+def holds(tree: xr.DataTree, path: str) -> bool:
+    """Whether a tree has a group ``wear``, or a variable ``misfit/mean_rpm`` in its group."""
+    group, _, variable = path.partition("/")
+    if group not in tree.children:
+        return False
+    return not variable or variable in tree.children[group].variables
+
+
+def snapshots(tree: xr.DataTree, holding: str | None = None) -> list[Snapshot]:
+    """Answers for every recording, by the route that answers, or by that which holds this."""
+    return stored_answers(tree, None if holding is None else route_holding(tree, holding))
+
+
+def group_of(tree: xr.DataTree, group: str) -> xr.Dataset:
+    """A group at the root, or of the route that holds it."""
+    route = None if group in tree.children else route_holding(tree, group)
+    node = tree.children[group] if route is None else tree.children[route].children[group]
+    return node.to_dataset()
+
+
+def change_is_withheld(tree: xr.DataTree) -> bool:
+    """Whether the change from first to last must not be read."""
+    return summary_of(tree)["change_rad"] is None
+
+
+def gap_colour(snapshot: Snapshot, index: int) -> str:
+    """Of what shows δ, by the snapshot's place among the others; grey where withheld."""
+    return WITHHELD if snapshot.withheld else look(index).colour
+
+
+def decimals(found: Interval) -> int:
+    """Decimals that show an interval of a gap in mrad."""
+    return max(0, 1 - math.floor(math.log10(max(found["high"] - found["low"], 1e-9))))
+
+
+def credible_interval(tree: xr.DataTree, draws: FloatArray) -> Interval:
+    """Median and interval of draws at the level and of the kind of this result."""
+    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
+    return interval(draws, level, kind)
+
+
+def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
+    """Median and interval of a snapshot's δ, in mrad."""
+    return credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
+
+
+def interval_in_words(tree: xr.DataTree, found: Interval) -> str:
+    """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
+    places = decimals(found)
+    low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))
+    return f"{middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")
+
+
+def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
+    """``after: 0.953 mrad (90 % interval 0.927 to 0.981)``, or that δ is withheld."""
+    if snapshot.withheld:
+        return f"{snapshot.name}: δ withheld"
+    return f"{snapshot.name}: {interval_in_words(tree, gap_interval(tree, snapshot))}"
+
+
+def interval_name(tree: xr.DataTree) -> str:
+    """``90 % interval``."""
+    kind = "HDI" if tree.attrs["interval_kind"] == "hdi" else "interval"
+    return f"{100.0 * float(tree.attrs['interval_level']):g} % {kind}"
+
+
+def values(tree: xr.DataTree, group: str, variable: str) -> FloatArray:
+    """A stored variable or coordinate of numbers, in its own shape and units."""
+    return np.asarray(group_of(tree, group)[variable].values, dtype=float)
+
+
+def curve_name(name: str) -> str:
+    """What a reader calls a gap curve: ``published``, or the folder of the sweep that made it."""
+    parts = [part for part in name.replace("\\", "/").split("/") if part]
+    if not parts:
+        return name
+    return parts[-2] if parts[-1] == "result.nc" and len(parts) > 1 else parts[-1]
+
 
 Parts = Callable[[xr.DataTree], Iterable[tuple[str, tuple[object, ...]]]]
 """From a result to the ending of each file's name and what its figure is drawn from."""
@@ -94,3 +189,104 @@ def holding(*paths: str) -> Callable[[xr.DataTree], bool]:
     return lambda tree: all(
         holds(tree, path) or route_holding(tree, path) is not None for path in paths
     )
+
+
+def draw_all(
+    tree: xr.DataTree,
+    folder: Path,
+    formats: Sequence[str] = ("png",),
+    *,
+    for_specialists: bool = True,
+) -> list[Path]:
+    """Write every figure that applies to a result.
+
+    Parameters
+    ----------
+    tree
+        As :func:`bayesbl.results.store.read_tree` gives it.
+    folder
+        Is made if there is a figure and it is missing.
+    formats
+        As of :func:`bayesbl.presentation.figures.style.save`.
+    for_specialists
+        Whether those that nobody needs who only acts on the answer are among them.
+
+    Returns
+    -------
+    The files written.
+
+    Raises
+    ------
+    ResultError
+        If there is no figure for such a result.
+    """
+    found = figures_of(tree)
+    if not found:
+        raise ResultError(
+            "There are no figures for a result of this kind.",
+            found=tree.attrs.get("kind"),
+            expected="a fit, a comparison, a sweep or a diagnosis",
+        )
+    written: list[Path] = []
+    if not formats:
+        return written
+    with publication_style(), _collecting_the_new_alone():
+        for figure in found:
+            if figure.for_specialists and not for_specialists:
+                continue
+            for ending, drawn_from in figure.parts(tree):
+                written += save(figure(*drawn_from), folder, figure.name + ending, formats)
+                # A figure holds itself in circles, and up to 15 MB: freed before the next one.
+                gc.collect()
+                gc.freeze()
+    return written
+
+
+@contextmanager
+def _collecting_the_new_alone() -> Iterator[None]:
+    """Collections do not look through what was there before: most of the time that they take."""
+    frozen_for_good = gc.get_freeze_count() > 0  # what a command imported
+    gc.freeze()
+    try:
+        yield
+    finally:
+        if not frozen_for_good:
+            gc.unfreeze()
+
+
+def figures_of(tree: xr.DataTree) -> list[StoredFigure]:
+    """The figures that apply to a result, in reading order."""
+    known = sorted(declared(figures, StoredFigure), key=lambda figure: figure.order)
+    return [figure for figure in known if figure.applies(tree)]
+
+
+def reading_order(
+    stems: Iterable[str], known: Sequence[StoredFigure], snapshots: Sequence[str]
+) -> list[str]:
+    """Stems of figure files in the order of the figures, then snapshot by snapshot."""
+    endings = [file_ending(snapshot) for snapshot in snapshots]
+
+    def place(stem: str) -> tuple[int, int, str]:
+        figure = figure_of(stem, known)
+        if figure is None:
+            return len(known), 0, stem
+        ending = stem.removeprefix(figure.name)
+        at = endings.index(ending) if ending in endings else len(endings)
+        return list(known).index(figure), at, stem
+
+    return sorted(stems, key=place)
+
+
+def caption(stem: str, known: Sequence[StoredFigure]) -> str:
+    """The caption of a figure file; of an unknown figure its name in words."""
+    figure = figure_of(stem, known)
+    if figure is None:
+        return stem.replace("_", " ").capitalize() + "."
+    ending = stem.removeprefix(figure.name).strip("_").replace("_", " ")
+    text = figure.caption
+    return f"{ending}: {text[0].lower()}{text[1:]}" if ending else text
+
+
+def figure_of(stem: str, known: Sequence[StoredFigure]) -> StoredFigure | None:
+    """The figure that a file of this name shows; ``None`` if it is none of these."""
+    return next((f for f in known if stem == f.name or stem.startswith(f"{f.name}_")), None)

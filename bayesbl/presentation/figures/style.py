@@ -1,20 +1,33 @@
-"""One look for every figure: journal widths, colours that survive greyscale, same bytes again."""
+"""The look of every figure: widths, colours, places of panels, scales and common marks.
+
+Colours survive greyscale, and the same figure gives the same bytes again. Margins are in inches and
+the same everywhere; no solver has to guess them.
+"""
 
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
+import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
+from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import figure_title
+from bayesbl.results.intervals import Interval
+from bayesbl.ringing.symbols import SYMBOLS
 
 SINGLE_COLUMN_IN = 3.4
 DOUBLE_COLUMN_IN = 7.0
@@ -26,6 +39,9 @@ BAND = "#a6cee3"
 LIMIT = "#000000"
 WITHHELD = "#b0b0b0"
 NEUTRAL = "#404040"
+
+GAP = "delta_rad"
+"""Name of the gap among the draws of a posterior."""
 
 _RC: Mapping[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -157,3 +173,210 @@ def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> lis
             file.unlink()  # half a figure would pass for a file of the user's
         raise
     return files
+
+
+MOST_COLUMNS = 2
+
+LINE_IN = 0.15
+"""Height of a line of a legend."""
+
+
+def grid(
+    figure: Figure,
+    rows: int,
+    columns: int,
+    *,
+    left: float = 0.55,
+    right: float = 0.1,
+    top: float = 0.3,
+    bottom: float = 0.42,
+    between: tuple[float, float] = (0.5, 0.55),
+    widths: Sequence[float] | None = None,
+) -> GridSpec:
+    """A grid with margins and gaps (vertical, horizontal) in inches."""
+    width, height = (float(size) for size in figure.get_size_inches())
+    row = (height - top - bottom - (rows - 1) * between[0]) / rows
+    column = (width - left - right - (columns - 1) * between[1]) / columns
+    return GridSpec(
+        rows,
+        columns,
+        figure=figure,
+        left=left / width,
+        right=1.0 - right / width,
+        top=1.0 - top / height,
+        bottom=bottom / height,
+        hspace=between[0] / row,
+        wspace=between[1] / column,
+        width_ratios=widths,
+    )
+
+
+def one_panel_each(
+    count: int, height_in: float = 2.1, *, shared: bool = True, above: float = 0.0
+) -> tuple[Figure, list[Axes]]:
+    """A figure with one panel per snapshot, at most two in a row, with ``shared`` axes or not.
+
+    ``above`` is room for a legend over all of them, in inches.
+    """
+    columns = min(count, MOST_COLUMNS)
+    rows = math.ceil(count / columns)
+    width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN
+    figure = new_figure(width, rows * height_in + 0.2 + above)
+    spec = grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35 if shared else 0.55))
+    axes: list[Axes] = []
+    for i in range(count):
+        first = axes[0] if axes and shared else None
+        axes.append(figure.add_subplot(spec[divmod(i, columns)], sharex=first, sharey=first))
+    return figure, axes
+
+
+def envelope(
+    time: FloatArray, values: FloatArray, bins: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Smallest and largest value in each of at most ``bins`` stretches of equal sample count.
+
+    Neighbouring stretches share a sample, so that the outline has no gaps. NaN is ignored.
+
+    Returns
+    -------
+    Middle time, minimum and maximum of each stretch, each of shape (m,).
+    """
+    edges = np.unique(np.linspace(0, values.size - 1, min(bins, values.size) + 1).round())
+    starts = edges[:-1].astype(int)
+    ends = edges[1:].astype(int)
+    low = np.fmin(np.fmin.reduceat(values, starts), values[ends])
+    high = np.fmax(np.fmax.reduceat(values, starts), values[ends])
+    return 0.5 * (time[starts] + time[ends]), low, high
+
+
+TURN = 2.0 * np.pi
+"""A rotation of the load in rad."""
+
+_BINS = 40
+LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
+
+
+def density(
+    panel: Axes,
+    draws: FloatArray,
+    colour: str,
+    *,
+    bins: int = _BINS,
+    filled: bool = True,
+    orientation: Literal["vertical", "horizontal"] = "vertical",
+    **outline: Any,
+) -> tuple[FloatArray, FloatArray]:
+    """The histogram of draws as a density, filled and outlined; its heights and edges."""
+    heights, edges = np.histogram(draws, bins, density=True)
+    if filled:
+        panel.stairs(heights, edges, orientation=orientation, fill=True, color=colour, alpha=0.3)
+    panel.stairs(heights, edges, orientation=orientation, color=colour, **outline)
+    return heights, edges
+
+
+def reach(interval: Interval, scale: float = 1.0) -> list[list[float]]:
+    """How far an interval reaches below and above its median, as error bars ask for it."""
+    below = interval["median"] - interval["low"]
+    above = interval["high"] - interval["median"]
+    return [[scale * below], [scale * above]]
+
+
+def band_in_words(curve: xr.Dataset) -> str:
+    """``90 % band ± 0.02 %``: of a curve, at its widest; too narrow to be seen, as a rule."""
+    reach = 0.5 * (curve["high_rad"].values - curve["low_rad"].values) / curve["delta_rad"].values
+    return f"{100.0 * float(curve.attrs['level']):g} % band ± {100.0 * float(reach.max()):.2g} %"
+
+
+def limit_line(panel: Axes, tree: xr.DataTree) -> None:
+    """The limit across a panel whose vertical axis is the gap in mrad, if there is one."""
+    if "limit_rad" in tree.attrs:
+        limit = 1e3 * float(tree.attrs["limit_rad"])
+        panel.axhline(
+            limit,
+            color=LIMIT,
+            linewidth=0.9,
+            linestyle=LIMIT_DASHES,
+            label=f"limit {limit:g} mrad",
+        )
+
+
+def shade(panel: Axes, start: float, end: float) -> None:
+    """A stretch of the horizontal axis on a tinted ground."""
+    panel.axvspan(start, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
+
+
+def rotation_axis(panel: Axes, label: str) -> None:
+    """One rotation of the load along the horizontal axis, in quarters."""
+    panel.set_xlim(0.0, TURN)
+    panel.set_xticks(TURN * np.arange(5) / 4.0, ["0", "π/2", "π", "3π/2", "2π"])
+    panel.set_xlabel(label)
+
+
+_RELATIVE_SPREAD = 2e-3
+"""Values that vary less than this are drawn as differences from a round number near them."""
+
+
+def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """A logarithmic axis with ``steps`` of each decade written out, never as powers of ten."""
+    name = "x" if isinstance(axis, XAxis) else "y"
+    axis.axes.set(**{f"{name}scale": "log"})
+    axis.set_major_locator(FixedLocator([m * 10.0**k for k in range(-6, 7) for m in steps]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """shown = factor · (stored − reference).
+
+    Attributes
+    ----------
+    symbol
+        As mathtext.
+    unit
+        Of the values shown.
+    """
+
+    symbol: str
+    unit: str
+    factor: float
+    reference: float = 0.0
+    reference_text: str = ""
+
+    def shown(self, stored: FloatArray) -> FloatArray:
+        """Values to draw, same shape as the stored ones."""
+        return self.factor * (stored - self.reference)
+
+    def label(self, between: str = " ") -> str:
+        """``T$_w$ − 3.6 s (ms)``, the unit set apart by ``between``."""
+        return f"{self.symbol}{self.reference_text}{between}({self.unit})"
+
+
+def scale_of(name: str, draws: FloatArray) -> Scale:
+    """The scale on which draws of a symbol, or of δ, are readable."""
+    if name == GAP:
+        return Scale("δ", "mrad", 1e3)
+    symbol = SYMBOLS[name]
+    text = _mathtext(symbol.paper)
+    middle, spread = float(np.median(draws)), float(np.std(draws))
+    if spread > _RELATIVE_SPREAD * abs(middle):
+        return Scale(text, symbol.unit, 1.0)
+    factor, unit = (1e3, "ms") if symbol.unit == "s" and spread < 0.05 else (1.0, symbol.unit)
+    places = max(0, math.ceil(-math.log10(8.0 * spread))) if spread > 0.0 else 6
+    reference = round(middle, places)
+    sign = "−" if reference >= 0.0 else "+"
+    text_of_reference = f" {sign} {abs(reference):.10g}" + (
+        f" {symbol.unit}" if factor != 1.0 else ""
+    )
+    return Scale(text, unit, factor, reference, text_of_reference)
+
+
+def time_constant(decay_rate_per_s: FloatArray) -> str:
+    """``53 ms``: what a reader takes τ for, which is a rate."""
+    return f"{1e3 / float(np.median(decay_rate_per_s)):.3g} ms"
+
+
+def _mathtext(paper: str) -> str:
+    """``T_w`` as T with a subscript."""
+    letter, _, index = paper.partition("_")
+    return f"{letter}$_{{{index}}}$" if index else letter

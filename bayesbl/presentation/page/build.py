@@ -19,14 +19,13 @@ from bayesbl.errors import UserError
 from bayesbl.presentation import answer, words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex, citations
-from bayesbl.presentation.figures.answer_picture import answer_picture
-from bayesbl.presentation.figures.draw import caption, figure_of, figures_of, reading_order
+from bayesbl.presentation.figures.gap import answer_picture
+from bayesbl.presentation.figures.stored_figure import caption, figure_of, figures_of, reading_order
 from bayesbl.presentation.page.templates import prose, templates
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import texts, write_text
-from bayesbl.runs.declared_groups import read_result
-from bayesbl.runs.summary import summarise
+from bayesbl.runs.kinds import read_result, summarise
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import SnapshotSummary

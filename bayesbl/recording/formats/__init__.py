@@ -38,6 +38,8 @@ class Format:
         of it is quoted. Empty for text.
     otherwise
         What to do without the library, for the message.
+    beside
+        Suffix of a file of the same name whose bytes follow the file's own, if it is there.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Format:
     library: str = ""
     signatures: tuple[tuple[int, bytes], ...] = ()
     otherwise: str = ""
+    beside: str = ""
 
     def is_begun_by(self, data: bytes) -> bool:
         """Whether bytes may be a file of this format."""

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.formats import Format
+from bayesbl.recording.formats.event_log import form_of_events, read_events
 from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_export
 from bayesbl.recording.input_bytes import require_memory
 from bayesbl.units import is_unit, spelled
@@ -82,6 +83,9 @@ _MOST_SKIPPED = 1_000_000
 
 _SCOPE_TIMES = 12.0
 """Times its size that an export of Scope takes, whose cells are texts until all are there."""
+
+_EVENT_TIMES = 10.0
+"""The same of a log of events."""
 
 _EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
 
@@ -302,6 +306,9 @@ def read_csv(file: Path, data: bytes) -> Table:
     if is_scope_export("\n".join(head)):
         require_memory(file, _SCOPE_TIMES * len(data), "cells of text")
         return read_scope_export(file, "\n".join(text.lines()))
+    if form := form_of_events(head):
+        require_memory(file, _EVENT_TIMES * len(data), "events")
+        return read_events(file, text.lines(), form)
     layout = _layout(file, text, head)
     skipped, rows, repairs = _scanned(file, text, layout)
     return CsvTable(str(file), layout.names, repairs, text, layout, skipped, rows)
@@ -435,7 +442,7 @@ def header_of(
     Names are a row of as many cells as the samples have (``widths``) without a number; a row of
     units may follow them.
     """
-    from bayesbl.recording.clocked_columns import numbered
+    from bayesbl.recording.array_table import numbered
 
     named: list[int] = []
     for i, cells in enumerate(above):
@@ -607,4 +614,4 @@ def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int,
     return skipped, rows, {kind: count for kind, count in counts.items() if count > 0}
 
 
-FORMAT = Format("CSV, TSV", (".csv", ".tsv", ".txt"), read_csv)
+FORMAT = Format("CSV, TSV", (".csv", ".tsv", ".txt", ".log"), read_csv)

@@ -24,8 +24,7 @@ from bayesbl.recording.formats.csv import (
 from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
 
 _MOST_COLUMNS = 1000
 _MOST_LINES = 2**20
@@ -47,8 +46,7 @@ def read_excel(file: Path, data: bytes) -> ArrayTable:
     """
     import openpyxl
 
-    from bayesbl.recording.array_table import readable
-    from bayesbl.recording.clocked_columns import table_of_groups
+    from bayesbl.recording.array_table import readable, table_of_groups
 
     with readable(file, "Excel", "or save the sheet as CSV"):
         _check_size(file, data)
@@ -67,7 +65,7 @@ def _check_size(file: Path, data: bytes) -> None:
 
 
 def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import Group
 
     rows = list(_rows(file, sheet))
     width = max(map(len, rows), default=0)

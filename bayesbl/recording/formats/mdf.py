@@ -17,8 +17,7 @@ from bayesbl.recording.formats import Format
 from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
 
 _IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
 """What asammdf calls a file by that it was given in memory."""
@@ -44,8 +43,7 @@ def read_mdf(file: Path, data: bytes) -> ArrayTable:
     """
     import asammdf
 
-    from bayesbl.recording.array_table import readable
-    from bayesbl.recording.clocked_columns import table_of_groups
+    from bayesbl.recording.array_table import readable, table_of_groups
 
     with readable(file, "MDF"), _opened(asammdf.MDF, data) as stored:
         size = 0.0
@@ -103,7 +101,7 @@ class _Scale:
 def _group(stored: Any, number: int) -> Group:
     import numpy as np
 
-    from bayesbl.recording.clocked_columns import Group, numbered
+    from bayesbl.recording.array_table import Group, numbered
 
     channels = stored.groups[number].channels
     scales = [_Scale(channel.conversion) for channel in channels]

@@ -16,8 +16,7 @@ from bayesbl.recording.formats import Format
 from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
@@ -75,8 +74,7 @@ def read_bag(file: Path, data: bytes) -> ArrayTable:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    from bayesbl.recording.array_table import readable
-    from bayesbl.recording.clocked_columns import table_of_groups
+    from bayesbl.recording.array_table import readable, table_of_groups
 
     path = _Bytes(file.name.removesuffix(".gz").lower(), data)
     with readable(file, "ROS bag"):
@@ -204,7 +202,7 @@ def _groups(series: _Series) -> list[Group]:
 def _group(name: str, rows: _Rows, units: Mapping[str, str]) -> Group:
     import numpy as np
 
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import Group
 
     stamps_ns, received_ns = np.array(rows.stamps_ns), np.array(rows.received_ns)
     columns: dict[str, AnyArray] = {}

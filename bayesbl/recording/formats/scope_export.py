@@ -15,8 +15,7 @@ from bayesbl.errors import RecordingError, shortened
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from bayesbl.recording.array_table import ArrayTable
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import ArrayTable, Group
     from bayesbl.recording.types import FloatArray
 
 _SEPARATORS = "\t;,"
@@ -52,7 +51,7 @@ def read_scope_export(file: Path, text: str) -> ArrayTable:
     RecordingError
         If its channels have no times, or a line holds anything but numbers.
     """
-    from bayesbl.recording.clocked_columns import table_of_groups
+    from bayesbl.recording.array_table import table_of_groups
 
     lines = text.split("\n")
     separator = text[4]
@@ -128,7 +127,7 @@ def _groups(
     """Channels that have the same times; a line that only repeats a time is left out."""
     import numpy as np
 
-    from bayesbl.recording.clocked_columns import Group, numbered
+    from bayesbl.recording.array_table import Group, numbered
 
     starting = set(starts)
     channels = [column for column in range(numbers.shape[1]) if column not in starting]

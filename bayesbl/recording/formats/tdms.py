@@ -11,8 +11,7 @@ from bayesbl.recording.formats import Format
 from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import ArrayTable, Group
 
 _UNITS = ("unit_string", "NI_UnitDescription")
 
@@ -27,8 +26,7 @@ def read_tdms(file: Path, data: bytes) -> ArrayTable:
     """
     import nptdms
 
-    from bayesbl.recording.array_table import readable
-    from bayesbl.recording.clocked_columns import table_of_groups
+    from bayesbl.recording.array_table import readable, table_of_groups
 
     with readable(file, "TDMS"):
         declared = nptdms.TdmsFile.read_metadata(io.BytesIO(data))
@@ -46,7 +44,7 @@ def _groups(group: Any) -> Iterator[Group]:
     """
     import numpy as np
 
-    from bayesbl.recording.clocked_columns import Group
+    from bayesbl.recording.array_table import Group
 
     channels = {str(channel.name): channel for channel in group.channels()}
     columns = {name: np.asarray(channel[:]) for name, channel in channels.items()}

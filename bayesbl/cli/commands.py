@@ -1,0 +1,880 @@
+"""Every command: its options, and what it asks of the package."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from bayesbl.cli.running import (
+    WRONG,
+    given_files,
+    guessing_columns,
+    notes_console,
+    run_config,
+    run_file,
+)
+from bayesbl.errors import ConfigError
+from bayesbl.recording import formats
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayesbl.runs.workflow import Plan
+
+
+_Value = TypeVar("_Value")
+
+
+def _parser(read: Callable[[str], _Value], expected: str) -> Callable[[str], _Value]:
+    """An option's value by ``read``; its range is the configuration's to check."""
+
+    def parse(text: str) -> _Value:
+        try:
+            return read(text)
+        except ValueError:
+            raise typer.BadParameter(f"Found: {text}. Expected: {expected}.") from None
+
+    return parse
+
+
+_whole_number = _parser(int, "a whole number")
+_number = _parser(float, "a number, with a decimal point")
+_gap = _parser(float, "a number in rad, with a decimal point, e.g. 1.2e-3 for 1.2 mrad")
+_day = _parser(date.fromisoformat, "a date, e.g. 2026-03-01")
+
+
+def _option(name: str, metavar: str, what: str, parser: Callable[[str], Any] | None = None) -> Any:
+    """An option with a value; ``what`` is its help."""
+    return typer.Option(name, metavar=metavar, help=what, parser=parser)
+
+
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration in TOML.")]
+ResultPath = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="Output folder of a run, or its result.nc.")
+]
+BaseConfig = Annotated[
+    Path | None, _option("--config", "FILE", "Configuration; options override it.")
+]
+Out = Annotated[
+    Path | None,
+    _option(
+        "--out",
+        "FOLDER",
+        "Output folder. [default: results/NAME, or results/COMMAND_NAME]",
+    ),
+]
+Seed = Annotated[
+    int | None,
+    _option("--seed", "N", "Seed of all random numbers. [default: 1]", _whole_number),
+]
+Workers = Annotated[
+    int | None,
+    _option(
+        "--workers",
+        "N",
+        "Largest number of processes; results do not depend on it. [default: all cores]",
+        _whole_number,
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    _option(
+        "--scheduler",
+        "ADDRESS",
+        "Run a study or a fleet on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
+Curve = Annotated[
+    str | None,
+    _option(
+        "--curve",
+        "published|RESULT",
+        "Gap curve: the result of a sweep, its folder or result.nc; or the paper's, by name. "
+        "[default: swept from the bench; none without one]",
+    ),
+]
+BenchFile = Annotated[
+    Path | None,
+    _option(
+        "--bench",
+        "FILE|RESULT",
+        "Bench of the joint, its file or what identify found: simulated, and swept for curves.",
+    ),
+]
+Route = Annotated[
+    str | None,
+    _option(
+        "--route",
+        "auto|amplitude|direct|torque_ramp|two_encoders",
+        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; "
+        "by ramps of torque with the output held; or by encoders of motor and load. [default: auto "
+        "with a bench]",
+    ),
+]
+StartFrom = Annotated[
+    Path | None,
+    _option(
+        "--start-from",
+        "RESULT",
+        "Earlier result of this joint: the search starts from its optimum.",
+    ),
+]
+CheckSampler = Annotated[
+    bool,
+    typer.Option(
+        "--check-sampler", help="Sample again with a nested sampler, and report differences."
+    ),
+]
+Limit = Annotated[
+    str | None,
+    _option(
+        "--limit",
+        "LIMIT",
+        'Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at 0.4 m", '
+        '"1 arcmin lost_motion at 3 %" (of the rated torque).',
+    ),
+]
+LimitRad = Annotated[
+    float | None,
+    _option(
+        "--limit-rad",
+        "RAD",
+        "Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ is half the total "
+        "play.",
+        _gap,
+    ),
+]
+Before = Annotated[
+    date | None,
+    _option(
+        "--before",
+        "DATE",
+        "Also report the probability that the gap passes its limit before this date.",
+        _day,
+    ),
+]
+Dates = Annotated[
+    list[date] | None,
+    _option(
+        "--date",
+        "DATE",
+        "When a recording was taken; once per recording, in the same order.",
+        _day,
+    ),
+]
+GearRatio = Annotated[
+    float | None, _option("--gear-ratio", "N", "Motor turns per turn of the load.", _number)
+]
+Level = Annotated[
+    float | None,
+    _option("--level", "P", "Level of the credible intervals. [default: 0.9]", _number),
+]
+RangeRad = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--range-rad",
+        metavar="LOW HIGH",
+        help="Load angles that a planned motion may reach, in rad; 0 hangs straight down. "
+        "[default: -0.5 0.5]",
+    ),
+]
+SpeedRpm = Annotated[
+    float | None,
+    _option("--speed-rpm", "RPM", "Largest speed of the motor. [default: 1500]", _number),
+]
+Acceleration = Annotated[
+    float | None,
+    _option(
+        "--acceleration-rpm-per-s",
+        "RPM/S",
+        "Largest acceleration of the motor. [default: 6000]",
+        _number,
+    ),
+]
+Duration = Annotated[
+    float | None, _option("--duration-s", "S", "Length of the recording. [default: 20]", _number)
+]
+GapRad = Annotated[
+    float | None,
+    _option("--gap-rad", "RAD", "Gap that a plan is reckoned at. [default: 0.0008]", _gap),
+]
+
+
+def run_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    before: Before = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Run a configuration, whatever its kind."""
+    from bayesbl.runs.kinds import kind_of
+
+    kind = kind_of(config)
+    if scheduler is not None and kind not in ("study", "fleet", ""):
+        raise ConfigError(
+            "Only studies and fleets run on a cluster.",
+            file=config,
+            where="--scheduler",
+            found=f'kind = "{kind}"',
+            expected='kind = "study" or "fleet"',
+        )
+    options: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    run_file(config, force, json, **options, scheduler=scheduler, before=before)
+
+
+def fleet_command(
+    config: ConfigPath,
+    out: Out = None,
+    seed: Seed = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Measure what is new of many joints, and write their tables and pages."""
+    options: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    run_file(config, force, json, kind="fleet", **options, scheduler=scheduler)
+
+
+def check_command(config: ConfigPath) -> None:
+    """Check everything that can be checked without running."""
+    from bayesbl.presentation.terminal import say
+    from bayesbl.runs.kinds import check
+
+    plan = check(config)
+    for label, text in plan.lines:
+        say(f"{label}: {text}")
+    _print_findings(plan)
+    say("Ready to run.")
+
+
+def init_command(
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="RECORDING",
+            help="One to fit, several to compare; with --diagnose, the bench's file before them.",
+        ),
+    ] = None,
+    bench: Annotated[
+        bool,
+        typer.Option("--bench", help="Write a joint's data sheet to fill in, joint.toml, instead."),
+    ] = False,
+    diagnose: Annotated[
+        bool,
+        typer.Option(
+            "--diagnose",
+            help="Write a diagnosis: what does the bench lack that the recordings show?",
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            help="The file to write. [default: RECORDING.toml, or diagnose.toml]",
+        ),
+    ] = None,
+    joint: Annotated[
+        str | None,
+        typer.Option("--joint", metavar="NAME", help="Which one, where a file holds several."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write a first configuration for recordings, or a joint's data sheet to fill in."""
+    if bench:
+        _init_bench(recordings, out, force)
+        return
+    if diagnose:
+        _init_diagnosis(recordings or [], out, joint, force)
+        return
+    if not recordings:
+        raise ConfigError(
+            "There is nothing to write a configuration for.",
+            where="RECORDING",
+            found="nothing",
+            expected="one or more recordings; or --bench for a joint's data sheet to fill in",
+        )
+    from bayesbl.presentation.console import guessed, what_next
+    from bayesbl.presentation.terminal import make_console, print_blocks, say
+    from bayesbl.runs.first_configuration import start_config
+    from bayesbl.runs.kinds import check
+
+    path, guess = start_config(recordings, out, joint=joint, force=force)
+    plan = check(path)
+    print_blocks(guessed(guess), make_console())
+    told = what_next(
+        path,
+        sound=not plan.problems,
+        torque_ramps=guess.torque_ramps,
+        two_encoders=guess.two_encoders,
+    )
+    say(told)
+    _print_findings(plan)
+
+
+def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, force: bool) -> None:
+    from bayesbl.presentation.console import chosen, guessed
+    from bayesbl.presentation.terminal import make_console, print_blocks, say
+    from bayesbl.runs.first_diagnosis import start_diagnosis
+    from bayesbl.runs.kinds import check
+
+    if len(given) < 2:
+        raise ConfigError(
+            "A diagnosis is guessed from a bench and recordings.",
+            where="--diagnose",
+            found=", ".join(map(str, given)) or "nothing",
+            expected="bayesbl init --diagnose BENCH RECORDING …, best forward, reverse and at "
+            "another speed; `bayesbl init --bench` writes a bench to fill in",
+        )
+    path, columns, guess = start_diagnosis(given[0], given[1:], out, joint=joint, force=force)
+    plan = check(path)
+    print_blocks(guessed(columns), make_console())
+    print_blocks(chosen(guess), make_console())
+    next_step = f"Correct it there, then: bayesbl run {shlex.quote(str(path))}"
+    say(f"Written to {path}. " + ("It cannot run yet:" if plan.problems else next_step))
+    _print_findings(plan)
+
+
+def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) -> None:
+    from bayesbl.presentation.terminal import say
+    from bayesbl.runs.first_configuration import write_first_bench
+
+    if recordings:
+        raise ConfigError(
+            "A data sheet is written without recordings.",
+            where="--bench",
+            found=", ".join(map(str, recordings)),
+            expected="bayesbl init --bench, and bayesbl init RECORDING for their columns",
+        )
+    path = write_first_bench(out, force=force)
+    say(f"Written to {path}. Fill in your numbers, then: bayesbl check {path}")
+
+
+def _print_findings(plan: Plan) -> None:
+    """Warnings and problems; with a problem the command ends here."""
+    from bayesbl.presentation.terminal import error, make_console, say
+
+    for warning in plan.warnings:
+        say(f"warning: {warning}")
+    for problem in plan.problems:
+        error(make_console(stderr=True), problem)
+    if plan.problems:
+        raise typer.Exit(WRONG)
+
+
+FORMATS = formats.names()
+
+
+def fit_command(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help=f"A recording: {FORMATS}.")
+    ],
+    config: BaseConfig = None,
+    out: Out = None,
+    seed: Seed = None,
+    force: Force = False,
+    json: Json = False,
+    curve: Curve = None,
+    route: Route = None,
+    bench: BenchFile = None,
+    limit: Limit = None,
+    limit_rad: LimitRad = None,
+    gear_ratio: GearRatio = None,
+    level: Level = None,
+    workers: Workers = None,
+    start_from: StartFrom = None,
+    check_sampler: CheckSampler = False,
+) -> None:
+    """Measure the gap in one recording."""
+    given = {"out": out, "seed": seed, "curve": curve, "limit": limit, "limit_rad": limit_rad}
+    given |= {"route": route, "bench": bench}
+    given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    given |= {"start_from": start_from, "check_sampler": check_sampler or None}
+    _measure("fit", [recording], config, given, force, json)
+
+
+def compare_command(
+    first: Annotated[
+        Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
+    ],
+    later: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order."),
+    ] = None,
+    config: BaseConfig = None,
+    out: Out = None,
+    seed: Seed = None,
+    force: Force = False,
+    json: Json = False,
+    curve: Curve = None,
+    route: Route = None,
+    bench: BenchFile = None,
+    dates: Dates = None,
+    limit: Limit = None,
+    limit_rad: LimitRad = None,
+    before: Before = None,
+    gear_ratio: GearRatio = None,
+    level: Level = None,
+    workers: Workers = None,
+    start_from: StartFrom = None,
+    check_sampler: CheckSampler = False,
+) -> None:
+    """Measure each gap, the change from first to last, and with dates how fast it grows."""
+    if not later:
+        quoted = shlex.quote(str(first))
+        raise ConfigError(
+            "A comparison needs two recordings or more.",
+            where="SECOND",
+            found=f"{first} alone",
+            expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
+        )
+    given: dict[str, Any] = {"out": out, "seed": seed, "curve": curve}
+    given |= {"limit": limit, "limit_rad": limit_rad, "route": route, "bench": bench}
+    given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
+    given |= {"start_from": start_from, "check_sampler": check_sampler or None}
+    given |= {"before": before, "dates": dates or ()}
+    _measure("compare", [first, *later], config, given, force, json)
+
+
+def _measure(
+    kind: str,
+    recordings: Sequence[Path],
+    config: Path | None,
+    given: dict[str, Any],
+    force: bool,
+    json: bool,
+) -> None:
+    from bayesbl.config.loading import config_from_options
+
+    loaded = config_from_options(kind, recordings, config, **given)
+    with guessing_columns(f"init {given_files(recordings)}", config):
+        run_config(loaded, force, json, config)
+
+
+_WATCHED = "_watched"
+
+Credentials = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="user, password and ca for the broker, in TOML that nobody else can read.",
+    ),
+]
+
+
+def watch_command(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="FOLDER", help="Where recordings appear, named by the pattern."),
+    ],
+    config: Annotated[Path, typer.Option(metavar="CONFIG", help="Configuration of the fleet.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Of recordings.parquet. [default: [run] output + _watched]"
+        ),
+    ] = None,
+    publish: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="Send each answer to a broker too: mqtts://broker/topic."),
+    ] = None,
+    credentials: Credentials = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="End when all that is there is measured and sent.")
+    ] = False,
+    settled_s: Annotated[
+        float,
+        typer.Option(
+            metavar="S", min=0.0, help="A file is complete when it has not changed for so long."
+        ),
+    ] = 5.0,
+    keep_latest: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, help="Delete measured recordings, but for each joint's latest N."
+        ),
+    ] = None,
+    mean_rotation: Annotated[
+        bool,
+        typer.Option(
+            "--mean-rotation", help="Send the mean rotation of each recording with its noise too."
+        ),
+    ] = False,
+) -> None:
+    """Measure recordings as they appear, on a device at the robot."""
+    from bayesbl.libraries import bare
+
+    with bare():
+        from bayesbl.config.fleet import FleetConfig
+        from bayesbl.fleet.broker import read_address, read_credentials
+        from bayesbl.fleet.plant_tables import RECORDINGS_FILE
+        from bayesbl.runs.kinds import load_run
+        from bayesbl.runs.watch import Watched, watch
+
+        address = None if publish is None else read_address(publish)
+        if address is None and credentials is not None:
+            raise ConfigError(
+                "Credentials are for a broker.", where="--credentials", expected="--publish URL too"
+            )
+        if address is None and mean_rotation:
+            raise ConfigError(
+                "Mean rotations are sent to a broker.",
+                where="--mean-rotation",
+                expected="--publish URL too",
+            )
+        found = load_run(config, kind="fleet")
+        assert isinstance(found, FleetConfig)
+        output = found.run.output
+        asked = Watched(
+            folder,
+            out or output.with_name(output.name + _WATCHED),
+            address,
+            read_credentials(credentials),
+            once,
+            settled_s,
+            keep_latest,
+            mean_rotation,
+        )
+        _log(None if address is None else address.open_to_others)
+        table = asked.output / RECORDINGS_FILE
+        _log(f"Watching {folder}; each recording becomes a row of {table}.")
+        with _ended_by_signals():
+            watch(found, asked, _log, _tell)
+
+
+def collect_command(
+    url: Annotated[
+        str, typer.Argument(metavar="URL", help="mqtts://broker/topic; those below it count too.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Of recordings.parquet.")],
+    credentials: Credentials = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="End when nothing more comes for 5 s.")
+    ] = False,
+) -> None:
+    """Collect what devices publish into one recordings.parquet."""
+    from bayesbl.fleet.broker import read_address, read_credentials
+    from bayesbl.runs.collect import collect
+
+    address = read_address(url)
+    _log(address.open_to_others)
+    with _ended_by_signals():
+        collect(address, read_credentials(credentials), out, _log, _tell, once=once)
+
+
+def _log(text: str | None) -> None:
+    """On standard error, at once: a service's journal shows it as it happens."""
+    from bayesbl.presentation.terminal import say
+
+    if text is not None:
+        say(text, err=True)
+
+
+def _tell(row: Mapping[str, Any]) -> None:
+    from bayesbl.presentation.console import recording_line
+
+    _log(recording_line(row))
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Ctrl-C and the end of a service are how these commands end: cleanly, with status 0."""
+    before: Callable[..., Any] | int | None = signal.signal(
+        signal.SIGTERM, signal.default_int_handler
+    )
+    try:
+        yield
+    except KeyboardInterrupt:
+        _log("Stopped; what has a row is safe.")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _command(kind: str, what: str) -> Callable[..., None]:
+    """The command that runs configurations of one kind; ``what`` is its help."""
+
+    def command(
+        config: ConfigPath,
+        out: Out = None,
+        seed: Seed = None,
+        workers: Workers = None,
+        force: Force = False,
+        json: Json = False,
+    ) -> None:
+        run_file(config, force, json, kind=kind, out=out, seed=seed, workers=workers)
+
+    command.__name__, command.__doc__ = f"{kind}_command", what
+    return command
+
+
+simulate_command = _command("simulate", "Make recordings on a virtual bench.")
+sweep_command = _command("sweep", "Sweep a virtual bench over its gap, for a gap curve of its own.")
+
+
+def plan_command(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="[CONFIG]", help="Configuration in TOML.")
+    ] = None,
+    bench: BenchFile = None,
+    range_rad: RangeRad = None,
+    speed_rpm: SpeedRpm = None,
+    acceleration_rpm_per_s: Acceleration = None,
+    duration_s: Duration = None,
+    gap_rad: GapRad = None,
+    out: Out = None,
+    workers: Workers = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Rank motions within limits by how well they would tell the gap."""
+    from bayesbl.config.loading import config_from_options
+
+    options: dict[str, Any] = {
+        "bench": bench,
+        "range_rad": range_rad,
+        "speed_rpm": speed_rpm,
+        "acceleration_rpm_per_s": acceleration_rpm_per_s,
+        "duration_s": duration_s,
+        "gap_rad": gap_rad,
+        "out": Path("results", "plan") if out is None and config is None else out,
+        "workers": workers,
+    }
+    run_config(config_from_options("plan", (), config, **options), force, json, config)
+
+
+def effects_command(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="An effect to show in full.")
+    ] = None,
+) -> None:
+    """Print the catalogue of physical effects, or one entry in full."""
+    from bayesbl.bench.effects import EFFECTS, effect_named
+    from bayesbl.presentation.console import catalogue, entry
+    from bayesbl.presentation.terminal import make_console, print_blocks
+
+    print_blocks(catalogue(EFFECTS) if name is None else entry(effect_named(name)), make_console())
+
+
+DataSheet = Annotated[
+    Path | None,
+    typer.Option(
+        "--bench",
+        metavar="FILE",
+        help="Data sheet of the joint: a bench file with tolerances (`bayesbl init --bench`).",
+    ),
+]
+
+BelievedBench = Annotated[
+    Path | None,
+    typer.Option(
+        "--bench",
+        metavar="FILE|RESULT",
+        help="The bench that should describe them: its file, or what identify found.",
+    ),
+]
+
+Inputs = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="CONFIG | RECORDING …",
+        help="A configuration, or recordings: best in both directions and at two speeds.",
+    ),
+]
+
+Effects = Annotated[
+    str | None,
+    typer.Option(
+        "--effects",
+        metavar="catalogue|NAME,NAME",
+        help="Effects that the data sheet lacks: found where recordings show any, or free by name.",
+    ),
+]
+
+
+def identify_command(
+    inputs: Inputs,
+    bench: DataSheet = None,
+    effects: Effects = None,
+    dates: Dates = None,
+    config: BaseConfig = None,
+    out: Out = None,
+    seed: Seed = None,
+    force: Force = False,
+    json: Json = False,
+    level: Level = None,
+    workers: Workers = None,
+) -> None:
+    """Find the bench of a joint from its data sheet and recordings, with the gap."""
+    given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    given |= {"bench": bench, "level": level}
+    if effects is not None:
+        given["effects"] = effects if effects == "catalogue" else effects.split(",")
+    from bayesbl.config.loading import config_from_options
+
+    if _is_configuration(inputs):
+        loaded = config_from_options("identify", (), inputs[0], **given)
+        run_config(loaded, force, json, inputs[0])
+        return
+    if bench is None and config is None:
+        raise _without_bench("An identification starts from a data sheet.", "datasheet.toml")
+    loaded = config_from_options("identify", inputs, config, dates or (), **given)
+    run_config(loaded, force, json, config)
+
+
+def diagnose_command(
+    inputs: Inputs,
+    bench: BelievedBench = None,
+    config: BaseConfig = None,
+    out: Out = None,
+    seed: Seed = None,
+    force: Force = False,
+    json: Json = False,
+    level: Level = None,
+    workers: Workers = None,
+) -> None:
+    """Find what a bench lacks that recordings show."""
+    given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
+    given |= {"bench": bench, "level": level}
+    if _is_configuration(inputs):
+        run_file(inputs[0], force, json, kind="diagnose", **given)
+        return
+    if bench is None and config is None:
+        raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
+    from bayesbl.runs.first_diagnosis import diagnosis_of
+
+    files = given_files([*([bench] if bench else []), *inputs])
+    with guessing_columns(f"init --diagnose {files}", config):
+        loaded, guess = diagnosis_of(inputs, config, **given)
+    console = notes_console()
+    for choice in guess:
+        console.print(f"Guessed: {choice.told}", markup=False, highlight=False)
+    run_config(loaded, force, json, config)
+
+
+def _is_configuration(inputs: list[Path]) -> bool:
+    return len(inputs) == 1 and inputs[0].suffix.lower() == ".toml"
+
+
+def _without_bench(problem: str, example: str) -> ConfigError:
+    return ConfigError(
+        problem,
+        where="--bench",
+        found="nothing",
+        expected=f"--bench {example}; `bayesbl init --bench` writes one to fill in",
+    )
+
+
+def figures_command(
+    result: ResultPath,
+    study: Annotated[
+        Path | None,
+        typer.Option("--study", metavar="FILE", help="Run this study file to draw its figure."),
+    ] = None,
+) -> None:
+    """Draw the figures of a result again, as PDF and PNG."""
+    from bayesbl.library import require_study_file
+    from bayesbl.presentation.terminal import say
+    from bayesbl.results.folder import FIGURES
+    from bayesbl.runs.kinds import read_result
+
+    tree = read_result(result)
+    require_study_file(tree, study, result)
+    folder = (result if os.path.isdir(result) else result.parent) / FIGURES
+    for path in _draw_in_place(tree, folder, study):
+        say(str(path))
+
+
+def report_command(result: ResultPath) -> None:
+    """Write a result as one HTML page, report.html, that opens anywhere."""
+    from bayesbl.library import draw
+    from bayesbl.presentation.page.build import write_page
+    from bayesbl.presentation.terminal import say
+
+    def draw_or_say(tree: xr.DataTree, folder: Path) -> list[Path]:
+        if tree.attrs["kind"] != "study":
+            return draw(tree, folder)
+        command = f"bayesbl figures {shlex.quote(str(result))} --study FILE"
+        say(f"The page has no figure: none is stored. To draw it: {command}", err=True)
+        return []
+
+    say(str(write_page(result, draw_or_say)))
+
+
+def inspect_command(result: ResultPath, json: Json = False) -> None:
+    """Print what a result says."""
+    from bayesbl.presentation.console import print_summary
+    from bayesbl.presentation.terminal import make_console
+    from bayesbl.results.store import json_text
+    from bayesbl.runs.kinds import read_result, summarise
+
+    tree = read_result(result)
+    if json:
+        # Not the summary.json beside it: only what is in result.nc is verified.
+        typer.echo(json_text(summarise(tree)), nl=False)
+    else:
+        print_summary(tree, make_console())
+
+
+def cite_command(
+    bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
+) -> None:
+    """Print what to cite, as text and as BibTeX."""
+    from bayesbl.presentation.citations import all_bibtex, cited
+    from bayesbl.presentation.terminal import say
+
+    if not bibtex:
+        for line in cited():
+            say(f"{line}\n")
+    say(all_bibtex())
+
+
+def _draw_in_place(tree: xr.DataTree, folder: Path, study: Path | None) -> list[Path]:
+    """Draw beside and move: an interrupted command leaves the figures that were there."""
+    import tempfile
+
+    from bayesbl.library import draw
+
+    with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
+        drawn = draw(tree, Path(beside), ("pdf", "png"), study)
+        folder.mkdir(exist_ok=True)
+        for path in drawn:
+            os.replace(path, folder / path.name)
+    return [folder / path.name for path in drawn]
+
+
+COMMANDS: tuple[Callable[..., None], ...] = (
+    run_command,
+    check_command,
+    fit_command,
+    compare_command,
+    fleet_command,
+    watch_command,
+    collect_command,
+    simulate_command,
+    sweep_command,
+    diagnose_command,
+    plan_command,
+    identify_command,
+    effects_command,
+    figures_command,
+    report_command,
+    inspect_command,
+    init_command,
+    cite_command,
+)
+"""In the order of the help."""

@@ -1,0 +1,613 @@
+"""A diagnosis or an identification: residuals before and after, and what was learned."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.lines import Line2D
+
+from bayesbl.presentation.figures import style
+from bayesbl.presentation.figures.stored_figure import (
+    credible_interval,
+    file_ending,
+    holding,
+    interval_name,
+    stored_figure,
+)
+from bayesbl.presentation.figures.style import GAP
+from bayesbl.presentation.words import significant
+from bayesbl.recording.types import CHANNELS, FloatArray
+from bayesbl.units import in_words, unit_of
+
+if TYPE_CHECKING:
+    from bayesbl.diagnosis.summary import Answer, LearnedSummary
+    from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
+
+
+BEFORE = "#d55e00"
+_HEIGHT_IN = 3.6
+
+
+def _each_signal(
+    tree: xr.DataTree,
+) -> Iterator[tuple[str, tuple[object, ...]]]:
+    recordings = tree["signals"].to_dataset()["recording"].values
+    for name in dict.fromkeys(map(str, recordings)):
+        yield file_ending(name), (tree, name)
+
+
+@stored_figure(
+    "Measured signal, bench before and after naming, and the residuals.",
+    90,
+    holding("signals/measured"),
+    name="diagnosis",
+    parts=_each_signal,
+)
+def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
+    """Overlay above, residuals below; the half that was held out is tinted."""
+    signals = tree["signals"].to_dataset()
+    rows = [i for i, name in enumerate(signals["recording"].values) if str(name) == recording]
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, _HEIGHT_IN)
+    spec = style.grid(figure, 2, 1, between=(0.35, 0.0))
+    upper = figure.add_subplot(spec[0, 0])
+    lower = figure.add_subplot(spec[1, 0], sharex=upper)
+    for row in rows:
+        _draw_piece(upper, lower, signals.isel(piece=row), row == rows[0], len(rows) > 1)
+    unit = signals["measured"].attrs["units"]
+    channel = str(signals["channel"].values[rows[0]])
+    name = CHANNELS.get(channel, channel)
+    upper.set_ylabel(f"{name.capitalize()} ({unit})")
+    lower.set_ylabel(f"Residual ({unit})")
+    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    lower.set_xlabel("Time (s)")
+    upper.tick_params(labelbottom=False)
+    uses = {str(signals["use"].values[row]) for row in rows}
+    words = {"used": "fitted on", "held_out": "held out"}
+    whole = " and ".join(words[use] for use in sorted(uses, reverse=True))
+    style.head_panels([upper, lower], [f"{recording} ({whole})", "measured minus bench"])
+    style.legend_above(upper)
+    return figure
+
+
+def _draw_piece(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, split: bool) -> None:
+    time = piece["time_s"].values
+    there = np.isfinite(time)
+    time = time[there]
+    measured, before, after = (
+        piece[name].values[there] for name in ("measured", "before", "after")
+    )
+
+    def label(text: str) -> str | None:
+        return text if labelled else None
+
+    upper.plot(time, measured, color=style.MEASURED, linewidth=0.6, label=label("measured"))
+    upper.plot(time, before, color=BEFORE, linewidth=0.8, linestyle="--", label=label("before"))
+    upper.plot(time, after, color=style.MODEL, linewidth=0.8, label=label("after"))
+    lower.plot(time, measured - before, color=BEFORE, linewidth=0.6, linestyle="--")
+    lower.plot(time, measured - after, color=style.MODEL, linewidth=0.6)
+    if str(piece["use"].values) == "held_out" and split:
+        for axes in (upper, lower):
+            style.shade(axes, time[0], time[-1])
+
+
+_NOISE = "#000000"
+_ROW_IN = 2.0
+_BINS = 250
+_EXCEEDED = 0.01
+"""Probability that noise alone shows any bin beyond the limit drawn."""
+_LABELLED = 3
+_RIGHT_HALF = 400.0
+"""Load order beyond which a label has no room on its right."""
+_MARKS = {"load angle": "o", "motor angle": "^", "time": "s", "angle or time": "D"}
+_NAMES = {
+    "load angle": "load order",
+    "motor angle": "motor order",
+    "time": "periodic in time",
+    "angle or time": "angle or time",
+}
+
+
+def _each_recording(
+    tree: xr.DataTree,
+) -> Iterator[tuple[str, tuple[object, ...]]]:
+    before, after = (tree[f"residuals_{stage}"].to_dataset() for stage in ("before", "after"))
+    for name in map(str, before["recording"].values):
+        yield file_ending(name), (before, name, after)
+
+
+@stored_figure(
+    "Measured signals, bench before and after naming, and the residuals.",
+    90,
+    holding("residuals_before", "residuals_after"),
+    name="diagnosis",
+    parts=_each_recording,
+)
+def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) -> Figure:
+    """A row for each channel: overlay, residuals against load angle, their order spectrum.
+
+    Parameters
+    ----------
+    before, after
+        As :mod:`bayesbl.diagnosis.residual_groups` stores them, of the bench as believed and with
+        what was named.
+    recording
+        Name of one recording of theirs.
+    """
+    stages = [stage.sel(recording=recording) for stage in (before, after)]
+    channels = [str(name) for name in np.atleast_1d(before.attrs["channels"])]
+    channels = [n for n in channels if not np.isnan(stages[0][f"{n}_offset"])]
+    rows = len(channels)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 1.04 + _ROW_IN * rows)
+    spec = style.grid(figure, rows, 3, left=0.6, top=0.64, between=(0.6, 0.62))
+    axes: list[Axes] = []
+    titles: list[str] = []
+    for row, channel in enumerate(channels):
+        overlay = figure.add_subplot(spec[row, 0])
+        _overlay(overlay, stages, channel)
+        maps = _load_maps(figure, spec[row, 1], stages, channel)
+        spectrum = figure.add_subplot(spec[row, 2])
+        _spectrum(spectrum, stages, channel)
+        axes += [overlay, maps[0], spectrum]
+        titles += [CHANNELS.get(channel, channel), "residuals: before, after", "their spectrum"]
+    style.head_panels(axes, titles)
+    _legend(figure, stages, channels)
+    return figure
+
+
+def _overlay(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
+    angle = _values(stages[0], "load_angle_rad")
+    panel.plot(
+        angle, _values(stages[0], f"{channel}_recorded"), color=style.MEASURED, linewidth=1.6
+    )
+    for index, stage in enumerate(stages):
+        look = style.look(index)
+        panel.plot(
+            angle,
+            _values(stage, f"{channel}_simulated"),
+            color=look.colour,
+            linestyle=look.dashes,
+            linewidth=0.9,
+        )
+    panel.set_ylabel(f"{_capital(channel)} ({unit_of(channel)})")
+    style.rotation_axis(panel, "Load angle (rad)")
+
+
+def _load_maps(
+    figure: Figure, place: SubplotSpec, stages: list[xr.Dataset], channel: str
+) -> list[Axes]:
+    """One above the other on one scale: where little was removed, one would hide the other."""
+    angle = _values(stages[0], "load_angle_rad")
+    spec = place.subgridspec(len(stages), 1, hspace=0.12)
+    panels: list[Axes] = []
+    for index, stage in enumerate(stages):
+        first = panels[0] if panels else None
+        panel = figure.add_subplot(spec[index, 0], sharex=first, sharey=first)
+        look = style.look(index)
+        mean = _values(stage, f"{channel}_load_map")
+        error = float(stage[f"{channel}_map_error"])
+        panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+        panel.fill_between(
+            angle, mean - error, mean + error, color=look.colour, alpha=0.3, linewidth=0.0
+        )
+        panel.plot(angle, mean, color=look.colour, linewidth=0.7)
+        style.rotation_axis(panel, "Load angle (rad)")
+        panel.label_outer()
+        panels.append(panel)
+    panels[0].set_ylabel(f"Recorded − simulated ({unit_of(channel)})", y=-0.06)
+    return panels
+
+
+def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
+    for index, stage in enumerate(stages):
+        order, amplitude, noise = (
+            _values(stage, name)
+            for name in ("load_order", f"{channel}_amplitude", f"{channel}_noise_amplitude")
+        )
+        shown = (order > 0.0) & np.isfinite(amplitude)
+        look = style.look(index)
+        panel.plot(
+            *_peaks(order[shown], amplitude[shown]),
+            color=look.colour,
+            linestyle=look.dashes,
+            linewidth=0.7,
+            zorder=1.0,
+        )
+        _mark(panel, stage, channel, look.colour)
+        if index == len(stages) - 1:
+            limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
+            panel.plot(order[shown], limit, color=_NOISE, linewidth=0.8)
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, 2.5 * high)
+    panel.set_xlabel("Cycles per load rotation")
+    panel.set_ylabel(f"Amplitude ({unit_of(channel)})")
+
+
+def _peaks(order: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest amplitude in each stretch of the logarithmic axis: every line is on the page."""
+    edges = np.geomspace(order[0], order[-1], _BINS + 1)
+    starts = np.unique(np.searchsorted(order, edges[:-1]))
+    ends = np.append(starts[1:], order.size)
+    tops = [
+        begin + int(np.argmax(amplitude[begin:end]))
+        for begin, end in zip(starts, ends, strict=True)
+    ]
+    return order[tops], amplitude[tops]
+
+
+def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
+    """Significant lines by what they repeat with; the strongest single ones named."""
+    order = _values(stage, f"{channel}_line_load_order")
+    amplitude = _values(stage, f"{channel}_line_amplitude")
+    dependence = np.atleast_1d(stage[f"{channel}_line_dependence"].values).astype(str)
+    for name, marker in _MARKS.items():
+        here = dependence == name
+        panel.plot(
+            order[here],
+            amplitude[here],
+            linestyle="none",
+            marker=marker,
+            markersize=2.2 if name == "load angle" else 3.5,
+            markerfacecolor="none",
+            markeredgecolor=colour,
+            markeredgewidth=0.6,
+            zorder=2.0,
+        )
+    single = np.flatnonzero((dependence != "load angle") & np.isfinite(order))[:_LABELLED]
+    for i in single:
+        text = f"{float(stage[f'{channel}_line_frequency_hz'][i]):.3g} Hz"
+        if dependence[i] == "motor angle":
+            text = f"motor {float(stage[f'{channel}_line_motor_order'][i]):.3g}"
+        panel.annotate(
+            text,
+            (order[i], amplitude[i]),
+            xytext=(-3.5 if order[i] > _RIGHT_HALF else 3.5, 0.0),
+            textcoords="offset points",
+            ha="right" if order[i] > _RIGHT_HALF else "left",
+            va="center",
+            fontsize=7.0,
+        )
+
+
+def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> None:
+    panel = figure.axes[0]
+    handles = [
+        Line2D([], [], color=style.MEASURED, linewidth=1.6, label="recorded, mean of rotations")
+    ]
+    for index, name in enumerate(("simulated before", "simulated after")):
+        look = style.look(index)
+        handles += panel.plot([], [], color=look.colour, linestyle=look.dashes, label=name)
+    handles.append(
+        Line2D(
+            [],
+            [],
+            color=_NOISE,
+            linewidth=0.8,
+            label=f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)",
+        )
+    )
+    found = {
+        str(name)
+        for stage in stages
+        for channel in channels
+        for name in np.atleast_1d(stage[f"{channel}_line_dependence"].values)
+    }
+    for name, marker in _MARKS.items():
+        if name in found:
+            handles.append(
+                Line2D(
+                    [],
+                    [],
+                    linestyle="none",
+                    marker=marker,
+                    markerfacecolor="none",
+                    markeredgecolor=style.NEUTRAL,
+                    label=f"significant: {_NAMES[name]}",
+                )
+            )
+    figure.legend(handles=handles, loc="upper center", ncols=4, columnspacing=1.2)
+
+
+def _capital(channel: str) -> str:
+    name = CHANNELS.get(channel, channel)
+    return name[:1].upper() + name[1:]
+
+
+def _values(stage: xr.Dataset, name: str) -> FloatArray:
+    return np.atleast_1d(np.asarray(stage[name].values, dtype=float))
+
+
+MOST_PANELS = 6
+_TITLES = {
+    "torque": "a torque",
+    "angle": "an error of the angle",
+    "both": "a torque and an error of the angle",
+    "none": "no law that is sure",
+}
+
+
+@stored_figure(
+    "The torque that would make the line at each order of the motor, over the speed: that of a "
+    "torque stays, that of an error of the encoder's angle grows with the square.",
+    80,
+    holding("order_sizes"),
+)
+def lines_over_speed(tree: xr.DataTree) -> Figure:
+    """A panel per order, largest line first; hollow points were held out."""
+    lines = tree["order_sizes"].to_dataset()
+    orders = list(dict.fromkeys(lines["order"].values.tolist()))[:MOST_PANELS]
+    figure, axes = style.one_panel_each(len(orders), 2.2, shared=False, above=1.2 * style.LINE_IN)
+    for panel, order in zip(axes, orders, strict=True):
+        _draw_lines(panel, lines.isel(line=np.flatnonzero(lines["order"].values == order)))
+    laws = [str(lines["law"].values[lines["order"].values == order][0]) for order in orders]
+    titles = [f"order {order:.4g}: {_TITLES[law]}" for order, law in zip(orders, laws, strict=True)]
+    style.head_panels(axes, titles)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    return figure
+
+
+def _draw_lines(panel: Axes, lines: xr.Dataset) -> None:
+    speed, torque, sd = (np.abs(lines[name].values) for name in ("speed_rpm", "torque_nm", "sd_nm"))
+    law, used = str(lines["law"].values[0]), lines["use"].values == "used"
+    for chosen, face, label in ((used, style.NEUTRAL, "fitted on"), (~used, "white", "held out")):
+        if chosen.any():
+            panel.errorbar(
+                speed[chosen], torque[chosen], yerr=sd[chosen], color=style.NEUTRAL,
+                markerfacecolor=face, marker="o", markersize=4.0, linestyle="none", label=label,
+            )  # fmt: skip
+    along = np.linspace(0.0, 1.05 * speed.max(), 100)
+    weight = sd**-2.0 * used
+    for name, power in (("torque", 0), ("angle", 2)):
+        size = np.sum(weight * torque * speed**power) / np.sum(weight * speed ** (2 * power))
+        followed = law == name
+        panel.plot(
+            along, size * along**power, color=style.MODEL if followed else style.NEUTRAL,
+            linestyle="-" if power == 0 else "--", linewidth=1.2 if followed else 0.6,
+            label=f"one {name}",
+        )  # fmt: skip
+    if law == "both":
+        place = np.argsort(speed)
+        panel.plot(speed[place], lines["by_law_nm"].values[place], color=style.MODEL, linewidth=1.2)
+    panel.set_ylim(0.0, 1.1 * float((torque + sd).max()))
+    panel.set_xlabel("Motor speed (rpm)")
+    panel.set_ylabel("Torque (N m)")
+
+
+LEVEL_SD = 1.645
+"""Half-width of a 90 % interval in standard deviations."""
+
+_LABELS = {
+    "motor_angle": "Motor angle from the first recording's start (turns)",
+    "load_angle": "Load angle (°), 0 hangs down",
+    "motor_speed": "Motor speed (rad/s)",
+    "time": "Time from the start of the first recording (s)",
+}
+_SCALES = {"motor_angle": 0.5 / math.pi, "load_angle": 180.0 / math.pi}
+
+
+@stored_figure(
+    "The torque that was learned where no effect of the catalogue explains what repeats.",
+    95,
+    holding("learned_torque"),
+    name="learned_torque",
+)
+def learned_course(tree: xr.DataTree) -> Figure:
+    """Its course forwards with a 90 % band."""
+    stored = tree["learned_torque"].to_dataset()
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    told = answer["learned_torque"]
+    label = f"Learned torque\nat the {told['side']} (N m)"
+    return _course(stored, told, stored["torque_nm"].values, stored["sd_nm"].values, label)
+
+
+@stored_figure(
+    "The error of the motor's encoder that was learned: what it shows less the true angle.",
+    95,
+    holding("encoder_error"),
+    name="encoder_error",
+)
+def encoder_course(tree: xr.DataTree) -> Figure:
+    """It over a turn of the motor with a 90 % band."""
+    stored = tree["encoder_error"].to_dataset()
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    error, sd = (1e3 * stored[name].values for name in ("angle_rad", "sd_rad"))
+    return _course(stored, answer["encoder_error"], error, sd, "Error of the\nencoder (mrad)")
+
+
+def _course(
+    stored: xr.Dataset, told: LearnedSummary, value: FloatArray, sd: FloatArray, label: str
+) -> Figure:
+    figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0)
+    panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
+    x = stored["variable"].values * _SCALES.get(told["variable"], 1.0)
+    reach = LEVEL_SD * sd
+    panel.fill_between(x, value - reach, value + reach, color=style.BAND, linewidth=0.0)
+    panel.plot(x, value, color=style.MODEL)
+    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.5)
+    panel.set_xlim(x[0], x[-1])
+    if told["variable"] == "load_angle":
+        panel.set_xticks([-180.0, -90.0, 0.0, 90.0, 180.0])
+    panel.set_xlabel(_LABELS[told["variable"]])
+    panel.set_ylabel(label)
+    return figure
+
+
+_DENSITY_BINS = 25
+_BELIEVED = "#d55e00"
+
+
+def has_sizes(tree: xr.DataTree) -> bool:
+    """Whether anything but phases and start angles was sampled."""
+    if "posterior" not in tree.children or "diagnosis" not in tree.attrs:
+        return False
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
+
+
+@stored_figure("The posterior of the gap and of what was named.", 100, has_sizes, name="named")
+def named_effects(tree: xr.DataTree) -> Figure:
+    """A panel for δ and one for each size that was named, with its value before.
+
+    Phases and start angles, another in every recording, are left out.
+    """
+    posterior = tree["posterior"].to_dataset()
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    shown = [name for name in map(str, posterior) if _is_size(name, answer)]
+    figure, axes = style.one_panel_each(len(shown), height_in=1.9, shared=False, above=0.2)
+    values = [
+        _draw_named(panel, tree, posterior[name], _believed(name, answer))
+        for panel, name in zip(axes, shown, strict=True)
+    ]
+    style.head_panels(axes, values)
+    lines = [line for panel in axes for line in panel.lines]
+    by_label = {
+        line.get_label(): line for line in lines if not str(line.get_label()).startswith("_")
+    }
+    figure.legend(handles=list(by_label.values()), loc="upper left", ncols=2)
+    return figure
+
+
+def _is_size(name: str, answer: Answer) -> bool:
+    if name == GAP:
+        return True
+    errors = [error["name"] for error in answer["parameter_errors"]]
+    return name in errors or ("__" in name and "__phase_rad" not in name)
+
+
+def _believed(name: str, answer: Answer) -> float | None:
+    """The value that the bench as believed has."""
+    if name == GAP:
+        before = answer["delta_rad_before"]
+        return None if before is None else before["median"]
+    for error in answer["parameter_errors"]:
+        if error["name"] == name:
+            return error["believed"]
+    return None
+
+
+def _draw_named(
+    panel: Axes,
+    tree: xr.DataTree,
+    variable: xr.DataArray,
+    believed: float | None,
+) -> str:
+    """Draw, and say the values."""
+    factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
+    draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
+    found = credible_interval(tree, draws)
+    counts, edges = style.density(panel, draws, style.MODEL, bins=_DENSITY_BINS)
+    for end in ("low", "median", "high"):
+        panel.axvline(
+            found[end], color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
+            label=f"posterior: median and {interval_name(tree)}",
+        )  # fmt: skip
+    if believed is not None:
+        _draw_believed(panel, factor * believed, edges)
+    panel.set_ylim(0.0, 1.1 * counts.max())
+    quantity = _quantity(str(variable.name))
+    panel.set_xlabel(quantity if unit == "1" else f"{quantity} ({unit})")
+    panel.set_ylabel("Density")
+    panel.set_yticks([])
+    panel.locator_params(axis="x", nbins=5)
+    ending = "" if unit == "1" else f" {unit}"
+    low, middle, high = (significant(found[end], 4) for end in ("low", "median", "high"))
+    values = f"{middle}{ending} ({low} to {high})"
+    if believed is None:
+        return values
+    return f"{values}, before {significant(factor * believed, 4)}{ending}"
+
+
+def _draw_believed(panel: Axes, value: float, edges: FloatArray) -> None:
+    """A line, or an arrow to where it would be beyond the panel."""
+    if edges[0] < value < edges[-1]:
+        panel.axvline(value, color=_BELIEVED, linewidth=1.0, label="before: as in the bench file")
+        return
+    left = value <= edges[0]
+    panel.annotate(
+        "← before" if left else "before →",
+        (0.02 if left else 0.98, 0.9), xycoords="axes fraction", ha="left" if left else "right",
+        color=_BELIEVED,
+    )  # fmt: skip
+
+
+def _quantity(name: str) -> str:
+    """``Gap δ``, ``Shaft stiffness``, ``Load Coulomb friction: torque``."""
+    if name == GAP:
+        return "Gap δ"
+    words = ": ".join(map(in_words, name.split("__")))
+    return words[0].upper() + words[1:]
+
+
+_LINE_IN = 0.3
+_LEFT_IN, _RIGHT_IN, _TOP_IN, _BOTTOM_IN = 1.55, 1.75, 0.35, 0.45
+
+
+def is_identified(tree: xr.DataTree) -> bool:
+    """Whether the result is of an identification."""
+    return "identification" in tree.attrs
+
+
+@stored_figure("Each parameter before and after the recordings.", 100, is_identified)
+def prior_and_posterior(tree: xr.DataTree) -> Figure:
+    """Per cent from the data sheet's value: its tolerance, and median and interval found."""
+    answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
+    found = answer["parameters"]
+    height = _TOP_IN + _BOTTOM_IN + _LINE_IN * len(found)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, height)
+    panel = figure.add_axes(
+        (
+            _LEFT_IN / style.DOUBLE_COLUMN_IN,
+            _BOTTOM_IN / height,
+            1.0 - (_LEFT_IN + _RIGHT_IN) / style.DOUBLE_COLUMN_IN,
+            1.0 - (_TOP_IN + _BOTTOM_IN) / height,
+        )
+    )
+    for line, entry in enumerate(found.values()):
+        _draw_parameter(panel, line, entry)
+    panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6, zorder=0)
+    panel.set_ylim(len(found) - 0.5, -0.5)
+    panel.set_yticks(range(len(found)), [in_words(name).capitalize() for name in found])
+    panel.tick_params(axis="y", length=0.0)
+    panel.spines["left"].set_visible(False)
+    panel.set_xlabel("From the data sheet's value (%)")
+    level = next(iter(found.values()))["posterior"]["level"]
+    handles = [
+        panel.barh(0, 0, color=style.BAND, label="data sheet with its tolerance"),
+        panel.errorbar([], [], xerr=[], fmt="o", color=style.MODEL, label=_label(level)),
+    ]
+    figure.legend(handles=handles, loc="upper left", ncols=2)
+    return figure
+
+
+def _label(level: float) -> str:
+    return f"found: median and {100.0 * level:g} % interval"
+
+
+def _draw_parameter(panel: Axes, line: int, entry: ParameterSummary) -> None:
+    prior, posterior = entry["prior"], entry["posterior"]
+    scale = 100.0 / prior["value"] if prior["value"] else 1.0
+
+    def percent(value: float) -> float:
+        return scale * (value - prior["value"])
+
+    low, high = percent(prior["low"]), percent(prior["high"])
+    panel.barh(line, high - low, left=low, height=0.6, color=style.BAND, zorder=1)
+    ends = (percent(posterior["low"]), percent(posterior["high"]))
+    panel.plot(ends, (line, line), color=style.MODEL, linewidth=1.4, zorder=2)
+    panel.plot(percent(posterior["median"]), line, "o", color=style.MODEL, markersize=4.0, zorder=3)
+    unit = f" {entry['unit']}" if entry["unit"] else ""
+    learned = max(0.0, 100.0 * entry["learned"])
+    panel.text(
+        1.02, line, f"{significant(posterior['median'], 4)}{unit}, learned {learned:.0f} %",
+        transform=panel.get_yaxis_transform(), va="center",
+    )  # fmt: skip

@@ -1,0 +1,219 @@
+"""Motions of the simulated bench beside the measured ones, and motions that are planned."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from bayesbl.measurement.stored import Snapshot
+from bayesbl.presentation.figures import style
+from bayesbl.presentation.figures.stored_figure import holding, snapshots, stored_figure
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import number
+
+_BLOCK_IN = 2.4
+_CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
+
+
+@stored_figure(
+    "The measured signals with those of the simulated bench, and their difference.",
+    15,
+    holding("predictive/simulated_motor_speed_rpm"),
+    name="simulation",
+)
+def overlay(tree: xr.DataTree) -> Figure:
+    """One row of panels per snapshot: the middle rotation of each channel that was compared."""
+    parts = snapshots(tree, "predictive/simulated_motor_speed_rpm")
+    channels = [c for c in _CHANNELS if any(_has(part, c) for part in parts)]
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
+    spec = style.grid(figure, len(parts), len(channels), top=0.45, between=(0.55, 0.65))
+    heads: list[Axes] = []
+    titles: list[str] = []
+    for row, snapshot in enumerate(parts):
+        for column, channel in enumerate(channels):
+            if not _has(snapshot, channel):
+                continue
+            inner = spec[row, column].subgridspec(2, 1, height_ratios=(2.2, 1.0), hspace=0.08)
+            upper = figure.add_subplot(inner[0, 0])
+            lower = figure.add_subplot(inner[1, 0], sharex=upper)
+            _draw_overlay(upper, lower, snapshot, channel)
+            heads.append(upper)
+            moves = "flank_changes" in snapshot.groups["predictive"]
+            titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
+    style.head_panels(heads, titles)
+    figure.legend(
+        handles=[
+            Line2D([], [], color=style.MEASURED, label="measured"),
+            Line2D([], [], color=style.MODEL, label="simulated at the optimum"),
+        ],
+        loc="upper center",
+        ncols=2,
+    )
+    return figure
+
+
+def _has(snapshot: Snapshot, channel: str) -> bool:
+    name = f"simulated_{channel}"
+    return name in snapshot.groups["predictive"] and snapshot.values("predictive", name).size > 0
+
+
+def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) -> None:
+    time = snapshot.time_s
+    period = snapshot.number("predictive", "rotation_period_s")
+    begin = time[0] + 0.5 * max(0.0, time[-1] - time[0] - period)
+    inside = (time >= begin) & (time <= begin + period)
+    measured = snapshot.channel(channel)[inside]
+    upper.plot(time[inside], measured, color=style.MEASURED, linewidth=0.6)
+    simulated = snapshot.values("predictive", f"simulated_{channel}")[inside]
+    upper.plot(time[inside], simulated, color=style.MODEL, linewidth=0.9)
+    residual = snapshot.values("predictive", f"residual_{channel}")[inside]
+    lower.plot(time[inside], residual, color=style.MEASURED, linewidth=0.6)
+    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    lower.set_xlim(begin, begin + period)
+    lower.set_xlabel("Time (s)")
+    unit = _CHANNELS[channel].rsplit(" ", 1)[1]
+    upper.set_ylabel(_CHANNELS[channel])
+    lower.set_ylabel(f"Residual {unit}")
+    upper.tick_params(labelbottom=False)
+    for axes in (upper, lower):
+        axes.yaxis.set_label_coords(-0.13, 0.5)
+
+
+MOST_CYCLES = 6
+QUIET = 4.0
+"""Rows are this many standard deviations of the deviation apart."""
+
+
+@stored_figure(
+    "Departure of the motor speed from what it was asked for, cycle by cycle; the load crosses the "
+    "gap where a stretch is marked.",
+    12,
+    holding("predictive/flank_changes"),
+)
+def cycles(tree: xr.DataTree) -> Figure:
+    """One panel per snapshot: rows of cycles, measured over simulated, changes of flank marked."""
+    parts = [
+        part
+        for part in snapshots(tree, "predictive/flank_changes")
+        if "flank_changes" in part.groups["predictive"]
+    ]
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.7 + 2.9 * len(parts))
+    spec = style.grid(figure, len(parts), 1, top=0.5, between=(0.65, 0.5))
+    panels: list[Axes] = []
+    for row, snapshot in enumerate(parts):
+        panels.append(figure.add_subplot(spec[row, 0]))
+        _draw_cycles(panels[-1], snapshot)
+    style.head_panels(panels, [part.name for part in parts])
+    figure.legend(
+        handles=[
+            Line2D([], [], color=style.MEASURED, label="measured"),
+            Line2D([], [], color=style.MODEL, label="simulated at the optimum"),
+            Line2D([], [], color=style.LIMIT, linewidth=3.0, label="the load crosses the gap"),
+        ],
+        loc="upper center",
+        ncols=3,
+    )
+    return figure
+
+
+def _draw_cycles(panel: Axes, snapshot: Snapshot) -> None:
+    time = snapshot.time_s
+    time = time - time[0]
+    asked = snapshot.values("predictive", "reference_speed_rpm")
+    measured = snapshot.channel("motor_speed_rpm") - asked
+    simulated = snapshot.values("predictive", "simulated_motor_speed_rpm") - asked
+    period = snapshot.number("predictive", "rotation_period_s")
+    count = min(MOST_CYCLES, max(1, int(np.ceil((time[-1] + 1e-9) / period))))
+    distance = QUIET * float(simulated.std())
+    changes = _changes(snapshot)
+    for row in range(count):
+        inside = (time >= row * period) & (time < (row + 1) * period)
+        begin, level = row * period, -distance * row
+        panel.plot(time[inside] - begin, level + measured[inside], color=style.MEASURED, lw=0.5)
+        panel.plot(time[inside] - begin, level + simulated[inside], color=style.MODEL, lw=0.8)
+        for left, met in changes:
+            if begin <= met < begin + period:
+                panel.plot(
+                    [max(left - begin, 0.0), met - begin],
+                    [level - 0.42 * distance] * 2,
+                    color=style.LIMIT,
+                    linewidth=3.0,
+                    solid_capstyle="butt",
+                )
+    panel.set_xlim(0.0, min(period, time[-1]))
+    panel.set_yticks([-distance * row for row in range(count)])
+    panel.set_yticklabels([str(row + 1) for row in range(count)])
+    panel.set_ylabel("Cycle")
+    panel.set_xlabel("Time in the cycle (s)")
+    low, high = panel.get_ylim()
+    rise = float(f"{0.5 * distance:.1g}")
+    panel.plot([0.99 * min(period, time[-1])] * 2, [low, low + rise], color="k", linewidth=1.5)
+    panel.set_ylim(low, high)
+    panel.annotate(
+        f"{rise:g} rpm",
+        (0.985 * min(period, time[-1]), low + 0.5 * rise),
+        ha="right",
+        va="center",
+        fontsize="small",
+    )
+
+
+def _changes(snapshot: Snapshot) -> list[tuple[float, float]]:
+    """When the teeth part and when they meet again, s."""
+    if "flank_left_s" not in snapshot.groups["predictive"]:
+        return []
+    left: FloatArray = snapshot.values("predictive", "flank_left_s")
+    return list(zip(left, snapshot.values("predictive", "flank_met_s"), strict=True))
+
+
+MOST_SHOWN = 16
+
+
+@stored_figure(
+    "The motions that would tell the gap best, with the standard deviation that each promises.",
+    10,
+    holding("motions/expected_relative_sd"),
+    name="plan",
+)
+def planned_motions(tree: xr.DataTree) -> Figure:
+    """Range of each stroke beside its expected standard deviation, the best motion at the top."""
+    stored = tree["motions"].to_dataset()
+    shown = np.flatnonzero(np.isfinite(stored["expected_relative_sd"].values))[:MOST_SHOWN]
+    rows = max(shown.size, 1)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.9 + 0.19 * rows)
+    spec = style.grid(figure, 1, 2, left=1.5, between=(0.5, 0.3))
+    ranges = figure.add_subplot(spec[0, 0])
+    widths = figure.add_subplot(spec[0, 1], sharey=ranges)
+    value = {str(name): stored[name].values[shown] for name in stored.data_vars}
+    place = np.arange(shown.size)
+    low, high = np.degrees(value["low_rad"]), np.degrees(value["high_rad"])
+    ranges.barh(place, high - low, left=low, height=0.55, color=style.MODEL)
+    reversal = [180.0 * k for k in range(-4, 5) if low.size and low.min() < 180.0 * k < high.max()]
+    for angle in reversal:
+        ranges.axvline(angle, color=style.NEUTRAL, linewidth=0.6)
+    ranges.set_xlabel("Load angle of the strokes (°)")
+    ranges.set_yticks(place)
+    ranges.set_yticklabels(
+        [
+            f"{speed:g} rpm, {number(acceleration, 0)} rpm/s"
+            for speed, acceleration in zip(
+                value["speed_rpm"], value["acceleration_rpm_per_s"], strict=True
+            )
+        ]
+    )
+    ranges.set_ylim(rows - 0.5, -0.5)
+    sd = 100.0 * value["expected_relative_sd"]
+    widths.plot(sd, place, "o", color=style.MEASURED, markersize=4.0)
+    if sd.size and sd.max() / sd.min() > 3.0:
+        widths.set_xscale("log")
+    widths.set_xlabel("Expected sd of δ (%)")
+    widths.tick_params(labelleft=False)
+    widths.grid(axis="x", linewidth=0.4, alpha=0.5)
+    gap = 1e3 * float(tree.attrs.get("gap_rad", math.nan))
+    style.head_panels([ranges, widths], ["strokes", f"at δ = {gap:g} mrad"])
+    return figure

@@ -1,0 +1,127 @@
+"""The play where it is measured directly: torque ramps, and encoders at motor and load."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bayesbl.measurement.stored import Snapshot
+from bayesbl.presentation.figures import style
+from bayesbl.presentation.figures.stored_figure import (
+    credible_interval,
+    gap_colour,
+    gap_in_words,
+    holding,
+    snapshots,
+    stored_figure,
+)
+from bayesbl.presentation.figures.style import GAP
+
+
+@stored_figure(
+    "Position over torque at each position round the turn, the loop of play, compliance and "
+    "friction, and the play.",
+    10,
+    holding("loop"),
+    name="loop",
+)
+def ramp_loops(tree: xr.DataTree) -> Figure:
+    """A panel per snapshot: its files from their middles; the band is the play, 2δ."""
+    parts = snapshots(tree, "loop")
+    lines = 2 if len(parts) == 1 else 1
+    figure, axes = style.one_panel_each(len(parts), 2.6, above=(lines + 0.2) * style.LINE_IN)
+    for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
+        _draw_ramp_loops(panel, tree, snapshot, index)
+    style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
+    most = max(axes, key=lambda panel: len(panel.lines))
+    handles, labels = most.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4 // lines)
+    return figure
+
+
+def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
+    torque, position, model, file, last = (
+        snapshot.values("loop", name)
+        for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
+    )
+    low, high = snapshot.values("loop", "left_low_rad"), snapshot.values("loop", "left_high_rad")
+    play = credible_interval(tree, 2e3 * snapshot.values("posterior", GAP))
+    colour = gap_colour(snapshot, index)
+    if not snapshot.withheld:
+        panel.axhspan(
+            -0.5 * play["median"], 0.5 * play["median"], color=colour, alpha=0.18, linewidth=0.0,
+            label="play 2δ",
+        )  # fmt: skip
+        for side in (-1.0, 1.0):
+            panel.errorbar(
+                [0.0], [0.5 * side * play["median"]], yerr=style.reach(play, 0.5), color=colour,
+                capsize=2.5, zorder=4.0, linewidth=1.4,
+            )  # fmt: skip
+    for place, number in enumerate(np.unique(file)):
+        middle = 0.5 * (low[place] + high[place])
+        own = file == number
+        panel.plot(
+            torque[own], 1e3 * (position[own] - middle), color=style.MEASURED, linewidth=0.5,
+            alpha=0.8, label="measured, every position and cycle" if place == 0 else None,
+        )  # fmt: skip
+        once = own & (last > 0.5)
+        panel.plot(
+            torque[once], 1e3 * (model[once] - middle), color=style.MODEL, linewidth=0.9,
+            linestyle=style.look(place).dashes,
+            label="model, the last cycle of each" if place == 0 else None,
+        )  # fmt: skip
+        panel.plot(
+            [0.0, 0.0], 1e3 * (np.array([low[place], high[place]]) - middle), color=style.NEUTRAL,
+            marker=style.look(place).marker, markersize=3.0, linestyle="none", zorder=5.0,
+            label="left at zero torque" if place == 0 else None,
+        )  # fmt: skip
+    panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.5)
+    panel.set_xlabel("Torque at the output (N m)")
+    if index % style.MOST_COLUMNS == 0:  # the axes are shared
+        panel.set_ylabel("Position at the output (mrad)")
+
+
+@stored_figure(
+    "Motor less load over the angle, skew, ratio and transmission error taken out: forwards and "
+    "backwards, the model's way through the gap, and the play.",
+    10,
+    holding("transmission"),
+    name="flanks",
+)
+def flank_paths(tree: xr.DataTree) -> Figure:
+    """A panel per snapshot; the band is the play, 2δ."""
+    parts = snapshots(tree, "transmission")
+    figure, axes = style.one_panel_each(len(parts), 2.6, above=1.2 * style.LINE_IN)
+    for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
+        _draw_flank_paths(panel, tree, snapshot, index)
+    style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    return figure
+
+
+def _draw_flank_paths(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
+    angle, forward, lag, model = (
+        snapshot.values("transmission", name)
+        for name in ("position_rad", "forward", "lag_rad", "model_rad")
+    )
+    for way, look, label in ((1.0, style.look(0), "forwards"), (0.0, style.look(1), "backwards")):
+        own = forward == way
+        panel.plot(
+            angle[own], 1e3 * lag[own], color=style.MEASURED, marker=look.marker, markersize=1.5,
+            linestyle="none", alpha=0.5, label=label,
+        )  # fmt: skip
+    panel.plot(angle, 1e3 * model, color=style.MODEL, linewidth=0.6, alpha=0.7, label="model")
+    if not snapshot.withheld:
+        play = credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
+        panel.axhspan(
+            -play["median"], play["median"], color=gap_colour(snapshot, index), alpha=0.18,
+            linewidth=0.0, label="play 2δ",
+        )  # fmt: skip
+    spread = 1e3 * float(np.quantile(np.abs(lag), 0.995))
+    panel.set_ylim(-1.3 * spread - 1e-9, 1.3 * spread + 1e-9)
+    panel.set_xlabel("Angle of the load (rad)")
+    if index % style.MOST_COLUMNS == 0:  # the axes are shared
+        panel.set_ylabel("Motor less load (mrad)")

@@ -1,0 +1,382 @@
+"""The fitted ringing: signal, what repeats unexplained, noise, and how the optimum was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
+
+from bayesbl.measurement.stored import Snapshot
+from bayesbl.noise.rotation_noise import autocorrelation, rotation_difference
+from bayesbl.presentation.figures import style
+from bayesbl.presentation.figures.stored_figure import (
+    holding,
+    interval_name,
+    snapshots,
+    stored_figure,
+)
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WINDOW_START
+
+_BLOCK_IN = 2.5
+_BINS = 700
+
+
+@dataclass(frozen=True, slots=True)
+class _Signal:
+    """What is drawn of one snapshot, each of shape (n,), s and rpm."""
+
+    time: FloatArray
+    speed: FloatArray
+    model: FloatArray
+    low: FloatArray
+    high: FloatArray
+    residual: FloatArray
+
+    @classmethod
+    def of(cls, snapshot: Snapshot) -> _Signal:
+        time, speed = snapshot.time_s, snapshot.channel("motor_speed_rpm")
+        names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
+        # By the time's length: a sample that was left out has no residual, like the padding.
+        curves = (snapshot.groups["predictive"][n].values[: time.size] for n in names)
+        return cls(time, speed, *curves)
+
+    def within(self, begin_s: float, end_s: float) -> _Signal:
+        inside = (self.time >= begin_s) & (self.time <= end_s)
+        parts = (self.time, self.speed, self.model, self.low, self.high, self.residual)
+        return _Signal(*(part[inside] for part in parts))
+
+
+@stored_figure(
+    "The measured motor speed with the fitted ringing.", 10, holding("predictive/model_rpm")
+)
+def signal(tree: xr.DataTree) -> Figure:
+    """One block per snapshot: the whole recording, a positive and a negative pulse."""
+    parts = snapshots(tree, "predictive/model_rpm")
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
+    spec = style.grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
+    heads: list[Axes] = []
+    titles: list[str] = []
+    for row, snapshot in enumerate(parts):
+        inner = spec[row, 0].subgridspec(
+            2, 3, height_ratios=(2.4, 1.0), width_ratios=(2.3, 1.0, 1.0), hspace=0.08, wspace=0.16
+        )
+        upper = figure.add_subplot(inner[0, 0])
+        lower = figure.add_subplot(inner[1, 0], sharex=upper)
+        data = _Signal.of(snapshot)
+        _draw_whole(upper, lower, data)
+        heads.append(upper)
+        titles.append(f"{snapshot.name}: whole recording")
+        for column, positive in ((1, True), (2, False)):
+            begin, end = pulse_window(snapshot, positive)
+            top = figure.add_subplot(inner[0, column], sharey=upper)
+            bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
+            _draw_part(top, bottom, data.within(begin, end))
+            for edge in impact_window(snapshot, positive):
+                for axes in (top, bottom):
+                    axes.axvline(edge, color=style.NEUTRAL, linewidth=0.6, linestyle=":")
+            for axes in (upper, lower):
+                style.shade(axes, begin, end)
+            top.tick_params(labelbottom=False, labelleft=False)
+            bottom.tick_params(labelleft=False)
+            heads.append(top)
+            titles.append("positive pulse" if positive else "negative pulse")
+        upper.tick_params(labelbottom=False)
+        upper.set_ylabel("Motor speed (rpm)")
+        lower.set_ylabel("Residual (rpm)")
+        for axes in (upper, lower):
+            axes.yaxis.set_label_coords(-0.125, 0.5)
+    style.head_panels(heads, titles)
+    _legend(figure, interval_name(tree))
+    return figure
+
+
+def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
+    """Start and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
+    start, end = impact_window(snapshot, positive)
+    return start - 0.4 * (end - start), end + 0.4 * (end - start)
+
+
+def impact_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
+    """Start and end, in s, of the window of the pulse that is nearest to the middle."""
+    time = snapshot.time_s
+    symbol = {
+        name: snapshot.number("optimum", name)
+        for name in (START, WINDOW_START, WINDOW_END, SEPARATION, ROTATION)
+    }
+    length = symbol[WINDOW_END] - symbol[WINDOW_START]
+    first = symbol[START] + symbol[WINDOW_START] - (0.0 if positive else symbol[SEPARATION])
+    middle = 0.5 * (time[0] + time[-1] - length)
+    start = first + symbol[ROTATION] * round((middle - first) / symbol[ROTATION])
+    return start, start + length
+
+
+def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
+    """Outlines of the dense traces: every extreme is on the page, not every sample."""
+    time, _, band_high = style.envelope(data.time, data.high, _BINS)
+    _, band_low, _ = style.envelope(data.time, data.low, _BINS)
+    upper.fill_between(time, band_low, band_high, color=style.BAND, linewidth=0.0, label="band")
+    _outline(upper, data.time, data.speed, style.MEASURED, "measured")
+    _outline(upper, data.time, data.model, style.MODEL, "model")
+    _outline(lower, data.time, data.residual, style.MEASURED, "residual")
+    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    lower.set_xlim(data.time[0], data.time[-1])
+    lower.set_xlabel("Time (s)")
+
+
+def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str, label: str) -> None:
+    middle, low, high = style.envelope(time, values, _BINS)
+    axes.fill_between(middle, low, high, color=colour, linewidth=0.5, label=label)
+
+
+def _draw_part(top: Axes, bottom: Axes, data: _Signal) -> None:
+    """Every sample of a short stretch."""
+    top.fill_between(data.time, data.low, data.high, color=style.BAND, linewidth=0.0, label="band")
+    top.plot(data.time, data.speed, color=style.MEASURED, linewidth=0.7, label="measured")
+    top.plot(data.time, data.model, color=style.MODEL, linewidth=1.1, label="model")
+    bottom.fill_between(
+        data.time,
+        data.low - data.model,
+        data.high - data.model,
+        color=style.BAND,
+        linewidth=0.0,
+        label="band",
+    )
+    bottom.plot(data.time, data.residual, color=style.MEASURED, linewidth=0.7, label="residual")
+    bottom.axhline(0.0, color=style.MODEL, linewidth=0.8)
+    bottom.set_xlim(data.time[0], data.time[-1])
+    bottom.set_xlabel("Time (s)")
+    bottom.locator_params(axis="x", nbins=3)
+
+
+def _legend(figure: Figure, interval: str) -> None:
+    band = interval.replace("interval", "predictive band").replace("HDI", "predictive band")
+    figure.legend(
+        handles=[
+            Line2D([], [], color=style.MEASURED, label="measured"),
+            Line2D([], [], color=style.MODEL, label="model at the optimum"),
+            Patch(color=style.BAND, label=band),
+            Line2D([], [], color=style.NEUTRAL, linestyle=":", label="window of the fit"),
+        ],
+        loc="upper center",
+        ncols=4,
+    )
+
+
+@stored_figure(
+    "What repeats every rotation and the model does not describe, a panel a snapshot; grey: the "
+    "windows of its pulses, by their signs.",
+    110,
+    holding("misfit/mean_rpm"),
+)
+def misfit(tree: xr.DataTree) -> Figure:
+    """Rotation-averaged residual against load phase, ± one standard error, a panel a snapshot."""
+    parts = snapshots(tree, "misfit/mean_rpm")
+    figure, axes = style.one_panel_each(len(parts), above=style.LINE_IN)
+    for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
+        _draw_misfit(panel, snapshot, style.look(index).colour)
+    axes[0].set_ylabel("Repeating residual (rpm)")
+    style.head_panels(
+        axes, [f"{s.name}: {s.number('misfit', 'rms_rpm'):.2f} rpm RMS" for s in parts]
+    )
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", ncols=3, columnspacing=1.0)
+    return figure
+
+
+def _draw_misfit(panel: Axes, snapshot: Snapshot, colour: str) -> None:
+    phase = snapshot.values("misfit", "phase_rad")
+    mean = snapshot.values("misfit", "mean_rpm")
+    error = snapshot.values("misfit", "standard_error_rpm")
+    for first, width, sign in _pulses(snapshot):
+        for turn in (0.0, -style.TURN):
+            panel.axvspan(
+                first + turn,
+                first + turn + width,
+                color="#e6e6e6",
+                linewidth=0.0,
+                label="window of a pulse" if sign == "+" and not turn else None,
+            )
+        panel.annotate(
+            sign,
+            ((first + 0.5 * width) % style.TURN, 0.97),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="top",
+        )
+    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    panel.fill_between(
+        phase,
+        mean - error,
+        mean + error,
+        color=colour,
+        alpha=0.35,
+        linewidth=0.0,
+        label="± 1 standard error",
+    )
+    panel.plot(phase, mean, color=colour, linewidth=0.8, label="mean over rotations")
+    style.rotation_axis(panel, "Load phase since the start of the recording (rad)")
+    panel.margins(y=0.18)
+
+
+def _pulses(snapshot: Snapshot) -> list[tuple[float, float, str]]:
+    """(first phase in [0, 2π), width in rad, sign) of the two pulses in a rotation."""
+    begin = snapshot.time_s[0]
+    period = snapshot.number("optimum", ROTATION)
+    start = snapshot.number("optimum", START) + snapshot.number("optimum", WINDOW_START)
+    length = snapshot.number("optimum", WINDOW_END) - snapshot.number("optimum", WINDOW_START)
+    apart = snapshot.number("optimum", SEPARATION)
+    return [
+        (style.TURN * (((at - begin) / period) % 1.0), style.TURN * length / period, sign)
+        for at, sign in ((start, "+"), (start - apart, "−"))
+    ]
+
+
+_FEWEST_LAGS, _MOST_LAGS = 20, 300
+
+
+@stored_figure(
+    "What does not repeat from one rotation to the next, and its noise model.",
+    120,
+    holding("noise/bic"),
+    for_specialists=True,
+)
+def noise(tree: xr.DataTree) -> Figure:
+    """Per snapshot: BIC by autoregressive order, and the autocorrelation it leads to."""
+    parts = snapshots(tree, "noise/bic")
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.2 + 2.1 * len(parts))
+    spec = style.grid(figure, len(parts), 2, between=(0.7, 0.6))
+    axes: list[Axes] = []
+    titles: list[str] = []
+    for row, snapshot in enumerate(parts):
+        left, right = figure.add_subplot(spec[row, 0]), figure.add_subplot(spec[row, 1])
+        _draw_bic(left, snapshot, style.look(row).colour)
+        _draw_autocorrelation(right, snapshot, style.look(row).colour)
+        axes += [left, right]
+        titles += [f"{snapshot.name}", f"{snapshot.name}"]
+    style.head_panels(axes, titles)
+    return figure
+
+
+def _draw_bic(panel: Axes, snapshot: Snapshot, colour: str) -> None:
+    bic = snapshot.values("noise", "bic")
+    order = int(snapshot.number("noise", "order"))
+    panel.plot(bic, color=style.MEASURED, marker="o", linewidth=0.7, markersize=3.0, label="BIC")
+    if order < bic.size:
+        panel.plot(
+            [order], [bic[order]], color=colour, marker="s", linestyle="none", markersize=5.0,
+            label=f"order used: {order}",
+        )  # fmt: skip
+    panel.set_yscale("symlog", linthresh=10.0)
+    panel.yaxis.set_minor_locator(NullLocator())
+    panel.set_ylim(bottom=-2.0)
+    panel.set_xlabel("Autoregressive order")
+    panel.set_ylabel("BIC above its smallest")
+    style.legend_above(panel)
+
+
+def _draw_autocorrelation(panel: Axes, snapshot: Snapshot, colour: str) -> None:
+    time = snapshot.time_s
+    period = float(time[-1] - time[0]) / (time.size - 1)
+    difference = rotation_difference(
+        snapshot.values("predictive", "residual_rpm"), snapshot.number("optimum", ROTATION), period
+    )
+    differentiated = bool(snapshot.number("noise", "differentiated"))
+    model = autocorrelation(
+        _coefficients(snapshot), min(_MOST_LAGS, difference.size // 4), differentiated
+    )
+    lags = min(model.size, max(_FEWEST_LAGS, 2 * int(np.sum(np.abs(model) > 0.05))))
+    shown = 1e3 * period * np.arange(lags)
+    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    panel.vlines(
+        shown, 0.0, sample_autocorrelation(difference, lags), color=style.MEASURED, linewidth=1.0
+    )
+    panel.plot(
+        shown,
+        sample_autocorrelation(difference, lags),
+        color=style.MEASURED,
+        marker="o",
+        markersize=2.5,
+        linestyle="none",
+        label="rotation to rotation",
+    )
+    kind = f"AR({_coefficients(snapshot).size})" if _coefficients(snapshot).size else "white noise"
+    kind = f"differentiated {kind}" if differentiated else kind
+    sd = snapshot.number("noise", "sd_rpm")
+    panel.plot(shown, model[:lags], color=colour, label=f"{kind}, sd {sd:.2f} rpm")
+    panel.set_xlabel("Lag (ms)")
+    panel.set_ylabel("Autocorrelation")
+    style.legend_above(panel)
+
+
+def _coefficients(snapshot: Snapshot) -> FloatArray:
+    order = int(snapshot.number("noise", "order"))
+    return snapshot.values("noise", "coefficients")[:order]
+
+
+def sample_autocorrelation(values: FloatArray, lags: int) -> FloatArray:
+    """Autocorrelation of a series with mean zero at lags 0 … lags − 1, shape (lags,).
+
+    Values that are NaN are left out.
+    """
+    products, pairs = (
+        np.fft.irfft(np.abs(np.fft.rfft(series, 2 * series.size)) ** 2)[:lags]
+        for series in (np.nan_to_num(values), np.isfinite(values).astype(float))
+    )
+    # As for a whole series, each lag is divided by the same number of pairs, less those left out.
+    share = pairs / (values.size - np.arange(lags))
+    return np.asarray(products / share / (products[0] / share[0]))
+
+
+@stored_figure(
+    "How the search found its optimum.", 130, holding("search_history"), for_specialists=True
+)
+def convergence(tree: xr.DataTree) -> Figure:
+    """Best RMSE so far of each run, a panel a snapshot; rivals end above the dashed optimum."""
+    parts = snapshots(tree, "search_history")
+    figure, axes = style.one_panel_each(len(parts))
+    for panel, snapshot in zip(axes, parts, strict=True):
+        _draw_convergence(panel, snapshot)
+    axes[0].set_ylabel("RMSE (rpm)")
+    style.head_panels(axes, [s.name for s in parts])
+    return figure
+
+
+def _draw_convergence(panel: Axes, snapshot: Snapshot) -> None:
+    runs = snapshot.values("search_history", "run")
+    evaluations = snapshot.values("search_history", "evaluations")
+    rmse = snapshot.values("search_history", "rmse_rpm")
+    for index, run in enumerate(np.unique(runs)):
+        mine, own = runs == run, style.look(index)
+        panel.plot(
+            evaluations[mine],
+            rmse[mine],
+            color=own.colour,
+            linestyle=own.dashes,
+            marker=own.marker,
+            markerfacecolor="none",
+            markevery=[int(mine.sum()) - 1],
+            label=f"run {index + 1}",
+        )
+    best = snapshot.number("optimum", "rmse_rpm")
+    panel.axhline(best, color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (1.0, 2.0)), zorder=0.0)
+    panel.annotate(
+        f"optimum {best:.3f} rpm",
+        (0.02, best),
+        (0.0, -2.0),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        va="top",
+        fontsize=7.0,
+        color=style.NEUTRAL,
+    )
+    panel.set_xscale("log")
+    panel.margins(y=0.12)
+    panel.set_xlabel("Model evaluations in the run")
+    style.legend_above(panel)

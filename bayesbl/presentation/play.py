@@ -1,0 +1,214 @@
+"""What comes with a gap that is measured directly: by torque ramps, or by two encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from bayesbl.presentation import words
+from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+
+if TYPE_CHECKING:
+    from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary, SnapshotSummary
+    from bayesbl.results.intervals import Interval
+
+
+RELATIVE_EXPLAINED = (
+    "Relative compliance: between the positions that ramps leave at zero torque, over that of "
+    "larger ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
+    "preloaded one is below, as both flanks carry it there."
+)
+
+
+def is_by_ramps(summary: MeasuredSummary) -> bool:
+    """Whether the answer comes from torque ramps."""
+    first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
+    return "ramps" in first
+
+
+def no_play_by_ramps(part: SnapshotSummary) -> str | None:
+    """The answer of a preloaded joint; ``None`` with play."""
+    if not part.get("preloaded") or part["delta_rad"] is None:
+        return None
+    lifts = part["preload_torque_nm"]
+    up_to = (
+        "how far the preload reaches is not seen"
+        if lifts is None
+        else f"both flanks carry it up to {words.significant(lifts['median'])} N m "
+        f"({words.interval_kind(lifts)} {words.bounds(lifts)})"
+    )
+    most = words.significant(1e3 * part["delta_rad"]["high"])
+    return (
+        f"No play is seen: the joint is stiffer around zero torque than beyond; {up_to}. A gap δ "
+        f"that this hides is below {most} mrad."
+    )
+
+
+def ramp_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
+    """A row per snapshot; ``places``: decimals of the gap in mrad."""
+    at = f"±{words.significant(parts[0][1]['lost_motion_torque_nm'])} N m"
+    titles = (f"Lost motion\n{at}\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)")
+    return _snapshot_table(parts, titles, [_ramp_cells(part, places) for _, part in parts])
+
+
+def _snapshot_table(
+    parts: Sequence[tuple[str, SnapshotSummary]],
+    titles: Sequence[str],
+    cells: Iterable[Iterable[str]],
+) -> Table:
+    """A row per snapshot, named in a comparison: the gap, quantities of ``titles``, the outcome."""
+    named = [text("Snapshot")] if any(name for name, _ in parts) else []
+    kind = words.short_kind(parts[0][1]["lost_motion_rad"])
+    gap = ("Gap δ\n(mrad)", f"{kind}\n(mrad)")
+    columns = (*named, *map(numbers, (*gap, *titles)), text("Outcome"))
+    rows = zip(parts, cells, strict=True)
+    return table(columns, ([*([name] if named else []), *row] for (name, _), row in rows))
+
+
+def _ramp_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
+    yield from words.gap_cells(part["delta_rad"], places)
+    yield _median(part["lost_motion_rad"], 1e3)
+    yield _median(part["compliance_rad_per_nm"], 1e3)
+    yield _median(part["friction_torque_nm"])
+    yield "no play" if part.get("preloaded") else part["diagnostics"]["outcome"]
+
+
+def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
+    """A sentence for each snapshot on the widths that its positions round the turn have."""
+    for name, part in parts:
+        if part["delta_rad"] is None:
+            continue
+        found = part["ramps"]
+        each = ", ".join(words.significant(500.0 * w, 3) for w in found["width_rad"])
+        where = "1 position" if found["positions"] == 1 else f"{found['positions']} positions"
+        yield (
+            f"Half the width at zero torque{words.of(name)}, at {where} round the turn: {each} "
+            f"mrad ({found['cycles']} cycles of ±{found['torque_nm']:.3g} N m)."
+        )
+    for name, part in parts:
+        held = part["held_windup_rad"]["median"]
+        if held > 0.0 and not part["preloaded"] and part["delta_rad"] is not None:
+            yield (
+                f"Of the gap{words.of(name)}, about {words.significant(1e3 * held)} mrad may be "
+                "compliance that friction holds at zero torque, more if the flanks are softer at "
+                "small torque."
+            )
+
+
+def ramp_blocks(part: RouteSummary) -> Iterator[Block]:
+    """Every quantity with its interval, and what says whether there is play."""
+    first = part["friction_torque_nm"]
+    units = {
+        "width_rad": ("width at zero torque", 1e3, "mrad"),
+        "scatter_rad": ("its scatter", 1e3, "mrad"),
+        "lost_motion_rad": ("lost motion", 1e3, "mrad"),
+        "compliance_rad_per_nm": ("compliance", 1e3, "mrad/N m"),
+        "stiffness_nm_per_rad": ("stiffness of a line through the ramps", 1.0, "N m/rad"),
+        "friction_torque_nm": ("friction", 1.0, "N m"),
+        "held_windup_rad": ("held windup in δ", 1e3, "mrad"),
+        "preload_torque_nm": ("torque at which a flank lifts", 1.0, "N m"),
+    }
+    rows = []
+    for name, (label, scale, unit) in units.items():
+        if (found := part["parameters"].get(name)) is None:
+            continue
+        rows.append((label, _median(found, scale), words.bounds(found, scale), unit))
+    columns = (text("Quantity"), numbers("Median"), numbers(words.short_kind(first)), text("Unit"))
+    yield table(columns, rows)
+    relative = part["relative_compliance"]
+    shown = "not known, without larger ramps" if relative is None else words.significant(relative)
+    sure = words.probability(part["probability_of_play"])
+    yield Sentence(f"{shown}; probability that it is above 1: {sure}", label="Relative compliance")
+    yield Sentence(RELATIVE_EXPLAINED, "aside")
+    stated = part["lost_motion_torque_nm"]
+    if stated < first["median"]:
+        yield Sentence(
+            f"Lost motion is stated at ±{words.significant(stated)} N m, less than the friction: "
+            "the middles of the loop there say little of the joint.",
+            "aside",
+        )
+    yield Sentence(words.sampling(part), label="Sampling")
+
+
+def _median(found: Interval, scale: float = 1.0) -> str:
+    return words.significant(scale * found["median"], 3)
+
+
+CONDITION = "the load goes from flank to flank in the recording"
+
+
+def is_by_two_encoders(summary: MeasuredSummary) -> bool:
+    """Whether the answer comes from the encoders of motor and load."""
+    first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
+    return first["route"] == "two_encoders"
+
+
+def no_play_by_encoders(part: RouteSummary) -> str | None:
+    """The answer where play is not told from none."""
+    upper = part["delta_upper_bound_rad"]
+    if "transmission_error" not in part or upper is None:
+        return None
+    return (
+        f"Play is not told from none: the gap δ is below "
+        f"{words.significant(1e3 * upper)} mrad with 95 % probability."
+    )
+
+
+def encoder_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
+    """A row per snapshot; ``places``: decimals of the gap in mrad."""
+    titles = ("Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio")
+    return _snapshot_table(parts, titles, [_encoder_cells(part, places) for _, part in parts])
+
+
+def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
+    play = part["play_rad"]
+    yield from words.gap_cells(part["delta_rad"], places)
+    yield "withheld" if play is None else words.significant(1e3 * play["median"], 3)
+    yield words.significant(1e3 * part["lost_motion_rad"]["median"], 3)
+    yield words.significant(1e3 * part["channel_skew_s"]["median"], 2)
+    yield words.significant(part["gear_ratio"]["median"], 5)
+    yield "no play told" if no_play_by_encoders(part) else part["diagnostics"]["outcome"]
+
+
+def encoder_blocks(part: RouteSummary) -> Iterator[Block]:
+    """Every quantity with its interval."""
+    labels = {
+        "play_rad": ("whole play", 1e3, "mrad"),
+        "lost_motion_rad": ("lost motion", 1e3, "mrad"),
+        "held_windup_rad": ("wind-up in the lost motion", 1e3, "mrad"),
+        "windup_rad_per_nm": ("wind-up (compliance)", 1e3, "mrad/N m"),
+        "gear_ratio": ("gear ratio", 1.0, "1"),
+        "channel_skew_s": ("load's stamps late by", 1e3, "ms"),
+        "transmission_error_rad": ("transmission error, peak to peak", 1e3, "mrad"),
+    }
+    found = [
+        (label, part["parameters"][name], scale, unit)
+        for name, (label, scale, unit) in labels.items()
+        if name in part["parameters"]
+    ]
+    found += [
+        (f"its order {entry['order']} per turn of the {entry['of']}", entry["amplitude_rad"], 1e3,
+         "mrad")
+        for entry in part["transmission_error"]["harmonics"]
+    ]  # fmt: skip
+    kind = words.short_kind(part["lost_motion_rad"])
+    columns = (text("Quantity"), numbers("Median"), numbers(kind), text("Unit"))
+    rows = [
+        (label, words.significant(scale * each["median"], 4), words.bounds(each, scale), unit)
+        for label, each, scale, unit in found
+    ]
+    yield table(columns, rows)
+    yield Sentence(words.probability(part["probability_of_play"]), label="Probability of play")
+    yield Sentence(f"{part['reversals']}", label="Reversals of the motor")
+
+
+def encoder_assumptions(summary: MeasuredSummary) -> Iterator[str]:
+    """What the answer rests on."""
+    yield (
+        "The load is dragged through the play by its friction, or goes through it by itself; its "
+        "weight does not hold it on one flank in both directions."
+    )
+    yield "Both encoders turn with their shafts: a loose ring or coupling is play as well."
+    yield "Transmission error is a curve of the angles alone, the same in both directions."
+    if summary["kind"] == "compare":
+        yield "Nothing but the gap changed between the snapshots: same joint and same load."

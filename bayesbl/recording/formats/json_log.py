@@ -1,0 +1,99 @@
+"""JSON as a table: records, lists by name, rows of a matrix, or a record a line.
+
+::
+
+    [{"t": 0.0, "motor": {"position": 1.0}}, …]     t, motor/position
+    {"log": {"t": [0.0, …], "q": [[1.0, 2.0], …]}}  log/t, log/q[0], log/q[1]
+    {"data": [[0.0, 1.0], …]}                       data[0], data[1]
+
+Of several tables in a file the longest is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.errors import RecordingError
+from bayesbl.recording.formats import Format
+from bayesbl.recording.input_bytes import require_memory
+
+if TYPE_CHECKING:
+    from bayesbl.recording.array_table import ArrayTable
+
+_COPIES = 15.0
+"""Times its size that a text of numbers takes as Python's objects."""
+
+_LONGEST_LIST = 64
+_DEEPEST = 6
+
+
+def read_json(file: Path, data: bytes) -> ArrayTable:
+    """The longest table in the file.
+
+    Raises
+    ------
+    RecordingError
+        If it is no JSON, or holds no list of numbers.
+    """
+    import json
+
+    import numpy as np
+
+    from bayesbl.recording.array_table import ArrayTable, readable
+
+    require_memory(file, _COPIES * len(data), "numbers, read from text")
+    with readable(file, "JSON"):
+        text = data.decode("utf-8-sig")
+        try:
+            content = json.loads(text)
+        except json.JSONDecodeError as error:
+            if error.msg != "Extra data":
+                raise
+            content = [json.loads(line) for line in text.splitlines() if line.strip()]
+        columns: dict[str, list[Any]] = {}
+        for name, values in _columns("", content, 0):
+            columns.setdefault(name, values)
+        longest = max((len(values) for values in columns.values()), default=0)
+        if longest < 2:
+            raise RecordingError(
+                "The file holds no series of numbers.",
+                file=file,
+                found=f"{len(columns)} lists" if columns else "no list",
+                expected="a list for each channel, or a list of records",
+            )
+        arrays = {
+            name: np.array([np.nan if v is None else v for v in values])
+            for name, values in columns.items()
+            if len(values) == longest
+        }
+    return ArrayTable(str(file), arrays)
+
+
+def _columns(name: str, content: Any, depth: int) -> Iterator[tuple[str, list[Any]]]:
+    """Every list of plain values, by the names that lead to it."""
+    if depth > _DEEPEST or not content:
+        return
+    if isinstance(content, dict):
+        for key, value in content.items():
+            yield from _columns(f"{name}/{key}" if name else str(key), value, depth + 1)
+    elif isinstance(content, list):
+        kinds = {type(value) for value in content}
+        if dict in kinds:
+            keys = dict.fromkeys(k for v in content if isinstance(v, dict) for k in v)
+            for key in keys:
+                of_key = [v.get(key) if isinstance(v, dict) else None for v in content]
+                yield from _columns(f"{name}/{key}" if name else str(key), of_key, depth + 1)
+        elif list in kinds:
+            width = max(len(v) for v in content if isinstance(v, list))
+            for i in range(width if width <= _LONGEST_LIST else 0):
+                of_place = [v[i] if isinstance(v, list) and len(v) > i else None for v in content]
+                yield from _columns(f"{name or 'column'}[{i}]", of_place, depth + 1)
+        else:
+            yield name or "column", content
+
+
+FORMAT = Format(
+    "JSON", (".json", ".jsonl", ".ndjson"), read_json, "", ((0, b"{"), (0, b"["), (0, b"\xef\xbb"))
+)

@@ -1,0 +1,210 @@
+"""Searches for the least sum of squares: CMA-ES over ranges, and a fast local one from close by.
+
+In the local search a quadratic is fitted to the sum of squares on a cloud of points whose shape is
+the Gauss-Newton covariance, its minimum becomes the new centre, the cloud shrinks. One kernel call
+evaluates a whole cloud, and the regression smooths over the kinks that the window's edges leave.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesbl.recording.types import FloatArray
+from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.symbols import SYMBOLS
+from bayesbl.ringing.waveform import jacobian, jacobian_columns
+
+
+@dataclass(frozen=True, slots=True)
+class SearchHistory:
+    """Convergence of CMA-ES, one row per iteration.
+
+    Attributes
+    ----------
+    run
+        Which start the iteration belongs to, shape (i,).
+    evaluations
+        Evaluations so far in that run, shape (i,).
+    rmse_rpm
+        Best RMSE so far in that run, shape (i,), rpm.
+    """
+
+    run: FloatArray
+    evaluations: FloatArray
+    rmse_rpm: FloatArray
+
+    @classmethod
+    def of_runs(cls, histories: Sequence[SearchHistory]) -> SearchHistory:
+        """Of several runs, numbered in their order."""
+        runs = [np.full(h.run.size, float(number)) for number, h in enumerate(histories)]
+        return cls(
+            np.concatenate(runs),
+            np.concatenate([h.evaluations for h in histories]),
+            np.concatenate([h.rmse_rpm for h in histories]),
+        )
+
+
+def minimise(
+    sum_of_squares: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    scale: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    generator: np.random.Generator,
+    *,
+    population: int,
+    iterations: int,
+    samples: int,
+) -> tuple[FloatArray, SearchHistory]:
+    """One CMA-ES run on log RMSE, whole populations at a time, in units of ``scale``.
+
+    What lies beyond an end of the box counts as its mirror image: cma's own handling of bounds goes
+    from point to point, and takes as long as all the rest.
+    """
+    import cma
+
+    low, high = box
+    options = {
+        "popsize": population,
+        "maxiter": iterations,
+        # Own generator: cma would otherwise seed and draw from NumPy's global state.
+        "randn": lambda rows, columns: generator.standard_normal((rows, columns)),
+        "seed": math.nan,
+        "verbose": -9,
+        "tolfun": 1e-10,
+        "tolfunhist": 1e-11,
+        "tolx": 1e-7,
+    }
+    strategy = cma.CMAEvolutionStrategy(np.zeros(start.size), 1.0, options)
+    rows: list[tuple[float, float]] = []
+    best, best_point = math.inf, start
+    while not strategy.stop():
+        asked = strategy.ask()
+        width = high - low
+        beyond = (start + scale * np.asarray(asked) - low) % (2.0 * width) - width
+        points = high - np.abs(beyond)
+        values = sum_of_squares(points)
+        values = np.where(np.isfinite(values), values, 1e300)
+        strategy.tell(asked, 0.5 * np.log(values / samples + 1e-300))
+        least = int(np.argmin(values))
+        if values[least] < best:
+            best, best_point = float(values[least]), points[least]
+        rows.append((float(strategy.countevals), math.sqrt(best / samples)))
+    evaluations, rmse = np.array(rows).T
+    return best_point, SearchHistory(np.zeros(len(rows)), evaluations, rmse)
+
+
+MOST_ROUNDS = 60
+POINTS_PER_COEFFICIENT = 3
+FIRST_RADIUS_RPM = 10.0
+LAST_RADIUS_RPM = 0.3
+"""Cloud sizes as the noise whose scatter they equal: sd of white noise at 1 kHz, rpm."""
+SHRINK, GROW = 0.4, 1.6
+
+LEAST_SEEN = 1e-12
+"""Smallest eigenvalue of unit columns' products that is not rounding."""
+
+
+def refine(objective: Objective, start: FloatArray, seed: int = 0) -> FloatArray:
+    """Local optimum of the searched symbols near ``start``, both of shape (d,).
+
+    Symbols that would leave their range are held at its end, and the others are refined again.
+    """
+    end = _descend(objective, start, seed)
+    names, ranges = objective.searched, objective.model.ranges
+    reached = dict(zip(names, (float(x) for x in end), strict=True))
+    nearest = {
+        n: min(max(x, ranges[n][0]), ranges[n][1]) for n, x in reached.items() if n in ranges
+    }
+    held = {n: x for n, x in nearest.items() if x != reached[n]}
+    if not held:
+        return end
+    rest = objective.holding(held)
+    point = reached | held
+    if rest.searched:
+        others = refine(rest, np.array([point[n] for n in rest.searched]), seed)
+        point |= dict(zip(rest.searched, others, strict=True))
+    return np.array([point[n] for n in names])
+
+
+def _descend(objective: Objective, start: FloatArray, seed: int) -> FloatArray:
+    """Local optimum near ``start``, both of shape (d,), ignoring ranges."""
+    d = start.size
+    generator = np.random.default_rng(seed)
+    count = POINTS_PER_COEFFICIENT * (1 + d + d * (d + 1) // 2)
+    unit = _ball(generator, count, d)
+    design = _quadratic_columns(unit)
+    inverse = np.linalg.pinv(design)
+    centre = start
+    best = float(objective.sum_of_squares(centre[None])[0])
+    root = scatter_root(objective, centre)
+    radius = FIRST_RADIUS_RPM
+    for _ in range(MOST_ROUNDS):
+        step = radius * root
+        values = objective.sum_of_squares(centre + unit @ step.T)
+        if not np.all(np.isfinite(values)):
+            radius *= SHRINK
+            continue
+        move, inside = _minimum(inverse @ values, d)
+        trials = np.stack([centre + step @ move, centre + step @ unit[int(np.argmin(values))]])
+        reached = objective.sum_of_squares(trials)
+        least = int(np.argmin(reached))
+        if reached[least] < best:
+            centre, best = trials[least], float(reached[least])
+            radius *= SHRINK if inside else GROW
+        else:
+            radius *= SHRINK
+        if radius < LAST_RADIUS_RPM:
+            break
+    return centre
+
+
+def _ball(generator: np.random.Generator, count: int, d: int) -> FloatArray:
+    """Points filling a ball of radius √(d + 2): unit variance in every direction."""
+    direction = generator.standard_normal((count, d))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    length = np.sqrt(d + 2.0) * generator.uniform(size=(count, 1)) ** (1.0 / d)
+    return np.asarray(direction * length)
+
+
+def _quadratic_columns(x: FloatArray) -> FloatArray:
+    rows, columns = np.triu_indices(x.shape[1])
+    return np.column_stack([np.ones(len(x)), x, x[:, rows] * x[:, columns]])
+
+
+def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:
+    """Minimum of the fitted quadratic, and whether it lies well inside the cloud.
+
+    The curvature is made positive, and the step kept within the cloud.
+    """
+    gradient = coefficients[1 : 1 + d]
+    curvature = np.zeros((d, d))
+    curvature[np.triu_indices(d)] = coefficients[1 + d :]
+    curvature = curvature + curvature.T
+    values, vectors = np.linalg.eigh(curvature)
+    convex = bool(values[0] > 0.0)
+    values = np.maximum(np.abs(values), 1e-6 * np.abs(values).max() + 1e-300)
+    move = -vectors @ ((vectors.T @ gradient) / values)
+    length = float(np.linalg.norm(move))
+    edge = math.sqrt(d + 2.0)
+    inside = convex and length < 0.5 * edge
+    return np.asarray(move if length <= edge else move * (edge / length)), inside
+
+
+def scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
+    """Cholesky factor of the covariance of the searched symbols per rpm² of white noise, (d, d)."""
+    solution = objective.solve(point[None])
+    symbols = {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
+    names = jacobian_columns(objective.model)
+    columns = jacobian(objective.model, objective.time_s, symbols, solution.coefficients[0, 1:-1])
+    norms = np.linalg.norm(columns, axis=0)
+    norms = np.where(norms > 0.0, norms, 1.0)
+    sizes, turned = np.linalg.eigh((columns / norms).T @ (columns / norms))
+    # Of what the ringing hardly shows, a scatter that rounding does not decide.
+    roots = turned / np.sqrt(np.maximum(sizes, LEAST_SEEN)) / norms[:, None]
+    order = [names.index(n) for n in SYMBOLS if n in objective.searched]
+    triangle = np.linalg.qr(roots[order].T).R
+    return np.asarray((triangle * np.where(np.diag(triangle) < 0.0, -1.0, 1.0)[:, None]).T)

@@ -1,0 +1,279 @@
+"""Every kind of run: its workflow, what its result declares, and what its summary says of it.
+
+The one place that knows all kinds; modules of a kind are imported where they are used.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
+
+from bayesbl.arguments import Tree, checked
+from bayesbl.config.files import require_text_names
+from bayesbl.config.loading import config_from_options, files_of, load_config
+from bayesbl.config.sections import RunConfig
+from bayesbl.errors import ConfigError, ResultError
+from bayesbl.recording.input_bytes import read_input
+from bayesbl.results.folder import CONFIG_FILE, require_apart
+from bayesbl.runs.workflow import Draw, Options, Plan, Workflow
+from bayesbl.sentences import told
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from bayesbl.diagnosis.summary import DiagnosisSummary
+    from bayesbl.identification.summary import IdentificationSummary
+    from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
+    from bayesbl.progress import StageProgress
+    from bayesbl.results.variables import Group
+    from bayesbl.runs.fleet import FleetSummary
+    from bayesbl.runs.plan import PlanSummary
+    from bayesbl.runs.study import StudySummary
+    from bayesbl.runs.sweep import SweepSummary
+
+    Summary: TypeAlias = (
+        FitSummary
+        | ComparisonSummary
+        | SweepSummary
+        | PlanSummary
+        | DiagnosisSummary
+        | IdentificationSummary
+        | StudySummary
+        | FleetSummary
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """A kind of stored result.
+
+    Attributes
+    ----------
+    groups
+        Module whose ``declared_groups`` lists its groups.
+    summarise
+        Module and function that make its summary, a colon between them.
+    attributes
+        What its root says of it.
+    """
+
+    groups: str
+    summarise: str
+    attributes: tuple[str, ...]
+
+
+_MEASURED = Stored(
+    "bayesbl.measurement.routes",
+    "bayesbl.measurement.stored:summary_of",
+    ("outcome", "recordings", "interval_level", "interval_kind"),
+)
+
+STORED: Mapping[str, Stored] = MappingProxyType(
+    {
+        "fit": _MEASURED,
+        "compare": _MEASURED,
+        "sweep": Stored(
+            "bayesbl.runs.sweep", "bayesbl.runs.sweep:summarise_sweep", ("outcome", "degree")
+        ),
+        "plan": Stored(
+            "bayesbl.runs.plan", "bayesbl.runs.plan:summarise_plan", ("outcome", "gap_rad")
+        ),
+        "diagnose": Stored(
+            "bayesbl.diagnosis.groups",
+            "bayesbl.diagnosis.summary:summarise_diagnosis",
+            ("outcome", "diagnosis"),
+        ),
+        "identify": Stored(
+            "bayesbl.identification.groups",
+            "bayesbl.identification.summary:summarise_identification",
+            ("outcome", "identification", "identified_bench"),
+        ),
+        "study": Stored(
+            "bayesbl.runs.study", "bayesbl.runs.study:summarise_study", ("outcome", "study")
+        ),
+    }
+)
+
+WORKFLOWS: Mapping[str, str] = MappingProxyType(
+    {
+        "fit": "measure",
+        "compare": "measure",
+        "sweep": "sweep",
+        "plan": "plan",
+        "diagnose": "diagnose",
+        "identify": "identify",
+        "study": "study",
+        "fleet": "fleet",
+        "simulate": "simulate",
+        "bench": "bench",
+    }
+)
+"""Kind to the module of :mod:`bayesbl.runs` that runs it, imported when it is needed."""
+
+_FILES = ("simulate", "bench")
+"""Kinds without an output folder: their workflow takes the file itself."""
+
+
+def load_run(path: str | Path, *, kind: str | None = None, **options: object) -> RunConfig:
+    """A configuration file with the options of the command line over it; ``None`` is not given.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`bayesbl.config.loading.load_config`.
+    """
+    if kind_of(path) == "bench":
+        raise ConfigError(
+            "A bench is simulated on, not run.",
+            file=path,
+            found='kind = "bench"',
+            expected='a configuration that names this bench, e.g. of kind = "simulate"',
+        )
+    config = load_config(path, kind=kind)
+    given: dict[str, Any] = {o: value for o, value in options.items() if value is not None}
+    return config_from_options(config.kind, (), path, **given) if given else config
+
+
+def kind_of(path: str | Path) -> str:
+    """What a file says of its kind; empty where it cannot, and loading will tell why."""
+    try:
+        kind = tomllib.loads(read_input(Path(path)).decode("utf-8-sig")).get("kind")
+    except (OSError, ValueError, RecursionError):
+        return ""
+    return kind if isinstance(kind, str) else ""
+
+
+def run(
+    config: RunConfig,
+    draw: Draw,
+    *,
+    force: bool = False,
+    progress: StageProgress | None = None,
+    say: Callable[[str], None] = print,
+    file: Path | None = None,
+    formats: Sequence[str] = ("png",),
+) -> Summary:
+    """Run a configuration and write its output folder; the summary that was stored.
+
+    Parameters
+    ----------
+    force
+        Replace a finished result; start over where a run was left unfinished.
+    say
+        Called with sentences: what a study takes over or computes again, what a run goes on from,
+        and what a search starts from.
+    file
+        Where the configuration comes from, if from a file.
+    formats
+        Of the figures: ``"png"``, ``"pdf"``, both or none.
+
+    Raises
+    ------
+    UserError
+        If the folder may not be written, or anything in the configuration cannot be used.
+    """
+    _require_output_apart(config, file)
+    workflow = _workflow(config.kind)
+    plan = Plan(file)
+    workflow.describe(config, plan)
+    plan.require_sound()
+    for sentence in plan.withheld:
+        say(sentence)
+    options = Options(draw, force, progress, say, formats, plan.recordings)
+    summary: Summary = workflow.run(config, options)
+    return summary
+
+
+def check(path: str | Path) -> Plan:
+    """Everything that can be checked of a configuration without running it.
+
+    Raises
+    ------
+    ConfigError
+        If the file itself cannot be read or is not valid; what is wrong beyond it is in the plan.
+    """
+    kind = kind_of(path)
+    plan = Plan(path, [("kind", kind)])
+    if kind in _FILES:
+        _workflow(kind).describe(Path(path), plan)
+        return plan
+    config = load_run(path)
+    plan.lines.append(("seed", str(config.run.seed)))
+    plan.add("output", lambda: _require_output_apart(config, path))
+    _workflow(kind).describe(config, plan)
+    return plan
+
+
+def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
+    """The output folder is none of the inputs, nor holds one."""
+    output, inputs = config.run.output, files_of(config.model_dump(exclude={"run"}))
+    # The configuration that a result holds is written again as it is, so it may be run again.
+    if file is not None and os.path.realpath(file) != os.path.realpath(output / CONFIG_FILE):
+        inputs.append(Path(file))
+    require_text_names([output, *inputs])
+    require_apart([output], inputs)
+
+
+def _workflow(kind: str) -> Workflow:
+    return cast(Workflow, import_module(f"bayesbl.runs.{WORKFLOWS[kind]}"))
+
+
+@checked
+def summarise(tree: Tree) -> Summary:
+    """``summary.json`` of a stored result of any kind, from the result alone.
+
+    δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
+    """
+    module, _, function = STORED[tree.attrs["kind"]].summarise.partition(":")
+    summary: Summary = told(getattr(import_module(module), function)(tree))
+    return summary
+
+
+def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
+    """Groups that a result declares."""
+    module = import_module(STORED[tree.attrs["kind"]].groups)
+    groups: tuple[Group, ...] = module.declared_groups(tree)
+    return groups
+
+
+def read_result(path: str | Path) -> xr.DataTree:
+    """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree` does.
+
+    Raises
+    ------
+    ResultError
+        Also if it is of no known kind, or lacks anything that its groups declare.
+    """
+    from bayesbl.results.store import read_tree
+    from bayesbl.results.variables import require_declared
+
+    tree = read_tree(path)
+    kind = tree.attrs.get("kind")
+    if not isinstance(kind, str) or kind not in STORED:
+        raise ResultError(
+            "This result is of no known kind.",
+            file=path,
+            found=f"kind {kind!r}",
+            expected=" or ".join(STORED),
+        )
+    try:
+        require_declared(tree, declared_groups(tree))
+    except ResultError as problem:
+        problem.name_file(path)
+        raise
+    needed = STORED[kind].attributes
+    missing = [name for name in needed if name not in tree.attrs]
+    if missing:
+        raise ResultError(
+            "This result lacks what every result of its kind says of itself.",
+            file=path,
+            found=f"no {', '.join(missing)}",
+            expected=f"attributes {', '.join(needed)}",
+        )
+    return tree
