@@ -884,7 +884,7 @@ class InverseView:
         return replace(self, orders=tuple(turning), lines=tuple(passing))
 
     def _moves_at(self, hertz: float) -> bool:
-        """Whether most of the axis' own acceleration is at a frequency: a torque there is inertia,
+        """Whether the axis itself accelerates at one frequency alone: a torque there is inertia,
         friction or a spring before it is a line in time."""
         left = whole = 0.0
         for i in self.used:
@@ -893,7 +893,7 @@ class InverseView:
                 waves = self.pieces[i].kept(self._hum(i, hertz))
                 left += float(np.sum((own - waves @ least_squares(waves, own)) ** 2))
                 whole += float(own @ own)
-        return left < 0.5 * whole
+        return left < 0.1 * whole
 
     # What is told
 
