@@ -36,9 +36,6 @@ def f_sf(value: float, above: float, below: float) -> float:
     return float(special.fdtrc(above, below, value))
 
 
-def poisson_isf(probability: float, mean: float) -> int:
-    """The smallest count that is exceeded with at most this probability."""
-    count = int(mean)
-    while special.pdtrc(count, mean) > probability:
-        count += 1
-    return count
+def f_isf(probability: float, above: float, below: float) -> float:
+    """The value that F exceeds with this probability."""
+    return float(special.fdtri(above, below, 1.0 - probability))

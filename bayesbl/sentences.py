@@ -312,6 +312,11 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         f"load turns once in {expected_s:.4g} s at {speed_rpm:.4g} rpm. Is the gear ratio right "
         f"(the recording would fit one of {fitting_ratio:.4g}), and the unit of the speed?"
     ),
+    "other_bench": lambda quantity, measured, expected, unit: (
+        f"The recording is not of the curve's bench: the {quantity} is {measured:.4g} {unit}, and "
+        f"{expected:.4g} {unit} by the bench. Correct the bench file, or give what is not known "
+        "exactly a tolerance (`bayesbl identify` finds its values)."
+    ),
     "recording_contradicts_bench": lambda: (
         "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
     ),

@@ -42,7 +42,13 @@ from calibration_statistics import rank
 from calibration_table import calibration_line
 from independent_bench import Plant, plant, simulate
 from made_recordings import draw_symbols, drifting, synthetic_recording, with_samples_lost
-from outside_noise import encoder_harmonics, one_over_f, varied_speed
+from outside_noise import (
+    around_impacts,
+    encoder_harmonics,
+    one_over_f,
+    unlike_impacts,
+    varied_speed,
+)
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.parameters import BENCH_PARAMETERS
@@ -83,6 +89,12 @@ LARGEST_BASELINE_RPM = 10.0
 
 SPEED_VARIATION = 5e-4
 """Sd of the speed's slow variation, of the speed: 1 rpm of 2000."""
+
+LOUDER = 5.0
+"""Noise around impacts over that between them."""
+
+UNLIKE = 0.15
+"""Sd of an impact's ringing over its mean."""
 
 ENCODER_SD_RPM = 0.5
 CURRENT_NOISE_SD_A = 0.05
@@ -128,7 +140,16 @@ class Row(BaseModel):
     speed_source: SpeedSource = "sensor"
     drift_share: float = 0.0
     made_by: Literal["package", "independent_bench"] = "package"
-    outside_noise: Literal["one_over_f", "encoder_harmonics", "speed_variation"] | None = None
+    outside_noise: (
+        Literal[
+            "one_over_f",
+            "encoder_harmonics",
+            "speed_variation",
+            "louder_around_impacts",
+            "unlike_impacts",
+        ]
+        | None
+    ) = None
 
     @model_validator(mode="after")
     def _fits_together(self) -> Row:
@@ -380,20 +401,20 @@ def _recorded_outside(
         sampling_hz=row.sampling_hz,
     )
     speed, current = made.clean[1].copy(), made.clean[2].copy()
+    turning = row.sampling_hz, bench.rotation_period_s(values["reference_speed_rpm"])
     if row.outside_noise == "speed_variation":
-        speed, current = varied_speed(
-            made.clean[1:],
-            row.sampling_hz,
-            bench.rotation_period_s(values["reference_speed_rpm"]),
-            SPEED_VARIATION,
-            generator,
-        )
+        speed, current = varied_speed(made.clean[1:], *turning, SPEED_VARIATION, generator)
+    if row.outside_noise == "unlike_impacts":
+        speed, current = unlike_impacts(made.clean[1:], *turning, UNLIKE, generator)
     if row.outside_noise == "encoder_harmonics":
         speed += encoder_harmonics(made.clean[0], ENCODER_SD_RPM, generator)
     if row.outside_noise == "one_over_f":
         speed += one_over_f(speed.size, row.speed_noise_sd_rpm, generator)
     else:
-        speed += _noise(row).draw(speed.size, generator)
+        noise = _noise(row).draw(speed.size, generator)
+        if row.outside_noise == "louder_around_impacts":
+            noise *= 1.0 + (LOUDER - 1.0) * around_impacts(made.clean[1], *turning)
+        speed += noise
     current += CURRENT_NOISE_SD_A * generator.standard_normal(current.size)
     return replace(made.recording, channels={MOTOR_SPEED: speed, MOTOR_CURRENT: current})
 

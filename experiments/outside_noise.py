@@ -15,6 +15,13 @@ FloatArray = NDArray[np.float64]
 ENCODER_ORDERS = (1, 2, 4)
 """Orders of the motor: eccentricity of the disc, and its sine tracks of other size and phase."""
 
+RINGING_ABOVE = 8.5
+"""Orders of the load: slower is gravity's wave."""
+
+ENVELOPE_S = 0.05
+LOUD_SHARE = 0.25
+"""Of the ringing's largest RMS: where it is louder is around an impact."""
+
 SLOWEST_SHARE = 0.1
 """Speed varies over tenths of a rotation and longer."""
 
@@ -72,3 +79,40 @@ def varied_speed(
     varied = np.stack([np.interp(np.maximum(wrapped, 0.0), np.arange(size), row) for row in clean])
     varied[0] *= 1.0 + faster
     return varied
+
+
+def around_impacts(speed_rpm: FloatArray, sampling_hz: float, rotation_s: float) -> FloatArray:
+    """1 around each impact of a clean speed, (n,), 0 between them."""
+    envelope = _envelope(_ringing(speed_rpm[None], sampling_hz, rotation_s)[0], sampling_hz)
+    return np.asarray(envelope > LOUD_SHARE * envelope.max(), dtype=np.float64)
+
+
+def unlike_impacts(
+    clean: FloatArray, sampling_hz: float, rotation_s: float, share: float, rng: np.random.Generator
+) -> FloatArray:
+    """Clean channels (c, n), speed first, with each impact's ringing times 1 + ``share`` ξ."""
+    ringing = _ringing(clean, sampling_hz, rotation_s)
+    envelope = _envelope(ringing[0], sampling_hz)
+    half = 0.5 * rotation_s * sampling_hz
+    at = np.arange(clean.shape[1])
+    phase = (at % half).astype(int)
+    quietest = np.argmin(np.bincount(phase, envelope) / np.bincount(phase))
+    number = np.floor((at - quietest) / half).astype(int) + 1
+    factors = share * rng.standard_normal(number[-1] + 1)
+    return np.asarray(clean + factors[number] * ringing)
+
+
+def _ringing(clean: FloatArray, sampling_hz: float, rotation_s: float) -> FloatArray:
+    """What of channels (c, n) is faster than the load turns."""
+    size = clean.shape[1]
+    # Mirrored, so that ends that do not meet are no step.
+    spectrum = np.fft.rfft(np.concatenate([clean, clean[:, ::-1]], axis=1))
+    frequency = np.fft.rfftfreq(2 * size, 1.0 / sampling_hz)
+    spectrum[:, frequency * rotation_s < RINGING_ABOVE] = 0.0
+    return np.asarray(np.fft.irfft(spectrum, 2 * size)[:, :size])
+
+
+def _envelope(ringing: FloatArray, sampling_hz: float) -> FloatArray:
+    window = np.ones(max(1, round(ENVELOPE_S * sampling_hz)))
+    squares: FloatArray = np.convolve(ringing**2, window / window.size, "same")
+    return np.asarray(np.sqrt(squares))

@@ -296,7 +296,7 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
             continue
         other = estimator.around(
             point.recording, point.objective, promoted(point.objective, point.optimum, rival)
-        )
+        ).shaken(point.shaking)
         weighed.append((_log_prior(curve, ringing, other) - deficit, other))
     evidence, best = max(weighed, key=lambda pair: pair[0])
     contenders = tuple(

@@ -140,6 +140,11 @@ class Candidate:
     requires: frozenset[str] = frozenset()
     same_as: tuple[str, ...] = ()
 
+    @property
+    def holds_another(self) -> bool:
+        """Whether it is one law and a departure from it: two hypotheses in one."""
+        return self.kind == "effect" and bool(self.excludes)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Discrepancy:

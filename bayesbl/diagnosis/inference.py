@@ -74,6 +74,7 @@ from bayesbl.diagnosis.residuals.unexplained import (
     What,
 )
 from bayesbl.model_search.constants import (
+    EXPECTED_HYPOTHESES,
     LEARNED_SHARE,
     NAMED_AT,
 )
@@ -358,12 +359,14 @@ class Inference:
                 for own, part in zip(self._discrepancy, self._nuisances, strict=True)
             ]
         )
+        one_more = EXPECTED_HYPOTHESES / max(1, len({p.candidate.label for p in self.terms}))
         terms = [
             Term(
                 placed.candidate.label,
                 rows(block),
                 placed.candidate.not_negative and placed.unit.size == 1,
-                prior_weight=placed.look.weight,
+                prior_weight=placed.look.weight
+                * (one_more if placed.candidate.holds_another else 1.0),
                 excludes=placed.candidate.excludes,
                 requires=placed.candidate.requires,
             )

@@ -10,7 +10,6 @@ from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import Problem
 from bayesbl.identification.well_known_factors import guess_of
-from bayesbl.matching.impacts import IMPACTS_DIFFER
 from bayesbl.matching.predictive_check import RepeatingPower, agrees
 from bayesbl.matching.signals import GAP
 from bayesbl.model_search.constants import FALSE_ALARM
@@ -19,15 +18,8 @@ from bayesbl.units import in_words
 
 def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> str | None:
     """Why gaps and bench are withheld; ``None`` where they are not. ``level``: of the interval."""
-    differ = found.posterior.impacts_differ(level)
-    moving = [seen.name for seen, unlike in zip(problem.used, differ, strict=True) if unlike]
-    unsteady = f"{' and '.join(moving)}: {IMPACTS_DIFFER}" if moving else ""
     if found.missing and not found.completed:
-        # Impacts of a simulation that lacks an effect are not where they are to be compared.
-        lacking = _lacking(found)
-        return f"{lacking} If that does not help: {unsteady}" if moving else lacking
-    if moving:
-        return unsteady
+        return _lacking(found)
     if found.beyond is not None:
         return beyond_in_words(found, problem)
     if found.verdict == "unexplained" or _stands_out(found):

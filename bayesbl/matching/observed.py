@@ -21,6 +21,7 @@ from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.quantisation import Rounding, speed_steps
 from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
+from bayesbl.recording.evenly import UNEVEN_STAMPS, even
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
 from bayesbl.recording.repetition import Repetition, repetition
 from bayesbl.recording.types import (
@@ -33,6 +34,14 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.units import RPM_PER_RAD_PER_S
+
+WHOLE_SPEED_RPM, WHOLE_SHARE = 0.1, 5e-4
+"""How far a mean speed may be from a whole number of rpm that is taken for the reference: over
+whole rotations the integral of the controller keeps the mean there but for noise. At a slow speed
+as a share of it, for 10.06 rpm is not 10."""
+
+EVEN = 0.1
+"""Of the sampling period, by which time stamps may be off an even grid and are left as they are."""
 
 LARGEST_SPEED_ERROR = 0.01
 """Relative difference of a recording's mean speed from the one it is simulated at: on the reference
@@ -160,28 +169,46 @@ def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None
     Parameters
     ----------
     stated_rpm
-        If ``None``, the bench's own, with the recording's direction.
+        If ``None``, the bench's own, with the recording's direction; where it was another, that.
 
     Raises
     ------
     RecordingError
-        If the recording's mean speed is another.
+        If the recording's mean speed is not the stated one, or in another unit.
     """
     mean = float(recording.motor_speed_rpm.mean())
     reference = stated_rpm or math.copysign(bench.value("reference_speed_rpm"), mean)
-    if abs(mean / reference - 1.0) > LARGEST_SPEED_ERROR:
-        raise RecordingError(
-            " ".join(
-                [
-                    "The recording was made at another speed than the bench's.",
-                    speed_in_another_unit(recording, reference) or "",
-                ]
-            ).strip(),
-            file=recording.name,
-            found=f"{mean:.6g} rpm on average",
-            expected=f"{reference:g} rpm, or the right reference_speed_rpm",
-        )
-    return reference
+    if abs(mean / reference - 1.0) <= LARGEST_SPEED_ERROR:
+        return reference
+    unit = speed_in_another_unit(recording, reference)
+    if stated_rpm is None and unit is None:
+        return asked_speed(recording, bench)[0] or reference
+    raise RecordingError(
+        " ".join(filter(None, ["The recording was made at another speed than stated.", unit])),
+        file=recording.name,
+        found=f"{mean:.6g} rpm on average",
+        expected=f"{reference:g} rpm, or the right reference_speed_rpm",
+    )
+
+
+def asked_speed(recording: Recording, bench: Bench) -> tuple[float | None, str]:
+    """The reference speed, rpm, with the reason for it; ``None`` for the bench's own."""
+    mean = _mean_speed_rpm(recording, bench.value("gear_ratio"))
+    own = bench.value("reference_speed_rpm")
+    if abs(abs(mean / own) - 1.0) <= LARGEST_SPEED_ERROR:
+        return None, ""
+    is_whole = abs(mean - round(mean)) <= min(WHOLE_SPEED_RPM, WHOLE_SHARE * abs(mean))
+    asked = float(round(mean)) if is_whole else float(f"{mean:.6g}")
+    return asked, f"Its mean speed, {asked:g} rpm, is taken for its reference."
+
+
+def _mean_speed_rpm(recording: Recording, gear_ratio: float) -> float:
+    """Over whole rotations of the load, for gravity sways the speed once in each."""
+    speed_rpm = recording.motor_speed_rpm
+    mean = float(speed_rpm.mean())
+    rotation = 60.0 * gear_ratio / (max(abs(mean), 1e-9) * recording.sampling_period_s)
+    whole = int(speed_rpm.size / rotation)
+    return float(speed_rpm[: round(whole * rotation)].mean()) if whole else mean
 
 
 def observed(
@@ -197,24 +224,23 @@ def observed(
     Raises
     ------
     RecordingError
-        If the samples are uneven, the speed is not the reference's, or there are fewer
-        than two load rotations where it is one speed.
+        If the speed is not the reference's, or there are fewer than two load rotations where it is
+        one speed.
     ConfigError
         If the load's rotations come again after other turns of the motor than the gear ratio says.
     """
-    speed = recording.motor_speed_rpm
-    period = recording.sampling_period_s
-    grid = recording.time_s[0] + period * np.arange(speed.size)
-    if np.max(np.abs(recording.time_s - grid)) > 0.1 * period:
-        raise RecordingError(
-            "A comparison with the simulation needs evenly spaced samples.",
-            file=recording.name,
-            expected="time stamps within a tenth of the sampling period of an even grid",
-        )
+    stamped, recording = recording, even(recording, EVEN)
+    notes: tuple[str, ...] = ()
+    if stamped.channels is not recording.channels:
+        notes = (UNEVEN_STAMPS,)
+    speed, period = recording.motor_speed_rpm, recording.sampling_period_s
     if moves(recording):
-        return _motion(recording, bench, period)
+        seen = _motion(recording, bench, period)
+        return replace(seen, notes=(*notes, *seen.notes))
     reference = reference_speed(recording, bench, reference_speed_rpm)
-    reference, period, notes = _as_it_repeats(recording, bench, reference, period)
+    if reference_speed_rpm is None:
+        notes += tuple(filter(None, [asked_speed(recording, bench)[1]]))
+    reference, period, more = _as_it_repeats(recording, bench, reference, period)
     rotation = bench.rotation_period_s(reference)
     if speed.size * period < 1.9 * rotation:
         raise RecordingError(
@@ -233,7 +259,7 @@ def observed(
         rotation,
         excluded=recording.excluded,
         rounding=_rounding(signals, bench, reference),
-        notes=notes,
+        notes=(*notes, *more),
     )
 
 

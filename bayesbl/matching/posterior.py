@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.matching.impacts import scattered, smeared
+from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
@@ -98,7 +98,7 @@ class DirectPosterior:
     refits
         How often the surrogate was fitted again.
     widening
-        90 % interval of each coordinate over that without what rotations scatter by beyond their
+        90 % interval of each coordinate over that without what impacts scatter by beyond their
         noise, shape (d,).
     model_widening
         The same over that with the bench's laws and parameters as they are, shape (d,).
@@ -144,17 +144,6 @@ class DirectPosterior:
                     f"{1e3 * shift:.2g} mrad, further than its interval. {mend}"
                 )
         return None
-
-    def impacts_differ(self, level: float) -> list[bool]:
-        """Whether impacts that are not alike make δ wrong, by recording."""
-        model = self.fit.model
-        own = {u.recording for u in model.unknowns if u.name == GAP}
-        differ = []
-        for seen, moved in zip(model.recordings, smeared(self.fit), strict=True):
-            gap = np.log(self.values(GAP, seen.name if seen.name in own else None))
-            low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-            differ.append(not abs(moved) <= MATTERS * (high - low))
-        return differ
 
     def values(self, name: str, recording: str | None = None) -> FloatArray:
         """Draws of one unknown's value, shape (chain, draw)."""
@@ -250,7 +239,7 @@ def sample_direct(
 
 
 def widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
-    """With what rotations scatter by beyond their noise, within the ranges of the unknowns.
+    """With what impacts scatter by beyond their noise, within the ranges of the unknowns.
 
     See :mod:`bayesbl.matching.impacts`.
     """

@@ -28,6 +28,12 @@ from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
+from bayesbl.measurement.joint_features import (
+    INTEGRAL,
+    PROPORTIONAL,
+    beside_bench,
+    harmonic_name,
+)
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,
@@ -68,6 +74,7 @@ from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
+from bayesbl.results.intervals import interval
 from bayesbl.results.store import read_tree
 from bayesbl.results.variables import (
     Group,
@@ -96,6 +103,21 @@ REPLICATES = 5
 """Recordings that are predicted for each chain, each as long as the one that was fitted."""
 
 PRIOR_DRAWS = 1000
+
+BENCHES = 12
+"""Drawn within the tolerances, that a recording is held against."""
+
+FALSE_ALARM = 0.01
+"""Of a recording that is said to be of another bench, over its features."""
+
+MOVES_RINGING = {
+    PROPORTIONAL,
+    INTEGRAL,
+    harmonic_name("current", 1),
+    harmonic_name("speed", 1),
+}
+"""Features that show gains and gravity, with which the ringing goes by the power one at most;
+friction hardly moves it."""
 
 
 def _symbol(*dims: str) -> Callable[[str], Variable | None]:
@@ -173,6 +195,8 @@ OPTIMUM = Group(
         evaluations | 1 | model evaluations
         search_seconds | s | time of the search
         covariance (parameter, parameter_) | products of units | sandwich covariance of the optimum
+        impact_sd_rpm (case) | rpm | standard deviation of A from impact to impact, beyond noise
+        impact_loss (case) | 1 | share of A that impacts which come early and late take
         rival_amplitude_rpm (rival) | rpm | amplitude at other local optima
         rival_rmse_rpm (rival) | rpm | root mean square error at other local optima
         start? | text | start of the search
@@ -358,21 +382,57 @@ class AmplitudeMeasurer(Measurer):
         seed: np.random.SeedSequence,
         task: Task,
     ) -> Answer:
-        groups = amplitude_groups(fit, gap, curve, task.config.interval.level, seed)
+        level = task.config.interval.level
+        groups = amplitude_groups(fit, gap, curve, level, seed)
+        check, unlike = self._against_bench(recording, fit, gap, curve, level)
+        unsuitable = unsuited(recording, fit, curve, task.config)
+        against = [*reasons_as_printed(fit, curve), *unsuitable, *unlike]
         return Answer(
             recording.name,
             None if gap is None else gap.delta_rad,
-            verdict(
-                fit,
-                gap,
-                [*reasons_as_printed(fit, curve), *unsuited(recording, fit, curve, task.config)],
-                self.source.question(recording),
-            ),
+            verdict(fit, gap, against, self.source.question(recording)),
             groups,
             _numbers(fit, gap, groups["posterior"], task.config.interval),
-            _model_check(curve, fit, gap),
+            check,
             None if gap is None else gap.upper_bound_rad,
         )
+
+    def _against_bench(
+        self, recording: Recording, fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float
+    ) -> tuple[JointCheck, list[Reason]]:
+        """The recording beside the curve's bench, and why δ is withheld where it is of another.
+
+        What differs withholds δ where it may move it, by as much itself at most, further than its
+        interval reaches.
+        """
+        if curve is None or gap is None:
+            return NOTHING_COMPARED, []
+        check = ringing_check(curve, measured_ringing(fit), gap)
+        bench = self.source.bench_of(recording)
+        if bench is None or np.any(gap.delta_rad <= 0.0):
+            return check, []
+        draws = gap.delta_rad.ravel()
+        picked = draws[np.linspace(0, draws.size - 1, BENCHES).round().astype(int)]
+        found = beside_bench(fit.point, bench, picked, np.random.default_rng(BENCHES))
+        low, high = np.log(np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
+        bound = normal_isf(0.5 * FALSE_ALARM / max(len(found), 1))
+        items, reasons = [], []
+        for one in found:
+            name, value = one.feature.name, one.feature.value
+            items.append(one.item)
+            shown = name in MOVES_RINGING and abs(one.z) > bound and one.value > 0.0
+            if shown and abs(value / one.value - 1.0) > 0.5 * (high - low):
+                values = {
+                    "quantity": name,
+                    "measured": value,
+                    "expected": one.value,
+                    "unit": one.feature.unit,
+                }
+                reasons.append(Reason("other_bench", values, withholds=True))
+        causes = [cause for reason in reasons for cause in COULD_BE[reason.values["quantity"]]]
+        causes = list(dict.fromkeys([*check.could_be, *causes]))
+        agrees = check.agrees and not reasons
+        return JointCheck(agrees, [*check.items, *items], tuple(causes)), reasons
 
     def _curve(
         self, curves: Sequence[GapCurve] | None, found: Sequence[Gap | None], task: Task
@@ -384,6 +444,12 @@ class AmplitudeMeasurer(Measurer):
         named = dict(zip(task.names, curves, strict=True))
         level = task.config.interval.level
         return {CURVE.name: curve_group(named, rows, level, task.seeds.curve)}
+
+    def _gear_ratio(self, recording: Recording) -> float | None:
+        """The joint's, or its bench's."""
+        bench = self.source.bench_of(recording)
+        known = None if bench is None else bench.value("gear_ratio")
+        return self.config.joint.gear_ratio or known
 
     def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
         of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
@@ -398,7 +464,7 @@ class AmplitudeMeasurer(Measurer):
                 curve,
                 recording,
                 seed,
-                task.config.joint.gear_ratio,
+                self._gear_ratio(recording),
                 earlier_of(recording.name, earlier) or task.earlier.get(recording.name),
                 check,
                 task.work,
@@ -410,12 +476,6 @@ class AmplitudeMeasurer(Measurer):
                 strict=True,
             )
         ]
-
-
-def _model_check(curve: GapCurve | None, fit: Fit, gap: Gap | None) -> JointCheck:
-    if curve is None or gap is None:
-        return NOTHING_COMPARED
-    return ringing_check(curve, measured_ringing(fit), gap)
 
 
 def _earlier_in_words(path: Path) -> str:
@@ -453,6 +513,7 @@ def _numbers(
         "relative_rmse": optimum.relative_rmse,
         "noise": _noise_summary(point.noise),
         "misfit_rms_rpm": point.misfit.rms_rpm,
+        "impact_sd_rpm": interval(point.spread.impact_sd_rpm, of.level, of.kind),
         "rotations": _rotations(fit),
         "excluded_samples": excluded_samples(point.recording),
         "budget": {} if gap is None else gap.budget,
@@ -727,6 +788,8 @@ def _optimum(fit: Fit) -> xr.Dataset:
             **optimum.symbols,
             "search_seconds": optimum.seconds,
             "covariance": spread.sandwich,
+            "impact_sd_rpm": spread.impact_sd_rpm,
+            "impact_loss": spread.losses,
             "rival_amplitude_rpm": [r.symbols["amplitude_rpm"] for r in optimum.rivals],
             "rival_rmse_rpm": np.sqrt(rival_squares / optimum.samples),
             "start": fit.point.start,

@@ -458,6 +458,10 @@ class CurveSource(ABC):
         require_one_speed_of_all(recordings)
         return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
 
+    def bench_of(self, recording: Recording) -> Bench | None:
+        """The bench that the curve of a recording is of, where that is known."""
+        return None
+
     @abstractmethod
     def curves(self, task: Task) -> list[GapCurve] | None:
         """The curve of each recording, in order; ``None`` without one."""
@@ -576,9 +580,12 @@ class BenchCurves(CurveSource):
         UserError
             If it is of another speed, or the load stays on one flank.
         """
-        need = self._need(recording)
-        bench = bench_with(self.bench, dict(need.known))
+        need, bench = self._need(recording), self.bench_of(recording)
         require_flank_change(bench, [need.reference_speed_rpm], self.config.estimator.bench)
+
+    def bench_of(self, recording: Recording) -> Bench:
+        """With what is known of it at the time of the recording."""
+        return bench_with(self.bench, self.config.entry_of(recording.name).bench)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Recordings may be of any speeds and rates: each has its own curve."""
@@ -615,7 +622,7 @@ class BenchCurves(CurveSource):
     def _curve(
         self, need: _Need, estimator: Estimator, task: Task, recording: Recording
     ) -> GapCurve:
-        bench = bench_with(self.bench, dict(need.known))
+        bench = self.bench_of(recording)
         bench = bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
         model = replace(estimator.model, ranges=estimator.model.lasting_ranges)
         settings = SweepSettings(

@@ -11,11 +11,14 @@ in both speed and current (:func:`controller_gains`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
+from bayesbl.bench.bench import Bench
+from bayesbl.measurement.joint_check import CheckItem
 from bayesbl.recording.types import MOTOR_CURRENT, ComplexArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION
@@ -63,16 +66,80 @@ def features_of(point: PointEstimate) -> list[Feature]:
 
     None of less than two whole rotations: nothing tells their noise.
     """
+    folded, period_s = folded_rotations(point)
+    return [] if folded.shape[1] < 2 else features(folded, period_s)
+
+
+def folded_rotations(point: PointEstimate) -> tuple[FloatArray, float]:
+    """As :func:`features` takes them, of the recording that a fit was made of."""
     recording, rotation_s = point.recording, point.optimum.symbols[ROTATION]
     direction = math.copysign(1.0, float(recording.motor_speed_rpm.mean()))
     rows = [recording.motor_speed_rpm]
     if MOTOR_CURRENT in recording.channels:
         rows.append(recording.channels[MOTOR_CURRENT])
-    period_s = recording.sampling_period_s
-    folded = np.stack([folded_signal(direction * row, rotation_s / period_s) for row in rows])
-    if folded.shape[1] < 2:
+    turn = rotation_s / recording.sampling_period_s
+    folded = np.stack([folded_signal(direction * row, turn) for row in rows])
+    return folded, rotation_s / folded.shape[2]
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """A feature beside what a bench that is not known exactly would have in its place.
+
+    ``z``: difference in standard deviations of both.
+    """
+
+    feature: Feature
+    value: float
+    z: float
+
+    @property
+    def item(self) -> CheckItem:
+        """As a check lists it."""
+        own = self.feature
+        return CheckItem(own.name, own.value, self.value, own.unit, self.z)
+
+
+def beside_bench(
+    point: PointEstimate, bench: Bench, delta_rad: FloatArray, rng: np.random.Generator
+) -> list[Expected]:
+    """Features of a recording beside those of its bench, drawn, at as many draws of δ, (k,)."""
+    measured, period_s = folded_rotations(point)
+    speed_rpm = float(point.recording.motor_speed_rpm.mean())
+    count, rotations = measured.shape[2], []
+    for gap in delta_rad:
+        drawn = bench.draw(rng).with_parameters(reference_speed_rpm=speed_rpm)
+        made = drawn.simulate_many(
+            float(gap),
+            rotations=1.0,
+            sampling_hz=count / drawn.rotation_period_s(speed_rpm),
+            channels="all",
+        )[0, 1:, :count]
+        rotations.append(math.copysign(1.0, speed_rpm) * made[: len(measured), None])
+    return compared(measured, rotations, period_s)
+
+
+def compared(
+    measured: FloatArray, rotations: Sequence[FloatArray], period_s: float
+) -> list[Expected]:
+    """Features of folded signals beside those of rotations of benches, (channels, 1, samples) each.
+
+    What does not repeat in the recording is added to the simulation: noise moves both alike.
+    Nothing tells the noise of less than two rotations.
+    """
+    if measured.shape[1] < 2:
         return []
-    return features(folded, rotation_s / folded.shape[2])
+    scatter = measured - measured.mean(axis=1, keepdims=True)
+    found = [feature_values(rotation + scatter, period_s) for rotation in rotations]
+    expected = []
+    for feature in features(measured, period_s):
+        values = [own[feature.name] for own in found if feature.name in own]
+        if values:
+            mean, sd = float(np.mean(values)), float(np.std(values))
+            sd = math.hypot(feature.standard_error, sd)
+            z = (feature.value - mean) / sd if sd > 0.0 else 0.0
+            expected.append(Expected(feature, mean, z))
+    return expected
 
 
 def features(folded: FloatArray, period_s: float) -> list[Feature]:

@@ -15,7 +15,7 @@ from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
-from bayesbl.measurement.joint_features import Feature, feature_values, features, folded_signal
+from bayesbl.measurement.joint_features import compared, folded_signal
 from bayesbl.model_search.always_in import CHANGED_TOGETHER
 from bayesbl.model_search.joint_change import (
     FRICTION,
@@ -42,8 +42,7 @@ def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
 def feature_items(fit: SimulatedFit, recording: str) -> list[CheckItem]:
     """What a recording says of its joint beside the gap, and what the bench at the optimum does.
 
-    What does not repeat in the recording is added to the simulation: noise moves both alike. A
-    motion has no load orders, so nothing of it is compared here.
+    A motion has no load orders, so nothing of it is compared here.
     """
     model = fit.model
     place = [seen.name for seen in model.recordings].index(recording)
@@ -58,21 +57,9 @@ def feature_items(fit: SimulatedFit, recording: str) -> list[CheckItem]:
         return np.stack([folded_signal(direction * row, samples) for row in signals])
 
     measured, by_bench = folded(simulated + seen.left_by(simulated)), folded(simulated)
-    if measured.shape[1] < 2:  # nothing tells the noise
-        return []
     period_s = seen.rotation_period_s / measured.shape[2]
-    scatter = measured - measured.mean(axis=1, keepdims=True)
-    expected = feature_values(by_bench.mean(axis=1, keepdims=True) + scatter, period_s)
-    return [
-        CheckItem(f.name, f.value, expected[f.name], f.unit, _z(f, expected[f.name]))
-        for f in features(measured, period_s)
-        if f.name in expected
-    ]
-
-
-def _z(feature: Feature, expected: float) -> float:
-    sd = feature.standard_error
-    return (feature.value - expected) / sd if sd > 0.0 else 0.0
+    rotation = by_bench.mean(axis=1, keepdims=True)
+    return [one.item for one in compared(measured, [rotation], period_s)]
 
 
 def check_of_comparison(

@@ -112,11 +112,15 @@ class JointCheckSummary(TypedDict):
 
 
 class _FromRinging(TypedDict, total=False):
-    """Of the fit of the ringing's waveform; RMSE is also relative to the speed's scatter."""
+    """Of the fit of the ringing's waveform; RMSE is also relative to the speed's scatter.
+
+    ``impact_sd_rpm``: how far the amplitude of impacts differs, beyond noise.
+    """
 
     rmse_rpm: float
     relative_rmse: float
     misfit_rms_rpm: float
+    impact_sd_rpm: Interval
     start: str
     box_search: dict[str, float]
     sampler_check: SamplerCheckSummary

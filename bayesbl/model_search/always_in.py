@@ -75,6 +75,7 @@ LEAST_LEFT = 0.01
 """Share of a positive parameter that no drift or change takes."""
 
 MOST_ROUNDS = 3
+MOST_HALVES = 4
 MOST_TRIES = 20
 SIZES_DRAWN = 1000
 
@@ -419,11 +420,25 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
         own = [unknown for label in far for unknown in label.unknowns(bench)]
         sizes = dict(zip(rest.labels, rest.by_label(), strict=True))
         by = [w * s for lab in far for w, s in zip(sizes[lab].mean(0), lab.scales, strict=True)]
-        start = [unknown.centre + size for unknown, size in zip(own, by, strict=True)]
         model = fit.model.beside(bench, own)
-        fit = fit_simulated(model, np.concatenate([fit.point, start]), fit.steps)
+        nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], np.array(by))
+        if nearer is None:
+            break
+        fit = nearer
         rest = beside(fit, among)
     return fit, rest
+
+
+def _fitted_from(
+    model: SimulatedSignals, fit: SimulatedFit, centres: Sequence[float], by: FloatArray
+) -> SimulatedFit | None:
+    """Fitted from where all is linear, or nearer by halves where that cannot be simulated."""
+    for _ in range(MOST_HALVES):
+        start = np.concatenate([fit.point, centres + by])
+        if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
+            return fit_simulated(model, start, fit.steps)
+        by = 0.5 * by
+    return None
 
 
 def marginalised(

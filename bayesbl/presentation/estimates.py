@@ -79,12 +79,19 @@ def _of_amplitude(part: RouteSummary, rivals: str) -> Iterator[Block]:
         **({"Table 2's ranges": _box_search(part)} if "box_search" in part else {}),
         "Fit": f"RMSE {part['rmse_rpm']:.3f} rpm, relative {part['relative_rmse']:.3f}",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
+        **({"Impacts": _impacts(part)} if "impact_sd_rpm" in part else {}),
         "Noise": noise(part),
         "Sampling": words.sampling(part),
         "Rival optima": rivals,
     }
     for label, sentence in lines.items():
         yield Sentence(sentence, label=label)
+
+
+def _impacts(part: RouteSummary) -> str:
+    low, high = part["impact_sd_rpm"]["low"], part["impact_sd_rpm"]["high"]
+    least = f"{low:.2g} to " if low > 0.0 else "at most "
+    return f"differ from one another by {least}{high:.2g} rpm beyond noise"
 
 
 def _box_search(part: RouteSummary) -> str:

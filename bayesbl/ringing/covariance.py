@@ -4,23 +4,28 @@ The optimum is least squares whatever the noise, so its covariance is not the in
 V = H⁻¹ JᵀΣJ H⁻¹ with Σ the covariance of the noise, J = ∂h/∂θ and H half the second derivative of
 the sum of squares (White 1982). As the waveform is not exact, the residual is not small and H is
 JᵀJ − Σ r ∂²h: with JᵀJ alone the width of A comes out 4 to 20 % too small on bench recordings, that
-of ω 25 to 40 %.
+of ω 25 to 40 %. Where impacts scatter by more than that noise, V is larger by as much
+(:mod:`bayesbl.noise.impact_scatter`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from bayesbl.errors import RecordingError
+from bayesbl.noise.impact_scatter import Scatter, early_and_late
 from bayesbl.noise.rotation_noise import Noise
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.ringing.optimum import Optimum
-from bayesbl.ringing.symbols import ROTATION
-from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
+from bayesbl.ringing.symbols import FREQUENCY, ROTATION, START, WINDOW_END, WINDOW_START
+from bayesbl.ringing.waveform import impacts, jacobian, jacobian_columns, misfit_curvature
+
+FACTORS = 400
+"""Likely values of the variance's factor that are kept."""
 
 SAFE_SHARE = 0.2
 """Least eigenvalue of H, as a share of that of JᵀJ, below which JᵀJ replaces it."""
@@ -38,11 +43,20 @@ class Covariance:
         V, shape (p, p).
     inverse_curvature
         H⁻¹, shape (p, p), before any noise variance is applied.
+    factors
+        Of V, mean 1, as likely each, shape (k,): how far impacts scatter is known from few.
+    losses
+        Share of A that impacts which come early and late take, one for each factor, shape (k,).
+    impact_sd_rpm
+        Standard deviation of the amplitude from impact to impact, beyond noise; the same.
     """
 
     names: tuple[str, ...]
     sandwich: FloatArray
     inverse_curvature: FloatArray
+    factors: FloatArray = field(default_factory=lambda: np.ones(1))
+    losses: FloatArray = field(default_factory=lambda: np.zeros(1))
+    impact_sd_rpm: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     @property
     def scale(self) -> float:
@@ -101,13 +115,54 @@ def covariance(
     known = np.where(left_out, 0.0, residual_rpm)
     bent = misfit_curvature(optimum.model, time_s, optimum.symbols, known)
     inverse = _inverse_curvature(gram, bent / np.outer(norms, norms))
-    middle = columns.T @ noise.covariance_times(columns)
+    sandwich = inverse @ (columns.T @ noise.covariance_times(columns)) @ inverse
+    signs, inside = _by_impact(optimum, time_s)
+
+    def scores(weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of the impacts, (g,), by a weight of each sample, and their covariance by the noise."""
+        own = weights * inside
+        beside_fit = own - columns @ (inverse @ (columns.T @ own))
+        return own.T @ known, beside_fit.T @ noise.covariance_times(beside_fit)
+
+    scatter = Scatter.of(*scores(columns @ inverse[:, :1]), signs)
+    factors = scatter.likely(FACTORS)
+    impact_sd_rpm = np.sqrt(signs.size * sandwich[0, 0] * (factors - 1.0)) / norms[0]
+    losses = np.zeros(factors.size)
+    if START in names and signs.size:
+        later = columns[:, [names.index(START)]]
+        power = norms[names.index(START)] * (later**2 * inside).sum(axis=0)
+        delays = scores(later / np.where(power > 0.0, power, np.inf))
+        # Waves out of step by s lose ω²s²/2.
+        losses = early_and_late(*delays, signs, factors)
+        losses *= 0.5 * optimum.symbols[FREQUENCY] ** 2
+    sandwich = factors.mean() * sandwich
     if noise.hidden_sd_rpm:
         turn = optimum.symbols[ROTATION] * (time_s.size - 1) / (time_s[-1] - time_s[0])
-        middle += _of_repeating_rounding(columns, round(turn), noise)
-    sandwich = inverse @ middle @ inverse
+        sandwich += inverse @ _of_repeating_rounding(columns, round(turn), noise) @ inverse
     rescale = 1.0 / np.outer(norms, norms)
-    return Covariance(names, _symmetric(sandwich) * rescale, _symmetric(inverse) * rescale)
+    return Covariance(
+        names,
+        _symmetric(sandwich) * rescale,
+        _symmetric(inverse) * rescale,
+        factors / factors.mean(),
+        losses,
+        impact_sd_rpm,
+    )
+
+
+def _by_impact(optimum: Optimum, time_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Signs of the whole impacts of a recording, (g,), and which samples are in each, (n, g)."""
+    symbols = optimum.symbols
+    period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+    reach = symbols[WINDOW_END] - symbols[WINDOW_START] + period_s
+    whole = [
+        (sign, start)
+        for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], period_s)
+        if time_s[0] <= start - period_s and start + reach <= time_s[-1]
+    ]
+    signs, starts = np.array(whole).reshape(-1, 2).T
+    since = time_s[:, None] - starts
+    return signs, (since >= -period_s) & (since <= reach)
 
 
 def _of_repeating_rounding(columns: FloatArray, lag: int, noise: Noise) -> FloatArray:

@@ -8,6 +8,7 @@ searched and what the noise is assumed to be do not affect the meaning and are n
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,12 +16,16 @@ from typing import Any
 import numpy as np
 
 from bayesbl.errors import ConfigError, RecordingError, ResultError
+from bayesbl.noise import outside_lines
+from bayesbl.noise.impact_scatter import normal_quantiles
+from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
 from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
-from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.ringing.cleaning import FINDERS, MotorLine, in_words, without_motor_lines
+from bayesbl.recording.evenly import UNEVEN_STAMPS, even
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
+from bayesbl.ringing.cleaning import MotorLine, in_words, without_drift, without_motor_lines
 from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
 from bayesbl.ringing.misfit import RepeatingMisfit, repeating_misfit
 from bayesbl.ringing.objective import Objective
@@ -36,6 +41,22 @@ from bayesbl.ringing.posterior import Posterior, SamplerCheck, check_sampler, sa
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
+
+EVEN_TOLERANCE = 0.1
+"""Largest distance of a time stamp from an even grid, in sampling periods, that counts as even.
+
+Time stamps rounded to a tenth of the period are as common as real jitter of that size is harmless:
+it moves a 10 Hz ringing of 30 rpm by less than 0.2 rpm at 1 kHz.
+"""
+
+HARMLESS_JITTER_S = 5e-4
+"""RMS distance σ from the grid up to which time stamps count as even, whatever it is in periods.
+
+It averages out as noise does; what stays is a ringing that is smaller by (ωσ)²/2, 0.05 % at 10 Hz.
+"""
+
+LEAST_LEFT = 0.05
+"""Share of A that shaking leaves at least."""
 
 AGREEMENT = 1e-9
 """Largest relative difference between a stored sum of squares and the same one evaluated again."""
@@ -56,9 +77,11 @@ class PointEstimate:
     contenders
         Other optima weighed against this one; by their likelihood alone where ``None``.
     mended
-        Whether ``recording`` is not the one given: lines, bursts, drift or unevenness were removed.
+        Whether ``recording`` is not the one given: lines or drift were removed.
     lines
         Of the motor that were removed.
+    shaking
+        Lines in time that were removed.
     """
 
     recording: Recording
@@ -72,6 +95,18 @@ class PointEstimate:
     contenders: tuple[Contender, ...] | None = None
     mended: bool = False
     lines: tuple[MotorLine, ...] = ()
+    shaking: tuple[OutsideLine, ...] = ()
+
+    def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
+        """Beside lines that were removed: A may be another by their RMS in the speed."""
+        if not by:
+            return self
+        rms_rpm = math.sqrt(0.5 * sum(line.size_rpm**2 for line in by))
+        size = rms_rpm / self.optimum.symbols[AMPLITUDE]
+        losses = self.spread.losses
+        moved = size * np.random.default_rng(0).permutation(normal_quantiles(losses.size))
+        losses = np.maximum(losses + moved, LEAST_LEFT - 1.0)
+        return replace(self, spread=replace(self.spread, losses=losses), shaking=by)
 
     @property
     def misfit(self) -> RepeatingMisfit:
@@ -83,6 +118,8 @@ class PointEstimate:
     @property
     def ringing(self) -> tuple[FloatArray, FloatArray]:
         """Optimum of (A, ln ω, ln τ), shape (3,), and its covariance, shape (3, 3).
+
+        With what impacts lose that come early and late given back to A.
 
         A fixed frequency or decay has zero variance.
         """
@@ -97,6 +134,8 @@ class PointEstimate:
                 if a in spread.names and b in spread.names:
                     entry = spread.sandwich[spread.names.index(a), spread.names.index(b)]
                     covariance[i, j] = scale[i] * scale[j] * entry
+        covariance[0, 0] += float(np.var(centre[0] * spread.losses))
+        centre[0] *= 1.0 + float(spread.losses.mean())
         return centre, covariance
 
 
@@ -122,6 +161,7 @@ class Fit:
             point.contenders,
             mended,
             point.lines,
+            point.shaking,
         )
 
 
@@ -143,6 +183,7 @@ class FinishedFit:
     contenders: tuple[Contender, ...] | None
     mended: Recording | None
     lines: tuple[MotorLine, ...] = ()
+    shaking: tuple[OutsideLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,8 +240,8 @@ class Estimator:
     ) -> PointEstimate:
         """RMSE optimum with the noise's covariance around it.
 
-        Lines of the motor, bursts of outliers, a drift of the speed and uneven rotations are
-        removed first where the recording shows them; the notes say so.
+        Lines of the motor and a drift of the speed are removed first where the recording shows
+        them; the notes say so.
 
         Parameters
         ----------
@@ -212,17 +253,31 @@ class Estimator:
         RecordingError
             If the recording lacks what a fit needs: channels, sampling, rotations, variation.
         """
-        recording = ready_for_fit(recording, gear_ratio)
-        recording, lines = without_motor_lines(recording)
-        notes = [in_words(lines)] if lines else []
+        ready = ready_for_fit(recording, gear_ratio)
+        stamped = even(ready, EVEN_TOLERANCE, HARMLESS_JITTER_S)
+        notes = [] if stamped.channels is ready.channels else [UNEVEN_STAMPS]
+        recording, lines = without_motor_lines(stamped)
+        notes += [in_words(lines)] if lines else []
+        loop = {
+            n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)
+        }
+        turns_s = 60.0 * (gear_ratio or math.inf) / nominal_speed_rpm(recording)
+        loop, shaking = without_outside_lines(
+            loop, MOTOR_SPEED, recording.sampling_period_s, turns_s
+        )
+        if shaking:
+            recording = replace(recording, channels={**recording.channels, **loop})
+            notes.append(outside_lines.in_words(shaking))
         point = self._optimal(recording, seed, gear_ratio, earlier)
         # Rotations with the same rounding are the same.
-        for find in () if point.noise.rounding_repeats else FINDERS:
-            mended = find(point.recording, point.optimum, point.residual_rpm, point.noise)
-            if mended is not None:
-                point = self._optimal(mended.recording, seed, gear_ratio, earlier)
-                notes.append(mended.note)
-        return replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
+        if not point.noise.rounding_repeats:
+            steady = without_drift(point.recording, point.optimum, point.residual_rpm)
+            if steady is not None:
+                recording, note = steady
+                point = self._optimal(recording, seed, gear_ratio, earlier)
+                notes.append(note)
+        point = replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
+        return point.shaken(shaking)
 
     def _optimal(
         self,
@@ -350,7 +405,8 @@ class Estimator:
             If the recording gives another sum of squares at the optimum.
         """
         optimum = finished.optimum
-        recording = finished.mended or ready_for_fit(recording, gear_ratio)
+        ready = ready_for_fit(recording, gear_ratio)
+        recording = finished.mended or even(ready, EVEN_TOLERANCE, HARMLESS_JITTER_S)
         objective = self._objective(recording)
         found = float(objective.sum_of_squares(optimum.searched[None])[0])
         if not abs(found - optimum.sum_of_squares) <= AGREEMENT * optimum.sum_of_squares:
@@ -367,7 +423,7 @@ class Estimator:
             contenders=finished.contenders,
             mended=finished.mended is not None,
             lines=finished.lines,
-        )
+        ).shaken(finished.shaking)
         return Fit(point, finished.posterior, finished.check)
 
 

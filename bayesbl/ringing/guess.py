@@ -69,7 +69,7 @@ def guesses(objective: Objective, count: int) -> FloatArray:
     Shape (up to ``count``, d), columns in the order of ``objective.searched``, best first.
     """
     window = search_window(objective)
-    time_s, speed = _even(objective)
+    time_s, speed = objective.time_s, objective.speed_rpm - objective.offset_rpm
     power = _baseline_power(speed)
     folds: list[tuple[float, float, float, float, float, float]] = []
     for decay, frequency in _templates(objective):
@@ -98,14 +98,6 @@ def guesses(objective: Objective, count: int) -> FloatArray:
     )
     order = np.argsort(objective.sum_of_squares(points), kind="stable")
     return _distinct(objective, points[order], count)
-
-
-def _even(objective: Objective) -> tuple[FloatArray, FloatArray]:
-    """Time and speed on an even grid; interpolation is good enough for a guess."""
-    if objective.is_even:
-        return objective.time_s, objective.speed_rpm - objective.offset_rpm
-    grid = objective.time_s[0] + objective.period_s * np.arange(objective.samples)
-    return grid, np.interp(grid, objective.time_s, objective.speed_rpm) - objective.offset_rpm
 
 
 def _baseline_power(speed_rpm: FloatArray) -> FloatArray:

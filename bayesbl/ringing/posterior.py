@@ -1,7 +1,8 @@
 """The posterior of the disturbance model around its RMSE optimum, by emcee.
 
 The likelihood is exp(−SSE(θ) / 2κ): centred on the least-squares optimum, which is what the gap
-curve means by A, and as wide as the recording's own noise makes it (docs/design.md, "Statistics").
+curve means by A, and as wide as the recording's own noise and impacts make it (docs/design.md,
+"Statistics"). What impacts lose that come early and late is given back to A.
 Priors are flat in every symbol within its range. emcee walks over the symbols that enter
 nonlinearly; A, v_t and the baseline are linear, integrated out exactly and drawn afterwards.
 
@@ -192,7 +193,10 @@ def complete(
     symbols = [n for n in names if n in values]
     stacked = np.column_stack([*(values[n] for n in symbols), linear[:, 1:-1]])
     centre = np.r_[[optimum.symbols[n] for n in symbols], optimum.baseline_rpm]
-    stacked = centre + (stacked - centre) @ spread.calibration.T
+    case = generator.integers(spread.factors.size, size=len(flat))
+    wider = np.sqrt(spread.factors[case])
+    stacked = centre + wider[:, None] * ((stacked - centre) @ spread.calibration.T)
+    stacked[:, 0] *= 1.0 + spread.losses[case]
     ranged = [symbols.index(n) for n in objective.searched]
     stacked[:, ranged] = np.clip(stacked[:, ranged], *bounds(objective))
 

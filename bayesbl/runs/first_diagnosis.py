@@ -26,7 +26,7 @@ from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
 from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
-from bayesbl.matching.observed import ROUNDING
+from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import is_constant
 from bayesbl.recording.guessing import Guess, guess_columns
@@ -43,7 +43,6 @@ from bayesbl.recording.types import (
 )
 from bayesbl.results.identified import bench_from
 from bayesbl.results.store import write_text
-from bayesbl.runs.diagnose import asked_speed
 from bayesbl.runs.first_configuration import (
     column_lines,
     commented,

@@ -21,12 +21,10 @@ from bayesbl.identification.summary import summarise_identification
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
-from bayesbl.recording.moving import moves
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.runs.diagnose import asked_speed
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -100,12 +98,8 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
         recording = ready_for_fit(recording, bench.value("gear_ratio"))
         require_alive(recording, (MOTOR_CURRENT,))
-        speed = entry.reference_speed_rpm
-        if speed is None and not moves(recording):
-            speed, told = asked_speed(recording, bench)
-            notes += [f"{entry.name}: {told}."] if told else []
         known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
-        one = replace(observed(recording, bench, speed), known=known)
+        one = replace(observed(recording, bench, entry.reference_speed_rpm), known=known)
         seen[entry.use].append(one)
         notes += [f"{entry.name}: {note}" for note in (*recording.notes, *one.notes)]
     used = tuple(seen["fit"])

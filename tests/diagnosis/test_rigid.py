@@ -28,8 +28,9 @@ from bayesbl.diagnosis.rigid.inverse import (
     required_torque,
 )
 from bayesbl.diagnosis.rigid.method import compared
-from bayesbl.diagnosis.rigid.motion import Motion, even, motion_of
+from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
+from bayesbl.recording.evenly import even
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_POSITION,
@@ -146,11 +147,11 @@ def test_uneven_stamps_are_brought_to_an_even_grid_of_the_same_motion() -> None:
     jitter = np.random.default_rng(1).uniform(-0.3, 0.3, time.size) / 250.0
     jitter[[0, -1]] = 0.0
     moved = np.interp(time + jitter, time, angle)
-    grid = even(Recording("a", time + jitter, {MOTOR_POSITION: moved}))
+    grid = even(Recording("a", time + jitter, {MOTOR_POSITION: moved}), 1e-3)
     assert np.ptp(np.diff(grid.time_s)) < 1e-12
     assert np.max(np.abs(grid.channels[MOTOR_POSITION] - angle)) < 5e-3
     even_one = recording("b", 6)
-    assert even(even_one).channels is even_one.channels
+    assert even(even_one, 1e-3).channels is even_one.channels
 
 
 def test_a_cut_off_beyond_the_sampling_is_refused() -> None:

@@ -6,7 +6,7 @@ import gzip
 import json
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -42,6 +42,12 @@ PLAIN = {"time_s": TIME, "motor_speed_rpm": SPEED, "note": np.arange(400.0)}
 START = np.datetime64("2026-03-01T12:00:00", "ns")
 DATES = START + (TIME * 1e9).round().astype("timedelta64[ns]")
 
+
+def write_json(path: Path, columns: Mapping[str, Sequence[object]]) -> Path:
+    path.write_text(json.dumps({name: np.asarray(v).tolist() for name, v in columns.items()}))
+    return path
+
+
 WRITERS: dict[str, tuple[str, Callable[[Path], Path]]] = {
     "CSV": ("csv", lambda path: write_csv(path, PLAIN)),
     "NetCDF 4": ("nc", lambda path: write_netcdf(path, PLAIN)),
@@ -60,6 +66,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path], Path]]] = {
     "MDF 4": ("mf4", lambda path: write_mdf(path, PLAIN)),
     "MDF 3": ("mdf", lambda path: write_mdf(path, PLAIN, "3.30")),
     "TDMS": ("tdms", lambda path: write_tdms(path, {"log": PLAIN})),
+    "JSON": ("json", lambda path: write_json(path, PLAIN)),
     "TwinCAT Scope": ("csv", lambda path: write_scope(path, PLAIN)),
     "TwinCAT Scope, English": ("csv", lambda path: write_scope(path, PLAIN, ";", ".")),
 }
@@ -422,7 +429,7 @@ def test_no_numbers_in_any_format_end_in_a_traceback(
 
 
 A_FORMAT = """
-import json
+import io
 
 import numpy as np
 
@@ -430,27 +437,27 @@ from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.formats import Format
 
 
-def read_json(file, data):
-    return ArrayTable(str(file), {n: np.array(v) for n, v in json.loads(data).items()})
+def read_npz(file, data):
+    return ArrayTable(str(file), dict(np.load(io.BytesIO(data)).items()))
 
 
-FORMAT = Format("JSON", (".json",), read_json)
+FORMAT = Format("NPZ", (".npz",), read_npz)
 """
 
 
 def test_a_file_in_the_folder_of_formats_is_a_format(tmp_path: Path) -> None:
-    module = tmp_path / "modules" / "json_columns.py"
+    module = tmp_path / "modules" / "numpy_columns.py"
     module.parent.mkdir()
     module.write_text(A_FORMAT)
-    path = tmp_path / "joint.json"
-    path.write_text(json.dumps({name: list(values) for name, values in PLAIN.items()}))
+    path = tmp_path / "joint.npz"
+    np.savez(path, **{name: np.array(values) for name, values in PLAIN.items()})
     with pytest.raises(RecordingError, match="cannot be read as recordings"):
         read_recording(path)
     with added_module(formats, module):
         recording = read_recording(path)
-        assert "JSON" in formats.names()
+        assert "NPZ" in formats.names()
     np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
-    assert ".json" not in formats.formats()
+    assert ".npz" not in formats.formats()
 
 
 ABOVE = "Trace V3.2;Achse 2;14.03.2026 08:12:33\nAbtastzeit;1 ms\n\n"

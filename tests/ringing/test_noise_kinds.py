@@ -20,11 +20,12 @@ from bayesbl.noise.rotation_noise import (
     tails,
 )
 from bayesbl.recording.types import MOTOR_SPEED, Recording
-from bayesbl.ringing.cleaning import FINDERS, without_bursts, without_drift, without_jitter
+from bayesbl.ringing.cleaning import without_drift
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, ROTATION
+from bayesbl.ringing.waveform import impacts
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 BENCH = replace(reference_bench(), measurement=Measurement())
@@ -226,32 +227,64 @@ def test_rotations_whose_rounding_is_alike_are_left_alone(quiet: PointEstimate) 
 
 
 def test_nothing_is_mended_that_is_not_broken(quiet: PointEstimate) -> None:
-    # Each finder's false alarm is 1e-5.
+    # The false alarm is 1e-5.
     assert quiet.notes == ()
     smooth = quiet.recording.motor_speed_rpm
     for seed in range(6):
         for model in (NOISE, OUTLIERS):
             point = around(quiet, smooth + model.draw(smooth.size, seeded(seed)))
-            for find in FINDERS:
-                assert find(point.recording, point.optimum, point.residual_rpm, point.noise) is None
+            assert without_drift(point.recording, point.optimum, point.residual_rpm) is None
 
 
-def test_bursts_are_replaced_by_other_rotations(quiet: PointEstimate) -> None:
-    smooth, rng = quiet.recording.motor_speed_rpm, seeded(8)
-    noise = NOISE.draw(smooth.size, rng)
-    burst = np.zeros_like(noise)
-    for begin in (2100, 6900, 12_300):
-        burst[begin : begin + 40] = rng.normal(0.0, 25.0, 40)
-    point = around(quiet, smooth + noise + burst)
-    assert point.noise.sd_rpm > 1.2 * 1.5
-    mended = without_bursts(point.recording, point.optimum, point.residual_rpm, point.noise)
-    assert mended is not None
-    assert "replaced by other rotations" in mended.note
-    left = mended.recording.motor_speed_rpm - smooth - noise
-    assert np.std(left[burst != 0.0]) < 0.2 * np.std(burst[burst != 0.0])
-    again = around(quiet, mended.recording.motor_speed_rpm)
-    assert math.isclose(again.noise.sd_rpm, 1.5, rel_tol=0.06)
-    assert abs(error(again, quiet)) < 3.3
+def in_impacts(point: PointEstimate) -> list[slice]:
+    """Samples of the window of every impact."""
+    time_s = point.recording.time_s
+    found = impacts(point.optimum.symbols, time_s[0], time_s[-1], point.objective.period_s)
+    ends = [np.searchsorted(time_s, (start, start + 0.204)) for _, start, _ in found]
+    return [slice(*pair) for pair in ends]
+
+
+def test_noise_that_is_the_same_everywhere_hardly_widens_an_interval(quiet: PointEstimate) -> None:
+    smooth = quiet.recording.motor_speed_rpm
+    wider = []
+    for seed in range(12):
+        spread = around(quiet, smooth + NOISE.draw(smooth.size, seeded(seed))).spread
+        wider.append(spread.factors.min() ** -0.5)  # what is not widened is the least of them
+        assert np.quantile(spread.impact_sd_rpm, 0.5) == 0.0
+    assert np.mean(wider) < 1.1
+
+
+def test_noise_that_is_louder_around_impacts_widens_the_interval(quiet: PointEstimate) -> None:
+    smooth = quiet.recording.motor_speed_rpm
+    louder = np.ones(smooth.size)
+    for inside in in_impacts(quiet):
+        louder[inside] = 5.0
+    widths, errors = [], []
+    for seed in range(12):
+        noise = louder * NOISE.draw(smooth.size, seeded(seed))
+        point = around(quiet, smooth + noise)
+        widths.append(math.sqrt(point.spread.sandwich[0, 0]))
+        errors.append(amplitude(point) - amplitude(quiet))
+    assert np.sqrt(np.mean(np.square(errors))) < 1.5 * np.mean(widths)
+    # By the RMS of the whole recording alone, half as wide.
+    assert np.mean(widths) < 2.5 * np.sqrt(np.mean(np.square(errors)))
+
+
+def test_what_impacts_differ_by_is_told(quiet: PointEstimate) -> None:
+    smooth = quiet.recording.motor_speed_rpm
+    without = smooth - quiet.optimum.predict(quiet.recording.time_s)
+    share = 0.15
+    unlike = smooth.copy()
+    ringing = smooth - without - np.mean(smooth)
+    factors = seeded(3).standard_normal(len(in_impacts(quiet)))
+    factors *= share / factors.std(ddof=1)
+    for factor, inside in zip(factors, in_impacts(quiet), strict=True):
+        unlike[inside] += factor * ringing[inside]
+    point = around(quiet, unlike + NOISE.draw(smooth.size, seeded(4)))
+    low, high = np.quantile(point.spread.impact_sd_rpm, [0.05, 0.95]) / amplitude(quiet)
+    assert low < share < high
+    assert high < 4.0 * share
+    assert abs(error(point, quiet)) < 3.3
 
 
 def drifting(quiet: PointEstimate, share: float, *, of_the_motor: bool) -> np.ndarray:
@@ -267,42 +300,44 @@ def drifting(quiet: PointEstimate, share: float, *, of_the_motor: bool) -> np.nd
 
 
 @pytest.mark.parametrize("of_the_motor", [True, False])
-def test_a_drift_is_taken_out_with_what_it_does_to_the_impacts(
+def test_a_drift_is_taken_out_and_what_it_does_to_the_impacts_is_given_back(
     quiet: PointEstimate, of_the_motor: bool
 ) -> None:
     speed = drifting(quiet, 0.004, of_the_motor=of_the_motor)
     noise = NOISE.draw(speed.size, seeded(9))
     for added in (0.0 * noise, noise):
         point = around(quiet, speed + added)
-        mended = without_drift(point.recording, point.optimum, point.residual_rpm, point.noise)
-        assert mended is not None
-        assert "drifts by 8" in mended.note
-        assert ("the impacts do not" in mended.note) is not of_the_motor
-        again = around(quiet, mended.recording.motor_speed_rpm)
+        found = without_drift(point.recording, point.optimum, point.residual_rpm)
+        assert found is not None
+        steady, note = found
+        assert "drifts by 8" in note
+        again = around(quiet, steady.motor_speed_rpm)
+        centre, covariance = again.ringing
+        if of_the_motor:
+            assert amplitude(again) < amplitude(quiet) - 1.0
         if added.any():
-            assert math.isclose(again.noise.sd_rpm, 1.5, rel_tol=0.08)
-            assert abs(error(again, quiet)) < 3.3
+            sd = math.sqrt(covariance[0, 0])
+            assert abs(centre[0] - amplitude(quiet)) < 3.3 * sd
+            plain = around(quiet, quiet.recording.motor_speed_rpm + noise)
+            assert sd < 2.0 * math.sqrt(plain.ringing[1][0, 0])
         else:
-            assert abs(amplitude(again) - amplitude(quiet)) < 0.01
-            if of_the_motor:
-                assert amplitude(point) < amplitude(quiet) - 1.0
+            assert centre[0] == pytest.approx(amplitude(quiet), rel=0.01)
 
 
-def test_uneven_rotations_are_made_even(quiet: PointEstimate) -> None:
+def test_what_uneven_rotations_take_is_given_back(quiet: PointEstimate) -> None:
     time_s = quiet.recording.time_s
     noise = NOISE.draw(time_s.size, seeded(15))
     fine = BENCH.simulate(2e-3, start_angle_rad=1.0, sampling_hz=10_000.0, rotations=5.1)
-    delay_s = np.interp(time_s, 3.6 * np.arange(6), [0.0, 3e-3, -3e-3, 2e-3, -3e-3, 0.0])
+    delay_s = np.interp(time_s, 3.6 * np.arange(6), [0.0, 6e-3, -6e-3, 4e-3, -6e-3, 0.0])
     at = np.clip(time_s - delay_s, 0.0, None)
     point = around(quiet, np.interp(at, fine.time_s, fine.motor_speed_rpm) + noise)
-    mended = without_jitter(point.recording, point.optimum, point.residual_rpm, point.noise)
-    assert mended is not None
-    assert "early or late" in mended.note
-    again = around(quiet, mended.recording.motor_speed_rpm)
     reference = around(quiet, quiet.recording.motor_speed_rpm + noise)
     sd = math.sqrt(reference.spread.sandwich[0, 0])
+    centre, covariance = point.ringing
     assert amplitude(point) < amplitude(reference) - sd
-    assert abs(amplitude(again) - amplitude(reference)) < 0.5 * sd
+    assert abs(centre[0] - amplitude(reference)) < 1.5 * sd
+    assert abs(centre[0] - amplitude(reference)) < 2.0 * math.sqrt(covariance[0, 0])
+    assert reference.ringing[0][0] == pytest.approx(amplitude(reference), rel=1e-3)
 
 
 @pytest.mark.long

@@ -877,10 +877,23 @@ class InverseView:
         # be such a frequency as well.
         round_one = max((line.anywhere + line.whole for line in turning), default=0.0)
         passing = [
-            replace(line, anywhere=max(line.anywhere, round_one))
+            replace(line, anywhere=max(line.anywhere, round_one * len(line.values)))
             for line in peaks(clock, False, MOST_LINES, whole=False)
+            if not self._moves_at(line.middle)
         ]
         return replace(self, orders=tuple(turning), lines=tuple(passing))
+
+    def _moves_at(self, hertz: float) -> bool:
+        """Whether the axis itself accelerates at one frequency alone: a torque there is inertia,
+        friction or a spring before it is a line in time."""
+        left = whole = 0.0
+        for i in self.used:
+            if not self.windows[i].above:
+                own = self.pieces[i].kept(self._parameter(i, INERTIAS[0]))
+                waves = self.pieces[i].kept(self._hum(i, hertz))
+                left += float(np.sum((own - waves @ least_squares(waves, own)) ** 2))
+                whole += float(own @ own)
+        return left < 0.1 * whole
 
     # What is told
 

@@ -38,7 +38,6 @@ from bayesbl.diagnosis.rigid.motion import (
     step_of,
     thinned,
     turns_of,
-    widened,
 )
 from bayesbl.diagnosis.rigid.orders import FEWEST_SAMPLES
 from bayesbl.diagnosis.rigid.preparation import (
@@ -53,6 +52,7 @@ from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, want
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.progress import StageProgress
+from bayesbl.recording.evenly import widened
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,

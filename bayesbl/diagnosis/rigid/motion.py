@@ -33,7 +33,6 @@ from scipy import (
     fft,
 )
 from scipy.interpolate import (
-    CubicSpline,
     make_interp_spline,
 )
 from scipy.ndimage import (
@@ -61,9 +60,6 @@ FADE_PERIODS = 4.0
 from there."""
 END_PERIODS = 2.0
 """Of the cut-off frequency: how far the ends of a recording disturb what is filtered."""
-
-UNEVEN = 1e-3
-"""Departure of a time stamp from the even grid, in periods, up to which it is even."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,30 +147,6 @@ class Motion:
     def _each(self, change: Callable[[Any], Any]) -> Motion:
         names = ("angle", "speed", "acceleration", "sway")
         return replace(self, **{name: change(getattr(self, name)) for name in names})
-
-
-def even(recording: Recording) -> Recording:
-    """The recording on an even grid; itself where it already is."""
-    n = recording.samples
-    grid = recording.time_s[0] + np.arange(n) * (
-        (recording.time_s[-1] - recording.time_s[0]) / (n - 1)
-    )
-    if np.max(np.abs(recording.time_s - grid)) <= UNEVEN * recording.sampling_period_s:
-        return replace(recording, time_s=grid)
-    channels = {
-        name: CubicSpline(recording.time_s, values)(grid)
-        for name, values in recording.channels.items()
-    }
-    return replace(
-        recording, time_s=grid, channels=channels, excluded=widened(recording.excluded, 1)
-    )
-
-
-def widened(excluded: BoolArray | None, samples: int) -> BoolArray | None:
-    """A mask with so many samples more on either side of what it marks, shape (n,)."""
-    if excluded is None or not excluded.any():
-        return None
-    return np.asarray(binary_dilation(excluded, iterations=samples))
 
 
 def motion_of(recording: Recording, cutoff_hz: float) -> Motion:

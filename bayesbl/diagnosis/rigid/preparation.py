@@ -9,10 +9,13 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.rigid.motion import even
 from bayesbl.diagnosis.task import Task, piece_of, refused, rows_of, sound
 from bayesbl.errors import RecordingError
+from bayesbl.recording.evenly import even
 from bayesbl.recording.types import Recording
+
+UNEVEN = 1e-3
+"""Departure of a time stamp from the even grid, in periods, up to which it is even."""
 
 INERTIAS = ("motor_inertia_kg_m2", "load_inertia_kg_m2")
 GRAVITY = "gravity_torque_nm"
@@ -55,7 +58,7 @@ def even_recordings(
 ) -> list[Recording]:
     """Recordings on an even grid, strays of the channels ``read`` of each excluded."""
     pairs = zip(task.recordings, read, strict=True)
-    return [even(sound(recording, channels, unclipped)) for recording, channels in pairs]
+    return [even(sound(recording, channels, unclipped), UNEVEN) for recording, channels in pairs]
 
 
 def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayesbl.config.bench import reference_bench
+from bayesbl.matching.observed import asked_speed
 from bayesbl.recording.types import Recording
-from bayesbl.runs.diagnose import asked_speed
 
 
 def recorded(speed_rpm: float, start_angle_rad: float) -> Recording:
