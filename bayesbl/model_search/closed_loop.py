@@ -594,8 +594,12 @@ def _banded(
     """
     model, d = fit.model, fit.point.size
     widths = [part.shape[1] for part in parts]
+    derivatives, pull = fit.derivatives(), prior_pull(model, fit.point)
+    # What the end of its range has stopped goes no further, whatever would explain more there.
+    stopped = (fit.point <= model.low) | (fit.point >= model.high)
+    derivatives[:, stopped], pull[stopped] = 0.0, 0.0
     everything = np.hstack(
-        [fit.derivatives(), *parts, *(form[:, None] for form in forms), fit.residual[:, None]]
+        [derivatives, *parts, *(form[:, None] for form in forms), fit.residual[:, None]]
     )
     total = everything.T @ everything
     size, own = everything.shape[1], len(forms)
@@ -644,7 +648,7 @@ def _banded(
         view[:, -1],
         view[:, :d],
         model.prior_precision(),
-        prior_pull(model, fit.point),
+        pull,
         terms,
         np.zeros((len(view), 0)),
         (),
