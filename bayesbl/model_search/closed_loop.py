@@ -259,6 +259,7 @@ class _Search:
             self._explore(best)
             if not best.explanation.candidates and self._is_far(self.best):
                 self._scan()
+            self._shed()
             if self.best is not best:
                 continue
             # What was added first may only have stood in for what came after it.
@@ -266,6 +267,16 @@ class _Search:
                 self._explore(less)
             if self.best is best or len(self._sets) > MOST_FITS:
                 break
+        self._shed()
+
+    def _shed(self) -> None:
+        """Fit the best set less each of its hypotheses, until none does without one."""
+        while True:
+            best = self.best
+            for _ in self._reduced(best):
+                pass
+            if self.best is best:
+                return
 
     def _scan(self) -> None:
         """Candidates that move the gap, from their whole range and the gap's."""
