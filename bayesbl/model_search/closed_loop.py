@@ -96,15 +96,18 @@ class FittedSet:
     ----------
     log_evidence
         ln of its prior times evidence, anything beside it left out.
-    alone
-        The posterior of what is always beside it.
+    log_likelihood
+        Its part by the recordings, with what is always beside it marginalised.
+    covariance
+        Of everything unknown beside that, and with the misfit, shape (d, d).
     excess
         χ² beyond noise of what repeats, and what of it lies in bands that have a misfit.
     """
 
     explanation: Explanation
     log_evidence: float
-    alone: ModelPosterior
+    log_likelihood: float
+    covariance: FloatArray
     excess: float
     misfit: float
 
@@ -196,7 +199,7 @@ class Naming:
 def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatArray:
     """Draws of ln δ beside one set, (n,)."""
     place = own.fit.model.index(GAP)
-    spread = math.sqrt(float(own.alone.covariance()[place, place]))
+    spread = math.sqrt(float(own.covariance[place, place]))
     return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n))
 
 
@@ -376,7 +379,7 @@ class _Search:
         if is_known:
             self._explored.add(keys)
         view, shapes = self._linearised(base.explanation, tuple(self._open(base.explanation)))
-        offset = base.log_evidence - base.alone.log_evidence
+        offset = base.log_evidence - base.log_likelihood
         odds = 1.0 / (1.0 + math.exp(-self._log_odds))
         priors = Priors(probability={c.label: odds for c in self._candidates.values()})
         posterior = search(view, priors, min(2, room))
@@ -538,7 +541,14 @@ def weighed(explanation: Explanation, among: Sequence[Direction] = ()) -> Fitted
     # Laplace's volume of what is added, beside that of everything in the posterior.
     k = sum(len(c.unknowns) for c in explanation.candidates)
     evidence = alone.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
-    return FittedSet(explanation, evidence, alone, max(sum(beyond), 0.0), misfit)
+    return FittedSet(
+        explanation,
+        evidence,
+        alone.log_evidence,
+        alone.covariance(),
+        max(sum(beyond), 0.0),
+        misfit,
+    )
 
 
 def linearised(
