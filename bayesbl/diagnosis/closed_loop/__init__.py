@@ -1,7 +1,7 @@
 """The two-mass bench in its closed loop against speed and current: which effect it lacks.
 
-Recordings are compared with their simulation (:mod:`bayesbl.matching.signals`), and what is missing
-is found by :mod:`bayesbl.model_search.closed_loop`. Here :mod:`diagnosis` makes the answer,
+Recordings are compared with their simulation (:mod:`bayesbl.matching.signals`), and
+:mod:`bayesbl.model_search` finds what is missing. Here :mod:`diagnosis` makes the answer,
 :mod:`learned_in_loop` learns what no name explains, :mod:`prediction` simulates what was held out,
 :mod:`augment` writes what was found into the bench, :mod:`suggest` says what to record next.
 """

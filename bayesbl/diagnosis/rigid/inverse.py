@@ -219,9 +219,6 @@ TURNS = 1.0
 """Way of the load, rad, from which gravity's direction turns: on a shorter one it is an offset and
 a spring."""
 
-WRONG_SHARE = 0.15
-"""Of a value of the data sheet: by how much it is usually wrong where it is."""
-
 WRONG_VALUE = 0.3
 """Usual share of a wrong value of the data sheet in what is compared."""
 
@@ -532,9 +529,7 @@ class InverseView:
         if self.load_angle_known and GRAVITY not in self.unknown:
             names.append(GRAVITY)
         for name in names:
-            size = max(self.bench.tolerances.get(name, 0.0), WRONG_SHARE * self.bench.value(name))
-            columns = self._every(partial(self._columns_of_parameter, name=name))
-            look = Look({}, columns, size=size or None)
+            look = Look({}, self._every(partial(self._columns_of_parameter, name=name)))
             yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
         if not self.load_angle_known and not self.gravity_free and self._travel_rad > TURNS:
             look = Look({}, self._every(self._gravity))

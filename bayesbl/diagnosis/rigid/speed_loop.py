@@ -105,9 +105,7 @@ from bayesbl.errors import (
     ConfigError,
     RecordingError,
 )
-from bayesbl.model_search.constants import (
-    ALIKE,
-)
+from bayesbl.model_search.constants import INDISTINGUISHABLE_Z
 from bayesbl.progress import (
     StageProgress,
 )
@@ -624,7 +622,7 @@ def with_both(
     if np.unique(np.round(lines.speeds)).size < FEWEST_FOR_BOTH:
         return best
     both = fit_laws(lines, {**fit.laws, place: "both"}, believed, free)
-    return both if z_between(both, best) >= ALIKE else best
+    return both if z_between(both, best) >= INDISTINGUISHABLE_Z else best
 
 
 def generalises(lines: Lines, fit: LawFit, place: int) -> bool:
@@ -935,11 +933,13 @@ class _Answer:
                 if made.freedom > 0:
                     trials[name] = more, made
             gains = {name: z_between(made, fit) for name, (_, made) in trials.items()}
-            good = [name for name in trials if gains[name] >= ALIKE]
+            good = [name for name in trials if gains[name] >= INDISTINGUISHABLE_Z]
             if not good:
                 return fit, free, found
             top = trials[max(good, key=lambda name: gains[name])][1]
-            first, *rivals = [name for name in good if z_between(top, trials[name][1]) < ALIKE]
+            first, *rivals = [
+                name for name in good if z_between(top, trials[name][1]) < INDISTINGUISHABLE_Z
+            ]
             found.append(_Added(first, tuple(rivals), gains[first]))
             free, fit = trials[first]
             if not set(wrong) - free.priors.keys():
@@ -999,7 +999,7 @@ class _Answer:
         if name not in self.setting.candidates:
             return ()
         made = fit_laws(lines, {**fit.laws, place: other}, self.setting.values, self.setting.free)
-        return (name,) if z_between(fit, made) < ALIKE else ()
+        return (name,) if z_between(fit, made) < INDISTINGUISHABLE_Z else ()
 
     def _unexplained(self, lines: Lines, place: int) -> Unexplained:
         """A line without a law, or with one that the catalogue does not have."""
