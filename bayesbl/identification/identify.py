@@ -309,7 +309,7 @@ def _beyond(final: Explanation, named: NamedCandidate, problem: Problem) -> Beyo
     (place,) = final.places(named.candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
     ends = [math.log(end) for end in (value - half, value + half) if end > 0.0]
-    sd = math.sqrt(float(weighed(final).alone.covariance()[place, place]))
+    sd = math.sqrt(float(weighed(final).covariance[place, place]))
     at = float(fit.point[place])
     return BeyondDataSheet(
         name, value, half, math.exp(at), min(abs(at - end) for end in ends) / sd, named.members[1:]

@@ -96,15 +96,18 @@ class FittedSet:
     ----------
     log_evidence
         ln of its prior times evidence, anything beside it left out.
-    alone
-        The posterior of what is always beside it.
+    log_likelihood
+        Its part by the recordings, with what is always beside it marginalised.
+    covariance
+        Of everything unknown beside that, and with the misfit, shape (d, d).
     excess
         χ² beyond noise of what repeats, and what of it lies in bands that have a misfit.
     """
 
     explanation: Explanation
     log_evidence: float
-    alone: ModelPosterior
+    log_likelihood: float
+    covariance: FloatArray
     excess: float
     misfit: float
 
@@ -196,7 +199,7 @@ class Naming:
 def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatArray:
     """Draws of ln δ beside one set, (n,)."""
     place = own.fit.model.index(GAP)
-    spread = math.sqrt(float(own.alone.covariance()[place, place]))
+    spread = math.sqrt(float(own.covariance[place, place]))
     return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n))
 
 
@@ -259,6 +262,7 @@ class _Search:
             self._explore(best)
             if not best.explanation.candidates and self._is_far(self.best):
                 self._scan()
+            self._shed()
             if self.best is not best:
                 continue
             # What was added first may only have stood in for what came after it.
@@ -266,6 +270,16 @@ class _Search:
                 self._explore(less)
             if self.best is best or len(self._sets) > MOST_FITS:
                 break
+        self._shed()
+
+    def _shed(self) -> None:
+        """Fit the best set less each of its hypotheses, until none does without one."""
+        while True:
+            best = self.best
+            for _ in self._reduced(best):
+                pass
+            if self.best is best:
+                return
 
     def _scan(self) -> None:
         """Candidates that move the gap, from their whole range and the gap's."""
@@ -365,7 +379,7 @@ class _Search:
         if is_known:
             self._explored.add(keys)
         view, shapes = self._linearised(base.explanation, tuple(self._open(base.explanation)))
-        offset = base.log_evidence - base.alone.log_evidence
+        offset = base.log_evidence - base.log_likelihood
         odds = 1.0 / (1.0 + math.exp(-self._log_odds))
         priors = Priors(probability={c.label: odds for c in self._candidates.values()})
         posterior = search(view, priors, min(2, room))
@@ -527,7 +541,14 @@ def weighed(explanation: Explanation, among: Sequence[Direction] = ()) -> Fitted
     # Laplace's volume of what is added, beside that of everything in the posterior.
     k = sum(len(c.unknowns) for c in explanation.candidates)
     evidence = alone.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
-    return FittedSet(explanation, evidence, alone, max(sum(beyond), 0.0), misfit)
+    return FittedSet(
+        explanation,
+        evidence,
+        alone.log_evidence,
+        alone.covariance(),
+        max(sum(beyond), 0.0),
+        misfit,
+    )
 
 
 def linearised(
@@ -594,8 +615,12 @@ def _banded(
     """
     model, d = fit.model, fit.point.size
     widths = [part.shape[1] for part in parts]
+    derivatives, pull = fit.derivatives(), prior_pull(model, fit.point)
+    # What the end of its range has stopped goes no further, whatever would explain more there.
+    stopped = (fit.point <= model.low) | (fit.point >= model.high)
+    derivatives[:, stopped], pull[stopped] = 0.0, 0.0
     everything = np.hstack(
-        [fit.derivatives(), *parts, *(form[:, None] for form in forms), fit.residual[:, None]]
+        [derivatives, *parts, *(form[:, None] for form in forms), fit.residual[:, None]]
     )
     total = everything.T @ everything
     size, own = everything.shape[1], len(forms)
@@ -644,7 +669,7 @@ def _banded(
         view[:, -1],
         view[:, :d],
         model.prior_precision(),
-        prior_pull(model, fit.point),
+        pull,
         terms,
         np.zeros((len(view), 0)),
         (),

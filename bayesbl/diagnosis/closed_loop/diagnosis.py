@@ -180,7 +180,7 @@ def _misfit_factor(found: Findings) -> float:
     """Standard deviation of ln δ with the misfit over that by noise alone."""
     own, place = found.chosen, found.final.fit.model.index(GAP)
     by_noise = float(own.fit.covariance[place, place])
-    return max(1.0, math.sqrt(float(own.alone.covariance()[place, place]) / by_noise))
+    return max(1.0, math.sqrt(float(own.covariance[place, place]) / by_noise))
 
 
 def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate | None:

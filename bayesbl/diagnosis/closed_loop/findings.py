@@ -148,6 +148,13 @@ def search(
     # What was missing is not noise: intervals rest on the noise estimated without it.
     final = with_own_noise(naming.final) if naming.final.candidates else naming.final
     result = compared(final)
+    if naming.effects and result.remaining:
+        before = _analysis(result.pairs, naming.nominal, "before")
+        if share_closed(before, result.after) < 1.0 - UNEXPLAINED_SHARE:
+            # It helps a little, as a parameter may where a line in time remains: no explanation.
+            nearest, final = naming.final, naming.nominal
+            naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
+            result = compared(final)
     # What does not repeat with the load, a line of the motor or in time, is in no band.
     if naming.repeats or (result.remaining and not laws_of_shaft(naming.final)):
         beside = _with_learned(naming, final, compared, missing, settings)
