@@ -149,7 +149,7 @@ def test_the_answer_stands_before_everything_else(tree):
     ]
     change = 1e3 * summary["change_rad"]["median"]
     places += [
-        told.index(f"+{change:.3f}"),
+        told.index(f"+{change:.{words.decimals(summary['change_rad'], 1e3)}f}"),
         told.index("Figures" if "Figures" in told else "Numbers"),
     ]
     assert max(places[:3]) < places[3]
