@@ -170,7 +170,7 @@ def test_a_recording_that_is_not_there_leaves_no_configuration(tmp_path, capsys)
 
 
 def test_what_cannot_run_is_not_told_to_run(measured, tmp_path, capsys):
-    values = {"t [s]": measured.time_s[::20], "speed": measured.motor_speed_rpm[::20]}
+    values = {"t [s]": measured.time_s[::40], "speed": measured.motor_speed_rpm[::40]}
     path = write_csv(tmp_path / "slow.csv", values)
     assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
     printed = capsys.readouterr()
