@@ -191,8 +191,8 @@ def torque_offset(low_nm: float, high_nm: float) -> str:
 def play_not_told(probability: float, upper_mrad: float, lost_mrad: float) -> str:
     """The lag, or what there is of one, may be wind-up."""
     return (
-        f"Play is not told from none (probability {100.0 * probability:.0f} %): both directions "
-        f"are {lost_mrad:.2g} mrad apart, which skew, wind-up or noise can make. δ is below "
+        f"There may be no play (probability of play {100.0 * probability:.0f} %): both directions "
+        f"are {lost_mrad:.2g} mrad apart, which skew, wind-up or noise can cause. δ is below "
         f"{upper_mrad:.2g} mrad with 95 % probability."
     )
 
@@ -225,17 +225,17 @@ def few_reversals(count: int) -> str:
 def no_torque() -> str:
     """What is taken for granted without one."""
     return (
-        "No torque tells what the joint winds up or what the load weighs: what makers' sheets let "
-        "expect is taken off as wind-up (0.05 mrad), and the load is taken to be dragged by "
-        "friction. A load that its weight holds on one flank hides its play."
+        "Without torque, wind-up and weight are unknown: 0.05 mrad is subtracted as typical "
+        "wind-up, and friction is assumed to hold the load back. A load that its weight holds on "
+        "one flank hides its play."
     )
 
 
 def torque_unused() -> str:
     """Play and wind-up are not told apart by it."""
     return (
-        "The torque does not tell what the joint winds up between the flanks. What makers' sheets "
-        "let expect is taken off as wind-up (0.05 mrad)."
+        "The torque does not show how far the joint winds up between the flanks. 0.05 mrad is "
+        "subtracted as typical wind-up."
     )
 
 
@@ -268,8 +268,8 @@ def load_coasts(misfit_mrad: float, lost_mrad: float) -> str:
 def misfit_repeats(times: float) -> str:
     """Model error."""
     return (
-        "What the model leaves repeats with every cycle, so it is no noise: the intervals are "
-        f"{math.sqrt(times):.2g} times as wide as noise would make them."
+        "The model error repeats in every cycle, so it is not noise: the intervals are "
+        f"{math.sqrt(times):.2g} times wider for it."
     )
 
 
@@ -277,18 +277,18 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     # Which route answers.
     "only_route": lambda: "It is the only route that was asked for.",
     "sharper_and_checked": lambda: (
-        "it goes by the whole recording, and its checks against the bench pass"
+        "it uses the whole recording and passes its checks against the bench"
     ),
     "direct_withheld": lambda: (
-        "it goes by the whole recording, and its checks against the bench decide"
+        "it uses the whole recording, and its checks against the bench decide"
     ),
     "motion": lambda: "the joint does not turn at one speed, where the ringing has no curve",
     "direct_has_no_answer": lambda because="": "simulation of the bench has no answer",
     "amplitude_has_no_answer": lambda: "the ringing cannot be measured in these recordings",
     # Against a gap.
     "no_curve": lambda: (
-        "The same ringing belongs to other gaps on other joints, so there is no δ without a bench "
-        "of this joint (--bench FILE) or the curve of a sweep (--curve RESULT)."
+        "The same ringing means different gaps on different joints. For δ, give a bench of this "
+        "joint (--bench FILE) or the curve of a sweep (--curve RESULT)."
     ),
     "ringing_contradicts_bench": lambda: (
         "The ringing's frequency and decay are not those of the curve's bench at this amplitude, "
@@ -338,8 +338,8 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "current δ would be several times sharper."
     ),
     "widened": lambda times: (
-        "Noise that goes round in the speed loop, or something like it, makes the impacts differ: "
-        f"the interval is {times:.2g} times as wide for it."
+        "Sensor noise fed back through the speed loop makes impacts vary: the interval is "
+        f"{times:.2g} times wider for it."
     ),
     "counted_twice": lambda name: (
         f"The bench was identified from {name} too, so this recording counts twice and its "
@@ -358,9 +358,9 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     "ramps_held": ramps_held,
     "no_play": no_play,
     "play_unsure": lambda probability, relative_compliance: (
-        f"Whether there is play is not certain (probability {100.0 * probability:.0f} %): around "
-        f"zero torque the joint is {relative_compliance:.2g} times as soft as beyond, but not "
-        "alike at all positions. δ includes that there may be none."
+        f"There may be no play (probability of play {100.0 * probability:.0f} %): around zero "
+        f"torque the joint is {relative_compliance:.2g} times as soft as beyond, but not alike at "
+        "all positions. δ allows for no play."
     ),
     "soft_flanks": soft_flanks,
     "ramps_skipped": lambda skipped_nm, amplitude_nm: (
@@ -368,9 +368,7 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         f"joint, as friction holds it; those of ±{amplitude_nm:.3g} N m were used."
     ),
     "torque_offset": torque_offset,
-    "torque_turned": lambda: (
-        "The torque counts against the position in the file, and was turned round."
-    ),
+    "torque_turned": lambda: "The torque's sign was opposite to the position's; it was reversed.",
     "no_gear_ratio": lambda: (
         "No gear_ratio is given: position and torque are taken as those of the output."
     ),
@@ -388,8 +386,8 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "known, nor in the interval; give ramps at three positions or more (files = […])."
     ),
     "one_cycle": lambda: (
-        "One cycle alone: how much repeated ramps scatter is not known, and the interval allows "
-        "for up to 70 % of the gap."
+        "With one cycle the scatter of repeated ramps is unknown; the interval allows for up to "
+        "70 % of the gap."
     ),
     # Of two encoders.
     "play_not_told": play_not_told,

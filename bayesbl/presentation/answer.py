@@ -167,7 +167,7 @@ def headline(summary: MeasuredSummary) -> str:
         return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     elif summary["delta_upper_bound_rad"] is not None:
         bound = words.significant(1e3 * summary["delta_upper_bound_rad"])
-        return f"The gap is not told from none: it is below {bound} mrad with 95 % probability."
+        return f"There may be no gap: it is below {bound} mrad with 95 % probability."
     what = "change of the gap" if summary["kind"] == "compare" else "gap"
     return f"The {what} is withheld: these data do not give an answer that can be trusted."
 
@@ -207,7 +207,7 @@ def which(summary: MeasuredSummary) -> str | None:
         f"by {route_in_words(route['route'])}: {_rests_on(route)}" for route in answering(first)
     )
     return (
-        f"The answer is that by {route_in_words(own['route'])}, as {own['text'].rstrip('.')}. "
+        f"The answer is that by {route_in_words(own['route'])}, because {own['text'].rstrip('.')}. "
         f"{words.capitalised(rests)}."
     )
 
@@ -241,7 +241,7 @@ def if_nothing_else(change: Interval, growth: float, cause: str) -> str:
     told = words.change_of("it", change, "mrad", 1e3)
     return (
         f"It is not shown that the gap changed: {told} if nothing else in the joint changed "
-        f"({grew(growth)}), but a change of {cause} could do as much."
+        f"({grew(growth)}), but a change of {cause} could explain as much."
     )
 
 

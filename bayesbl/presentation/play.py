@@ -149,7 +149,7 @@ def no_play_by_encoders(part: RouteSummary) -> str | None:
     if "transmission_error" not in part or upper is None:
         return None
     return (
-        f"Play is not told from none: the gap δ is below "
+        f"There may be no play: the gap δ is below "
         f"{words.significant(1e3 * upper)} mrad with 95 % probability."
     )
 

@@ -92,7 +92,10 @@ def check_blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Blo
         for sentence in () if "joint_changed" in codes and not name else check["sentences"]:
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
     spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
-    for label, known in (("Could pass for wear", True), ("Would pass unseen", False)):
+    for label, known in (
+        ("Undetectable changes that could look like wear", True),
+        ("Undetectable changes", False),
+    ):
         own = [spot for spot in spots if (spot["delta_error_rad"] is not None) == known]
         for reason in dict.fromkeys(spot["reason"] for spot in own):
             told = _listed([_spot(spot) for spot in own if spot["reason"] == reason])
@@ -169,7 +172,7 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     if (cause := other_cause(summary)) is not None:
         return (
             f"The gap {now}is not shown to have grown: {by} if nothing else in the joint changed, "
-            f"but a change of {cause} could do as much."
+            f"but a change of {cause} could explain as much."
         )
     return f"The gap {now}has grown {by}."
 

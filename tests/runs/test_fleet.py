@@ -114,7 +114,7 @@ def test_a_joint_that_wears_has_rate_and_date_and_the_other_a_reason(plant):
     assert first["pooled"] is False
     assert (second["joint"], second["rank"]) == ("J2", None)
     assert second["rate_rad_per_year_median"] is None
-    assert "no δ without a bench" in second["reason"]
+    assert "For δ, give a bench" in second["reason"]
 
 
 def test_draws_are_stored_by_joint(plant):
