@@ -425,7 +425,7 @@ class Interval(Section):
 
 def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
     """A range of load angles, the lower first."""
-    if len(angles) != 2 or not angles[1] - angles[0] >= FEWEST_TURNS:
+    if len(angles) != 2 or not angles[1] - angles[0] >= SHORTEST_WAY_RAD:
         refuse(
             "A range has a lower and an upper load angle.",
             found=list(angles),
@@ -434,5 +434,5 @@ def two_angles(angles: tuple[float, ...]) -> tuple[float, ...]:
     return angles
 
 
-FEWEST_TURNS = 1e-3
-"""rad at the load: a way shorter than this is no motion."""
+SHORTEST_WAY_RAD = 1e-3
+"""At the load: a shorter way is no motion."""

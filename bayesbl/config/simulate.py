@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl.config.files import load_file
 from bayesbl.config.sections import (
-    FEWEST_TURNS,
+    SHORTEST_WAY_RAD,
     BenchSource,
     Name,
     OutputPath,
@@ -57,7 +57,7 @@ class CycleMotion(_PointToPoint):
     def _that_move(cls, points: tuple[float, ...]) -> tuple[float, ...]:
         following = points[1:] + points[:1]
         if len(points) < 2 or any(
-            abs(b - a) < FEWEST_TURNS for a, b in zip(points, following, strict=True)
+            abs(b - a) < SHORTEST_WAY_RAD for a, b in zip(points, following, strict=True)
         ):
             refuse(
                 "A cycle goes from each point to another.",

@@ -206,8 +206,9 @@ def which(summary: MeasuredSummary) -> str | None:
     rests = "; ".join(
         f"by {route_in_words(route['route'])}: {_rests_on(route)}" for route in answering(first)
     )
+    because = own["text"].rstrip(".")
     return (
-        f"The answer is that by {route_in_words(own['route'])}, because {own['text'].rstrip('.')}. "
+        f"The answer is the estimate by {route_in_words(own['route'])}, because {because}. "
         f"{words.capitalised(rests)}."
     )
 

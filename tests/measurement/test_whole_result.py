@@ -166,7 +166,7 @@ def test_both_routes_are_whole_and_one_line_says_which_answers(tree, summary, re
                 "delta_upper_bound_rad", "model_check",
             } <= set(told)  # fmt: skip
         assert part["delta_rad"] == part["routes"][summary["answer"]["route"]]["delta_rad"]
-    assert str(result).count("The answer is that by") == 1
+    assert str(result).count("The answer is the estimate by") == 1
 
 
 def test_the_example_has_a_bench_that_is_not_exact_and_dates(summary):
