@@ -13,9 +13,9 @@ from typing import Any
 from bayesbl.units import number
 
 UNLESS_REPAIRED = (
-    "If the joint was repaired, mark the first recording after it (repaired = true); if not, are "
-    "files or dates swapped? What temperature and grease move each date's gap by belongs under "
-    "[wear]: relative_sd_per_date = 0.02 is 2 %."
+    "If the joint was repaired, mark the first recording after the repair (repaired = true). If "
+    "not, check that no files or dates are swapped. If temperature or grease move the gap from "
+    "date to date, say by how much: relative_sd_per_date = 0.02 under [wear] is 2 %."
 )
 
 
@@ -75,10 +75,10 @@ def box_search_missed(
 ) -> str:
     """The paper's own search ended elsewhere."""
     return (
-        f"The search of {searched}, ended elsewhere than the optimum that the recording suggests: "
-        f"A = {amplitude_rpm:.3g} rpm at RMSE {rmse_rpm:.3g} rpm, of which eq. 4 would make "
-        f"{1e3 * gap_as_printed_rad:.3g} mrad, against A = {optimum_amplitude_rpm:.3g} rpm at "
-        f'RMSE {optimum_rmse_rpm:.3g} rpm. Use [estimator.search] method = "guess".'
+        f"The search of {searched}, missed the best fit. It ended at A = {amplitude_rpm:.3g} rpm "
+        f"with RMSE {rmse_rpm:.3g} rpm (by eq. 4, {1e3 * gap_as_printed_rad:.3g} mrad); the best "
+        f"fit has A = {optimum_amplitude_rpm:.3g} rpm and RMSE {optimum_rmse_rpm:.3g} rpm. Use "
+        '[estimator.search] method = "guess".'
     )
 
 
@@ -86,8 +86,9 @@ def other_speed(curve_rpm: float, recording_rpm: float, relative_error: float) -
     """The curve is of another speed."""
     side = "small" if relative_error < 0.0 else "large"
     return (
-        f"The gap curve is of {curve_rpm:g} rpm, the recording of {recording_rpm:.4g} rpm, where "
-        f"the same gap rings differently: δ would be some {100.0 * abs(relative_error):.0f} % too "
+        f"The gap curve is for {curve_rpm:g} rpm, but the recording is at {recording_rpm:.4g} rpm, "
+        f"where the same gap rings differently: δ would be about "
+        f"{100.0 * abs(relative_error):.0f} % too "
         f"{side}. Record at {curve_rpm:g} rpm, sweep a bench at this speed, or ask for "
         "extrapolation by [curve] allow_extrapolation = true."
     )
@@ -137,12 +138,12 @@ def ramps_held(
         held = ", ".join(f"±{torque:.3g}" for torque in skipped_nm)
         return (
             f"The ramps of {held} N m hardly move the joint, and those of ±{amplitude_nm:.3g} N m "
-            "bend the joint so far that its play is a small part of what they leave. Add ramps to "
+            "bend it so far that its play is a small part of the loop. Add ramps to "
             f"about {needed_nm:.2g} N m, twice the friction."
         )
     return (
-        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: most of what they move "
-        "goes back with the torque, as in a joint that friction or a preload holds, or one that is "
+        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: most of the motion "
+        "returns with the torque, as in a joint that friction or a preload holds, or one that is "
         f"bent far. Add ramps of another size: to at least {needed_nm:.2g} N m, or, if these are "
         f"far beyond the friction already, small ones to about {2.0 * friction_nm:.2g} N m."
     )
@@ -151,15 +152,15 @@ def ramps_held(
 def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float) -> str:
     """The joint is preloaded."""
     seen = (
-        "At no torque is a flank seen to lift, so the preload is not known."
+        "No flank lifts at any of these torques, so the preload is unknown."
         if lifts_nm is None
         else f"Both flanks carry it up to about {lifts_nm:.2g} N m, where one lifts."
     )
     return (
-        "No play is seen: around zero torque the joint is stiffer than beyond (its compliance is "
-        f"{relative_compliance:.2g} of that), as one is that is preloaded. {seen} The "
-        f"{1e3 * width_rad:.2g} mrad that ramps leave between the flanks are compliance held by "
-        "friction; δ is at most half of them."
+        "These ramps show no play: the joint is stiffer around zero torque than beyond (its "
+        f"compliance is {relative_compliance:.2g} of that), as a preloaded joint is. {seen} The "
+        f"loop is {1e3 * width_rad:.2g} mrad wide at zero torque because friction holds the "
+        "compliance; δ is at most half of that."
     )
 
 
@@ -172,9 +173,9 @@ def soft_flanks(relative_compliance: float, times: float, share: float) -> str:
     )
     return (
         f"Around zero torque the joint is {relative_compliance:.2g} times as soft as beyond. "
-        "Flanks that are soft at small torque, as those of a strain wave gear, look like play, and "
-        f"the probability of play does not count them: {times:.0f} times as soft as beyond, as is "
-        f"common, they make up {part}. That part is lost motion."
+        "Flanks that are soft at small torque, as in a strain wave gear, look like play, and the "
+        f"probability of play leaves them out: flanks {times:.0f} times as soft, which is common, "
+        f"would make up {part}. That part is lost motion."
     )
 
 
@@ -183,8 +184,9 @@ def torque_offset(low_nm: float, high_nm: float) -> str:
     low, high = f"{low_nm:.2g}", f"{high_nm:.2g}"
     about = low if low == high else f"{low} to {high}"
     return (
-        f"The joint is free about {about} N m, more than friction holds: a load hangs at it, or "
-        "the torque has another zero. This was taken off the torque."
+        f"The joint moves freely around {about} N m rather than around zero, more than friction "
+        "explains: a weight hangs on it, or the torque sensor has an offset. This torque was "
+        "subtracted."
     )
 
 
@@ -296,8 +298,8 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "changed. Correct the bench or widen its tolerances."
     ),
     "few_curve_draws": lambda effective, total: (
-        f"Only {effective:.0f} of {total} curve draws have the ringing's frequency and decay, too "
-        "few to narrow the bench by them. Narrower tolerances would help."
+        f"Only {effective:.0f} of {total} draws of the curve match the ringing's frequency and "
+        "decay, too few to narrow the bench's tolerances. State narrower tolerances."
     ),
     "beyond_curve": beyond_curve,
     "box_search_missed": box_search_missed,
@@ -342,14 +344,14 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         f"{times:.2g} times wider for it."
     ),
     "counted_twice": lambda name: (
-        f"The bench was identified from {name} too, so this recording counts twice and its "
+        f"The bench was identified from {name} as well, so this recording counts twice and its "
         "interval is somewhat too narrow. Measure later recordings with that bench."
     ),
     # Of wear.
     "one_date": one_date,
     "gap_withheld": lambda names: f"The gap is withheld for {', '.join(names)}.",
     "gap_fell": lambda name, fall_rad, standard_deviations: (
-        f"{name} lies {number(1e3 * fall_rad, 3)} mrad below the snapshot before it "
+        f"{name} is {number(1e3 * fall_rad, 3)} mrad below the snapshot before it "
         f"({standard_deviations:.1f} standard deviations), and wear does not heal. "
         f"{UNLESS_REPAIRED}"
     ),
@@ -377,13 +379,13 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "for δ."
     ),
     "positions_differ": lambda: (
-        "One position round the turn in each snapshot, and not the same one: the intervals allow "
-        "for a gap that changes round the turn by up to 70 %. Give ramps at three positions or "
+        "The snapshots were taken at one position each, and not at the same: the intervals allow "
+        "for a gap that varies by up to 70 % over the turn. Give ramps at three positions or "
         "more (files = […])."
     ),
     "one_position": lambda: (
-        "One position round the turn: δ is the gap there. How it changes round the turn is not "
-        "known, nor in the interval; give ramps at three positions or more (files = […])."
+        "δ was measured at one position of the turn. How it varies over the turn is unknown and "
+        "not in the interval: give ramps at three positions or more (files = […])."
     ),
     "one_cycle": lambda: (
         "With one cycle the scatter of repeated ramps is unknown; the interval allows for up to "

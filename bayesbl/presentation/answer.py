@@ -241,7 +241,7 @@ def if_nothing_else(change: Interval, growth: float, cause: str) -> str:
     """A change of the gap that another one, unseen, could make: never told as shown."""
     told = words.change_of("it", change, "mrad", 1e3)
     return (
-        f"It is not shown that the gap changed: {told} if nothing else in the joint changed "
+        f"The gap is not shown to have changed: {told} if nothing else in the joint changed "
         f"({grew(growth)}), but a change of {cause} could explain as much."
     )
 
@@ -549,8 +549,7 @@ def advice(summary: MeasuredSummary) -> Advice:
             "Do not decide from these recordings.",
             (
                 *(why for label, why in reasons(summary) if label == "Withheld"),
-                f"Fix this, or record again, {again}; until then decide as you would without this "
-                "measurement.",
+                f"Fix this, or record again, {again}; until then, decide without this measurement.",
             ),
         )
     compared = summary if summary["kind"] == "compare" else None
@@ -558,7 +557,7 @@ def advice(summary: MeasuredSummary) -> Advice:
     unless = wear.unless(compared) if compared else ""
     head = (_by_forecast(rated, last, unless) if rated else None) or _by_limit(summary, last)
     if is_by_other_machine(summary):
-        head = Advice("note", "Do not act on these gaps: they are of another machine's curve.", ())
+        head = Advice("note", "Do not act on these gaps: the curve is another machine's.", ())
     elif head is None:
         head = _without_limit(compared, rated)
     if has_shrunk(summary) and head.tone != "act":
@@ -619,7 +618,7 @@ def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
 
 
 def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None) -> Advice:
-    ask = "To see whether a repair is due, give the gap at which it is (--limit-rad)."
+    ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
     if rated is not None:
         if summary is not None and wear.other_cause(summary) is not None:
             return Advice("watch", NOT_SHOWN, (wear.headline(summary, rated), ask))
@@ -631,7 +630,7 @@ def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None)
         return Advice("watch", NOT_SHOWN, (headline(summary), ask))
     change = None if summary is None else summary["change_rad"]
     if change is None:
-        return Advice("note", "Compare this gap with what the joint may have.", (ask,))
+        return Advice("note", "Compare this gap with the joint's limit.", (ask,))
     if change["low"] > 0.0:
         return Advice("watch", "The joint wears: keep measuring it.", (ask,))
     why = "These recordings do not show that the gap grew."
@@ -645,9 +644,9 @@ def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
         yield SHRANK
     if is_by_other_machine(summary):
         yield (
-            "These gaps rest on the curve of another machine, the paper's test bench, at a speed "
-            "that is assumed: describe your joint in a bench file (--bench) before you act on "
-            "them. No probability of a limit, no rate and no date are given."
+            "These gaps rest on the curve of another machine, the paper's test bench, at an "
+            "assumed speed. Describe your joint in a bench file (--bench) before you act on them. "
+            "No probability of a limit, no rate and no date is given."
         )
 
 
@@ -694,7 +693,7 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
         yield from _of_interval(last)
         return
     if "motion" in last:
-        yield "The joint was asked for the motion that its reference channel shows."
+        yield "The reference channel is the motion that the joint was commanded to make."
     else:
         yield (
             "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
@@ -711,7 +710,7 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
     again = "cycle" if "motion" in last else "rotation"
     yield f"Noise is what does not repeat from one {again} to the next, and is steady."
     if not is_ringing_alone(summary):
-        yield "Before the recording every gap is equally likely in ln δ."
+        yield "Before the recording, every gap is equally likely on a logarithmic scale."
     if summary["kind"] == "compare":
         if is_simulated(summary):
             yield (
@@ -728,12 +727,12 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
 
 
 def _of_ramps(summary: MeasuredSummary) -> Iterator[str]:
-    yield "The output was held, and does not give way; position and torque are scaled to it."
+    yield "The output was held and does not give way; position and torque are those of the output."
     yield "The ramps are slow: friction and inertia do not depend on how fast the joint moves."
-    yield "The positions measured are as good as any round the turn."
+    yield "The measured positions represent the whole turn."
     yield (
-        "Play is what the joint does not go back through at zero torque. Where it is soft, part of "
-        "that is compliance held by friction."
+        "Play is the width of the loop at zero torque. Where the joint is soft, part of that is "
+        "compliance held by friction."
     )
     if summary["kind"] == "compare":
         yield "Nothing but the gap changed between the snapshots: same joint, torque and stand."

@@ -48,9 +48,7 @@ FAR_BEYOND_NOISE = 10.0
 MOST_RIVALS = 2
 """That a headline lists by name."""
 
-UNTOLD_SHARE = (
-    "–: before naming, the disagreement is not sure enough beside the noise to give a share of it."
-)
+UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to give a share of it."
 
 _USES = {"used": "fitted on", "held_out": "held out"}
 
@@ -107,10 +105,13 @@ def headline(summary: DiagnosisSummary) -> str:
             ):
                 after, noise = (_sized_rms(left, key) for key in ("after", "noise_floor"))
                 return (
-                    f"No effect could be named, and the bench leaves {after} where the noise is "
-                    f"{noise}."
+                    "No effect could be named: bench and recordings disagree by "
+                    f"{after}, and the noise is {noise}."
                 )
-            return "Nothing is missing: the residuals do not repeat, or no finding generalises."
+            return (
+                "Nothing is missing: nothing repeats in the residuals that also predicts what was "
+                "held out."
+            )
 
 
 def _size_in_short(effect: EffectSummary) -> str:
@@ -196,8 +197,8 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         yield found["gap_withheld"]
     elif share is not None and share < 0.5:
         yield (
-            f"Beside it the recordings hold {words.significant(100.0 * share)} % of what they "
-            "would tell about the gap without it; the gap's interval includes that."
+            f"With it unknown, the recordings tell {words.significant(100.0 * share)} % of what "
+            "they would otherwise tell about the gap; the gap's interval includes that."
         )
 
 
@@ -251,14 +252,12 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
     if learned_of(summary) is not None:
         yield f"With what was learned the gap is {gap}."
     elif summary["verdict"] == "unexplained":
-        yield (
-            f"Fitted in spite of what is unexplained, the gap would be {gap}: do not rely on it."
-        )
+        yield (f"A fit that ignores the disagreement gives a gap of {gap}: do not rely on it.")
     elif summary["effects"] or summary["parameter_errors"]:
         away = 100.0 * (before["median"] / after["median"] - 1.0)
         size = f"{words.significant(abs(away))} % too {'small' if away < 0.0 else 'large'}"
         yield (
-            f"The gap is {gap}; the bench before naming gives {1e3 * before['median']:.4g} mrad, "
+            f"The gap is {gap}; the bench as given yields {1e3 * before['median']:.4g} mrad, "
             f"{size}."
         )
     else:
@@ -356,7 +355,7 @@ def assumptions(_: DiagnosisSummary) -> Iterator[str]:
     """Assumptions of a diagnosis."""
     yield "What is missing, if anything, is in the catalogue (bayesbl effects)."
     yield "Noise does not repeat; a named effect predicts what it was not fitted on."
-    yield "The bench's other parameters have the values in its file, within their tolerances."
+    yield "The other parameters are as the bench file says, within their tolerances."
 
 
 def advice(summary: DiagnosisSummary) -> Advice:
@@ -397,18 +396,17 @@ def advice(summary: DiagnosisSummary) -> Advice:
 def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     """What to do with the bench that the diagnosis wrote."""
     yield (
-        f"{AUGMENTED_BENCH}, beside this page, is the bench with what was found, a bench file like "
-        "any other."
+        f"{AUGMENTED_BENCH}, in the folder of this page, is your bench file with what was added."
     )
     if any(effect["indistinguishable_from"] for effect in summary["effects"]):
-        yield "These recordings cannot tell all of it apart."
+        yield "These recordings cannot tell all effects apart."
         yield from suggestion(summary)
     if learned_of(summary) and summary["delta_rad_after"] is None:
         return
     yield (
-        "For a gap curve, copy configs/sweep.toml, name the bench and an output of your own there "
-        f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on it, and give its result to a '
-        "comparison: `--curve …/result.nc`"
+        "For a gap curve, copy configs/sweep.toml, enter this bench and a new output folder "
+        f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on the copy, and give its result to '
+        "a comparison: `--curve …/result.nc`"
     )
     yield (
         "To measure without a curve: `bayesbl compare FIRST SECOND --route direct --bench "

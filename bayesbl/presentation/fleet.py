@@ -38,11 +38,11 @@ def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
         factor = words.significant(math.exp(spread))
         law = max(found["law"], key=lambda name: found["law"][name])
         yield (
-            f"{name}: half of the joints wear by more than {median_in_mrad(rate)} mrad a year "
-            f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)}); two in three lie within a "
-            f"factor of {factor} of that ({found['joints']} joints). "
-            f"Likeliest law: {LAWS[law]} ({words.probability(found['law'][law])}). "
-            f"Share that wears in its own way: {words.probability(found['own']['median'])}."
+            f"{name}: the median joint wears by {median_in_mrad(rate)} mrad a year "
+            f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)}); two joints in three are "
+            f"within a factor of {factor} of that ({found['joints']} joints). "
+            f"Most likely law: {LAWS[law]} ({words.probability(found['law'][law])}). "
+            f"Share of joints unlike the rest: {words.probability(found['own']['median'])}."
             + "".join(map(_factor, found["covariates"].items()))
         )
 
@@ -93,8 +93,8 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
         names = ", ".join(summary["alarms"][:_SHOWN])
         more = len(summary["alarms"]) - _SHOWN
         yield Sentence(
-            names + (f" and {more} others" if more > 0 else "") + ". At most 5 % of the joints "
-            "called are not.",
+            names + (f" and {more} others" if more > 0 else "") + ". At most 5 % of these are "
+            "expected to be false alarms.",
             "warning",
             "Called over their limit",
         )
@@ -143,8 +143,8 @@ def assumptions(summary: FleetSummary) -> Iterator[str]:
     yield "Each recording belongs to the joint and the date that its name or its table says."
     if summary["types"]:
         yield (
-            f"Most joints of one {summary['pool_by']} wear by laws of the same kinds, alike "
-            "irregularly, at rates of one log-normal distribution; the others each in its own way."
+            f"Most joints of one {summary['pool_by']} wear by the same kinds of law, with the "
+            "same scatter, at rates from one log-normal distribution; the others differ."
         )
 
 

@@ -70,7 +70,10 @@ def compared(summary: IdentificationSummary) -> str:
     """What is compared; a data sheet that no joint can be as is not simulated."""
     overall = summary["disagreement"]["over_all"].values()
     if overall and all(part["before"] == part["after"] for part in overall):
-        return "No joint can be as the data sheet says: before and after are of the bench found."
+        return (
+            "The data sheet's values cannot be simulated: before and after are both of the bench "
+            "found."
+        )
     return "Before: the data sheet's values. After: the bench found."
 
 
@@ -97,8 +100,8 @@ def suggestion(found: NextRecordingSummary) -> str:
         length = "as long as that one"
     name = "the gap" if found["sharpens"] == "gap_rad" else in_words(found["sharpens"])
     return (
-        f"Of the recordings to take next, {what} tells most ({length}: "
-        f"{found['information_bits']:.1f} bits); it would sharpen {name} most, from "
+        f"The most useful next recording is {what} ({length}: "
+        f"{found['information_bits']:.1f} bits). It would sharpen {name} most, from "
         f"{_percent(found['sd_before'])} to {_percent(found['sd_after'])} %."
     )
 
@@ -108,10 +111,10 @@ def advice(summary: IdentificationSummary) -> Advice:
     if summary["outcome"] == "withheld":
         return Advice("watch", "Do not use this bench.", (summary["reason"] or "",))
     sentences = (
-        "Measure later recordings with it: `bayesbl compare FIRST SECOND --bench RESULT`, the "
-        "folder of this result, which keeps what is known of the parameters together.",
-        "bench.toml, beside this page, is the same bench as a file, with a tolerance for each "
-        "parameter alone: the gap is then known less sharply.",
+        "Measure later recordings with it: `bayesbl compare FIRST SECOND --bench RESULT`. RESULT "
+        "is this result's folder; it keeps the correlations between the parameters.",
+        "bench.toml, in that folder, is the same bench as a file with a tolerance for each "
+        "parameter, without the correlations: it gives wider gaps.",
     )
     return Advice("fine", "Measure with this bench.", sentences)
 
@@ -169,15 +172,14 @@ def _together(found: TogetherSummary) -> str:
     alone, together = _percent(found["alone_sd"]), _percent(found["together_sd"])
     if found["told"] == "product":
         return (
-            f"Of {names[0]} and {names[1]} only the product is known well: to {together} %, each "
-            f"alone to {alone} %."
+            f"Only the product of {names[0]} and {names[1]} is known well: to {together} %, each "
+            f"factor to {alone} %."
         )
     listed = " / ".join(names) if len(names) == 2 else ", ".join(names)
     ratio = "only the ratio" if len(names) == 2 else "only the ratios"
     return words.capitalised(
         f"{ratio} of {listed} {'is' if len(names) == 2 else 'are'} known well: to {together} % or "
-        f"better, each value alone to {alone} %. A factor common to all of them changes little in "
-        "these recordings."
+        f"better, each value to {alone} %. A factor common to all hardly changes these recordings."
     )
 
 

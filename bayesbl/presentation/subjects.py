@@ -171,7 +171,7 @@ def plan_blocks(summary: PlanSummary) -> Iterator[Block]:
             "never, or only just, passes from one tooth flank to the other.",
             "aside",
         )
-    yield Sentence(f"Reckoned for δ about {1e3 * plan['gap_rad']:g} mrad.", "aside")
+    yield Sentence(f"Calculated for δ = {1e3 * plan['gap_rad']:g} mrad.", "aside")
 
 
 def _plan_table(motions: list[PlannedEntry]) -> Table:
@@ -215,8 +215,8 @@ def plan_advice(summary: PlanSummary) -> Advice:
         "note",
         "Record the first motion of the table.",
         (
-            "With the motor's speed and current, and the speed or position that the controller was "
-            "asked for, at 1 kHz or so. Then: `bayesbl fit RECORDING --bench FILE`.",
+            "Record the motor's speed and current, and the commanded speed or position, at about "
+            "1 kHz. Then: `bayesbl fit RECORDING --bench FILE`.",
         ),
     )
 

@@ -114,9 +114,9 @@ def _spot(spot: BlindSpotSummary) -> str:
 
 
 MODEL = (
-    "Rate and date are averages over laws of wear, each by how well it fits, over how irregular "
-    "wear may be, and over changes of wear that may still come. No law heals: draws in which the "
-    "gap shrinks are not used for them, so neither is evidence of wear."
+    "Rate and date are averages over laws of wear, weighted by how well each fits, over how "
+    "irregular wear may be, and over changes of wear that may still come. Wear never heals: draws "
+    "in which the gap shrinks are left out of both, so neither is evidence of wear."
 )
 
 LAWS = {
@@ -260,21 +260,22 @@ def notes(wear: WearSummary) -> Iterator[str]:
     count = len(wear["snapshots"])
     if count == 2:
         yield (
-            "Two snapshots cannot show whether wear is steady: the date is as uncertain as what "
-            "is believed of wear before measuring. Take a third."
+            "Two snapshots cannot show whether wear is steady: the date rests on what is assumed "
+            "about wear in general. Take a third."
         )
     elif count < FEWEST_FOR_SCATTER:
         yield (
             f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
-            "wear from measurement errors: the date allows for as much as is believed before "
-            "measuring."
+            "wear from measurement error: the date allows for as much irregular wear as is "
+            "assumed in general."
         )
     if (prior := wear["forecast_from_prior"]) is not None:
         yield (
-            f"The interval of the date is {prior['width_over_prior']:.2f} times as wide (as a "
-            "ratio of times) as if the recordings said nothing of how wear goes on; in "
-            f"{words.probability(prior['probability_change_ahead'])} of forecasts wear changes "
-            "before the limit is reached. How often it does is an assumption, not measured."
+            "How wear will go on is mostly an assumption: the interval of the date is "
+            f"{prior['width_over_prior']:.2f} times as wide (as a ratio of times) as without "
+            "anything learned from these recordings about the law of wear, and in "
+            f"{words.probability(prior['probability_change_ahead'])} of forecasts the wear changes "
+            "before the limit is reached."
         )
     if wear["drift_widens"] is not None:
         yield (

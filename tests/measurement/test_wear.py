@@ -571,7 +571,7 @@ def test_a_gap_that_fell_has_no_rate_and_no_date(tmp_path):
     gaps[2] -= 1e-4
     fell = compared(tmp_path, gaps, days, limit=LIMIT)[1]
     assert re.search(
-        r"s2 lies 0\.\d+ mrad below the snapshot before it \(\d+\.\d standard",
+        r"s2 is 0\.\d+ mrad below the snapshot before it \(\d+\.\d standard",
         fell["reason"]["text"],
     )
     assert fell["rate"] is None

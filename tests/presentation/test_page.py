@@ -324,7 +324,7 @@ def test_what_something_else_could_have_done_is_no_wear_and_no_repair(change):
     given = advice(compared_undated(change, None, None, [spot]))
     assert given.title == NOT_SHOWN
     told = " ".join(given.sentences)
-    assert "not shown that the gap changed" in told
+    assert "not shown to have changed" in told
     assert "again would" not in told
     assert answer.SHRANK not in told
 
@@ -501,7 +501,7 @@ def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
         " ".join(advice(diagnosed_summary("named", alike)).sentences)
         for alike in ((), ("motor_coulomb_friction",))
     )
-    assert "tell all of it apart" in unsure
+    assert "tell all effects apart" in unsure
     assert "apart" not in sure
 
 

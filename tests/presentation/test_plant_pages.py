@@ -50,7 +50,7 @@ def pages(folder: Path, faster: float) -> dict[str, str]:
     summary = summary_of(rows, of_joints, types, LEVEL, 1, "gearbox", None)
     write_json(summary, folder / SUMMARY_FILE)
     (told,) = types_in_words(summary)
-    assert "wears in its own way" in told
+    assert "Share of joints unlike the rest" in told
     return {page.stem: page.read_text(encoding="utf-8") for page in write_pages(folder)}
 
 
