@@ -139,17 +139,14 @@ def _answer(
         "gap_shared": problem.shares_gap,
         "effects": [
             {
-                "name": candidate.name,
+                "name": name,
                 "parameters": {
                     parameter: interval_of(estimate, level, kind)
-                    for parameter, estimate in estimates(
-                        found.final, candidate.name, found.posterior
-                    ).items()
+                    for parameter, estimate in estimates(found.final, name, found.posterior).items()
                 },
-                "indistinguishable_from": _alike(found, candidate.name),
+                "indistinguishable_from": _alike(found, name),
             }
-            for candidate in found.final.candidates
-            if candidate.kind == "effect"
+            for name in _free_effects(found.final)
         ],
         "missing": [list(members) for members in found.missing],
         "data_sheet_error": plain(found.beyond),
@@ -161,6 +158,14 @@ def _answer(
     if not withheld:
         answer["bench"] = IDENTIFIED_BENCH
     return answer
+
+
+def _free_effects(final: Explanation) -> list[str]:
+    """Effects of which something was unknown: friction, what the bench is unsure of, what was
+    found."""
+    model = final.fit.model
+    free = {unknown.name.partition("__")[0] for unknown in model.unknowns}
+    return [effect.name for effect in model.bench.effects if effect.name in free]
 
 
 def _suggested(final: Explanation) -> NextRecording | None:

@@ -22,9 +22,13 @@ from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.identification.problem import Problem, is_explained
-from bayesbl.identification.wrong_by_far import explanations_from_afar, freed, may_be_far_off
+from bayesbl.identification.wrong_by_far import (
+    explanations_from_afar,
+    freed,
+    is_plausible,
+    may_be_wrong_by_far,
+)
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
-from bayesbl.matching.least_squares import SimulatedFit, with_model
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import GAP
@@ -34,7 +38,6 @@ from bayesbl.model_search.catalogue import (
     OrderPeak,
     candidates,
     order_peaks,
-    steady_torque,
 )
 from bayesbl.model_search.closed_loop import (
     FittedSet,
@@ -155,16 +158,21 @@ def identify(
     UserError
         If the bench cannot be simulated or a recording is too short.
     """
-    far_off = may_be_far_off(problem)
+    # A match with a sheet that no joint can be as would take minutes or fail.
+    nominal = None
+    if is_plausible(problem):
+        nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
+    far_off = nominal is None or (may_be_wrong_by_far(problem) and _is_far_off(nominal))
     if far_off:
-        # A match with this sheet would take minutes or fail, only to be further off.
         far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
         if far is not None:
-            return _identification(far[0], far[0], far[1], (), None, sampler, seed, progress)
-    nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
+            before = nominal or far[0]
+            return _identification(before, far[0], far[1], (), None, sampler, seed, progress)
+    if nominal is None:
+        nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
     naming: Naming = name_missing(
-        _to_name_from(nominal, problem),
+        nominal.fit,
         partial(_hypotheses, problem, nominal),
         progress=of_stage(progress, "Naming what is missing"),
     )
@@ -187,6 +195,11 @@ def identify(
     return _identification(
         nominal, final, beyond, missing, _doubtful(naming, problem), sampler, seed, progress
     )
+
+
+def _is_far_off(nominal: Explanation) -> bool:
+    """Whether the match leaves more than noise does. Only the order of two searches rests on it."""
+    return nominal.fit.chi_square > 2.0 * nominal.fit.residual.size
 
 
 def _identification(
@@ -254,27 +267,6 @@ def _believed(nominal: Explanation) -> Explanation:
     if fit is nominal.fit and not is_explained(nominal):
         fit = in_motion(fit) or fit
     return replace(nominal, fit=fit)
-
-
-def _to_name_from(nominal: Explanation, problem: Problem) -> SimulatedFit:
-    """Where the search begins.
-
-    At constant speed all friction of the motor is a constant torque, which real joints have and
-    data sheets lack: without it the parameters are drawn to the ends of their tolerances. Where
-    such torques explain more, the search begins at their parameters, the torques taken away and
-    nothing fitted again.
-    """
-    candidate = steady_torque(problem.bench, problem.used)
-    moving = all(seen.motion is not None for seen in problem.used)
-    if candidate is None or moving or nominal.candidates or is_explained(nominal):
-        return nominal.fit
-    unknowns = [*problem.unknowns, *candidate.unknowns]
-    fit = fit_aligned(candidate.bench(problem.bench), problem.used, unknowns, problem.workers)
-    if fit.chi_square >= nominal.fit.chi_square:
-        return nominal.fit
-    own = nominal.fit.point.size
-    model = replace(nominal.fit.model, noise=fit.model.noise)
-    return with_model(replace(fit, point=fit.point[:own], steps=fit.steps[:own]), model)
 
 
 def far_beyond_data_sheet(

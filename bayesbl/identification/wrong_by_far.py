@@ -22,9 +22,9 @@ from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.catalogue import Candidate, steady_torque
+from bayesbl.model_search.catalogue import Candidate
 from bayesbl.model_search.constants import LEAVES_MOST, SLACK
-from bayesbl.model_search.refit import SCANNED_GAPS, Explanation, extended, is_gross
+from bayesbl.model_search.refit import SCANNED_GAPS, Explanation, extended
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
@@ -67,21 +67,14 @@ def is_plausible(problem: Problem) -> bool:
     return _can_be(model, _middle(model))
 
 
-def may_be_far_off(problem: Problem) -> bool:
-    """Whether a joint cannot be as on the data sheet, or a rough match with it is far off.
+def may_be_wrong_by_far(problem: Problem) -> bool:
+    """Whether a value that is wrong by far is sought before effects.
 
-    Also beside constant torques, by which friction shows that data sheets lack. Recordings of
-    motions take so long to scan that all else is sought first; so are effects that are asked for.
+    Recordings of motions take so long to scan that all else is sought first; so are effects that
+    are asked for.
     """
-    if not is_plausible(problem):
-        return True
     asked = problem.effects not in ("catalogue", ())
-    if asked or any(seen.motion is not None for seen in problem.used):
-        return False
-    model = _nothing_fitted(problem)
-    friction = steady_torque(problem.bench, problem.used)
-    beside = [] if friction is None else [extended(model, friction)]
-    return all(_is_far_off(tried) for tried in (model, *beside))
+    return not asked and all(seen.motion is None for seen in problem.used)
 
 
 def explanations_from_afar(problem: Problem, progress: Progress | None) -> list[Explanation]:
@@ -109,13 +102,6 @@ def explanations_from_afar(problem: Problem, progress: Progress | None) -> list[
                 fit = fit_simulated(beside, place.point, rough=True)
                 fits.append(Explanation((place.candidate,), fit))
     return fits
-
-
-def _is_far_off(model: SimulatedSignals) -> bool:
-    with suppress(BenchError):
-        fit = fit_simulated(model, aligned_starts(model)[0], rough=True)
-        return is_gross(Explanation((), fit))
-    return True
 
 
 def _nothing_fitted(problem: Problem) -> SimulatedSignals:

@@ -178,7 +178,8 @@ def sample_direct(
     Parameters
     ----------
     withheld
-        The gap will not be told, whatever the draws: they are not worth full simulation.
+        The gap will not be told: draws are those of the normal distribution about the optimum, and
+        nothing is simulated.
     progress
         Called with (steps made, steps allowed) at every check.
     simulating
@@ -189,6 +190,8 @@ def sample_direct(
     as_it_is = np.ones(len(model.unknowns))
     design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
     local = _Local(fit.point, fit.peak(), fit.covariance)
+    if withheld:
+        return _unsimulated(local, fit, settings, design_seed)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
     chi_square, surrogate = regress(
         model, points, points.mean(axis=0), _covariance(points), simulating
@@ -201,11 +204,9 @@ def sample_direct(
         flat = draws.reshape(-1, draws.shape[-1])
         expected = surrogate.chi_square(flat)
         check = _Check.of(model, flat, expected)
-        if withheld or check.is_passed:
+        if check.is_passed:
             effective = check.effective_share * len(flat)
-            # Of a gap that is not told, draws need no weight.
-            needed = math.inf if withheld else effective
-            diagnostics = _judge(model, walked, draws, needed, failed)
+            diagnostics = _judge(model, walked, draws, effective, failed)
             chi_square = expected.reshape(draws.shape[:2])
             return DirectPosterior(
                 fit, draws, chi_square, effective, CHECKED, refits, diagnostics, as_it_is, as_it_is
@@ -236,6 +237,30 @@ def sample_direct(
         as_it_is,
         as_it_is,
     )
+
+
+def _unsimulated(
+    local: _Local, fit: SimulatedFit, settings: SamplerSettings, seed: np.random.SeedSequence
+) -> DirectPosterior:
+    """Draws of the normal distribution about the optimum within its box."""
+    model = fit.model
+    count = settings.ensembles * (DRAWS // settings.ensembles)
+    flat = local.drawn(count, (model.low, model.high), seed)
+    walked = _independent(flat, settings, 1.0)
+    draws = np.stack([chain[:, 0] for chain in walked.chains])
+    away = draws - local.centre
+    chi_square = fit.chi_square + np.einsum("cni,ij,cnj->cn", away, fit.curvature, away)
+    as_it_is = np.ones(len(model.unknowns))
+    diagnostics = _judge(model, walked, draws, math.inf, 0.0)
+    return DirectPosterior(
+        fit, draws, chi_square, float(count), 0, 0, diagnostics, as_it_is, as_it_is
+    )
+
+
+def _independent(draws: FloatArray, settings: SamplerSettings, share: float) -> Walk:
+    """Independent draws (n, d) as chains of one walker each."""
+    chains = tuple(np.array_split(draws[:, None], settings.ensembles))
+    return Walk(chains, 1.0, len(chains[-1]), np.full(settings.ensembles, share), True)
 
 
 def widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
@@ -366,9 +391,7 @@ def _walk(
     generator = np.random.default_rng(seed.spawn(1)[0])
     found = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
     if found is not None:
-        draws, share = found
-        chains = tuple(np.array_split(draws[:, None], settings.ensembles))
-        return Walk(chains, 1.0, len(chains[-1]), np.full(settings.ensembles, share), True)
+        return _independent(found[0], settings, found[1])
     walkers = walkers_needed(len(model.unknowns))
     start_seed, walk_seed = seed.spawn(2)
     starts = local.drawn(settings.ensembles * walkers, (model.low, model.high), start_seed)

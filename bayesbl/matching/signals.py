@@ -70,7 +70,8 @@ class Unknown:
     logarithmic
         The coordinate is ln of the value.
     added
-        The value is added to what the recording has without it.
+        The value is added to what the recording has without it: to the bench's value as it is, to
+        another in proportion.
     flat_in_value
         The prior is uniform in the value, not in its logarithm.
     """
@@ -349,7 +350,10 @@ class SimulatedSignals:
         settings |= seen.known
         for unknown, value in own:
             if unknown.added:
-                value = value + settings.get(unknown.name, self.bench.value(unknown.name))
+                nominal = self.bench.value(unknown.name)
+                base = settings.get(unknown.name, nominal)
+                # In proportion, so that no drift takes a value below zero that a tolerance lowers.
+                value = base + value * (base / nominal if nominal else 1.0)
             settings[unknown.name] = value
         return settings
 

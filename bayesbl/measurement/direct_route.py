@@ -71,7 +71,14 @@ from bayesbl.measurement.motion_verdict import (
     unknown_start,
     unseen_gap,
 )
-from bayesbl.model_search.always_in import Beside, beside, directions, marginalised, settled
+from bayesbl.model_search.always_in import (
+    Beside,
+    beside,
+    directions,
+    marginalised,
+    settled,
+    with_friction,
+)
 from bayesbl.model_search.joint_change import (
     FALSE_ALARM,
     JointFindings,
@@ -351,10 +358,11 @@ def fit_jointly(
 ) -> JointFit:
     """The optimum of all recordings together, and whether one joint made them.
 
-    Laws that bias the gap before they show, and what drifts between the recordings, are always
-    allowed for; ``drift``: relative standard deviations in place of the defaults. What changed in
-    the joint beside that is freed where it is found.
+    Friction, laws that bias the gap before they show, and what drifts between the recordings, are
+    always allowed for; ``drift``: relative standard deviations in place of the defaults. What
+    changed in the joint beside that is freed where it is found.
     """
+    bench = with_friction(bench, recordings)
     moving = [r.name for r in recordings if r.motion is not None]
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
     name = " and ".join(r.name for r in recordings)
@@ -861,7 +869,8 @@ def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
     known = fit.curvature + fit.model.prior_precision()
     alone = np.linalg.inv(known[np.ix_(free, free)])
     noise = float(alone[list(free).index(place), list(free).index(place)])
-    share = min(1.0 - model_share, noise / float(posterior.draws[..., place].var()))
+    # Draws of which one carries all weight have no variance.
+    share = min(1.0 - model_share, noise / max(float(posterior.draws[..., place].var()), noise))
     return {"noise": share, "laws_and_drift": model_share, "bench": 1.0 - model_share - share}
 
 

@@ -174,6 +174,8 @@ def _undecided(
     *,
     with_current: bool,
 ) -> str | None:
+    if not found.explained:
+        return None
     chosen_rad, width_rad = float(np.median(draws_rad)), _width(draws_rad, level)
     apart = [(r, value) for r, value in rivals if abs(value - chosen_rad) > MATTERS * width_rad]
     if not apart:

@@ -30,6 +30,7 @@ from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS, drift_of
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import TAILS, DirectPosterior
 from bayesbl.matching.signals import SimulatedSignals, Unknown
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
@@ -67,6 +68,9 @@ explains a change nearly as well, it decides how much of the interval is left to
 
 MOST_CHANGED = 3
 """Parameters that were changed."""
+
+ONE_SPEED = 0.02
+"""Share by which speeds differ too little to tell friction's laws apart."""
 
 FAR = 3.0
 """Posterior standard deviations between a size and none, from which it is an unknown of the fit."""
@@ -149,7 +153,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
         if effect.name in present:
             values = present[effect.name].complete()
             for item in effect.amplitudes:
-                drift = drift_of(f"{effect.name}.{item.name}", stated) * abs(values[item.name])
+                size = max(abs(values[item.name]), _stated_sd(present[effect.name], item.name))
+                drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
         elif effect.always_in and not (effect.enters == "loop" and loop_is_stated):
             item = effect.amplitudes[0]
@@ -163,6 +168,33 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 least=item.sought_from or 0.0,
                 effect=effect.name,
             )
+
+
+def _stated_sd(effect: BenchEffect, name: str) -> float:
+    given = effect.parameters.get(name)
+    return 0.0 if given is None else given.sd or 0.0
+
+
+def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
+    """The bench with the friction of motor and load that every joint has and few data sheets give.
+
+    Of usual size, half-normal from none; as viscous friction where the joint turns at one speed,
+    whatever its law. What the bench has already stays as it is.
+    """
+    kinds = ["viscous"]
+    speeds = [r.reference_speed_rpm for r in recordings]
+    moves = any(r.motion is not None for r in recordings)
+    if moves or max(speeds) - min(speeds) > ONE_SPEED * max(map(abs, speeds)):
+        kinds.append("coulomb")
+    added = []
+    for effect in (
+        effect_named(f"{side}_{k}_friction") for side in ("motor", "load") for k in kinds
+    ):
+        (item,) = effect.amplitudes
+        usual = search_scale(bench, effect, item) * item.typical
+        added.append(BenchEffect(effect.name, {item.name: EffectParameterValue(0.0, usual)}))
+    present = {effect.name for effect in bench.effects}
+    return bench.with_effects(*bench.effects, *(e for e in added if e.name not in present))
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,6 +395,8 @@ def _columns(
         for k, (owner, direction, _) in enumerate(every)
         if owner in (None, seen.name) and direction.slot not in seen.known
     ]
+    if not acting:
+        return [], np.zeros((fit.model.by_recording(fit.residual)[place].size, 0))
     among = list(dict.fromkeys(every[k][1] for k in acting))
     own = [Unknown(d.slot, recording=seen.name, added=True) for d in among]
     point = np.concatenate([fit.point, np.zeros(len(own))])
@@ -434,7 +468,7 @@ def _fitted_from(
 ) -> SimulatedFit | None:
     """Fitted from where all is linear, or nearer by halves where that cannot be simulated."""
     for _ in range(MOST_HALVES):
-        start = np.concatenate([fit.point, centres + by])
+        start = np.clip(np.concatenate([fit.point, centres + by]), model.low, model.high)
         if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
             return fit_simulated(model, start, fit.steps)
         by = 0.5 * by

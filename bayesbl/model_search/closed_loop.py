@@ -344,6 +344,12 @@ class _Search:
         return share > UNEXPLAINED_SHARE and not own.explains_all
 
     def _is_far(self, own: FittedSet) -> bool:
+        """Whether what a bench lacks may have drawn the gap away from where it is.
+
+        Where laws and drift are always beside the fit, they have not.
+        """
+        if self._among:
+            return False
         moving = any(seen.motion is not None for seen in own.fit.model.recordings)
         return is_gross(own.explanation) and not moving and self._is_unexplained(own)
 

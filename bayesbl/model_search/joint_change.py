@@ -20,6 +20,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import noise_along
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction
@@ -259,13 +260,15 @@ def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindin
 def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
     """An unknown of a fit against the first recording, or where all share it against the bench."""
     unknown, model = fit.model.unknowns[place], fit.model
-    value, sd = float(fit.point[place]), math.sqrt(float(fit.covariance[place, place]))
-    where = unknown.recording or model.recordings[0].name
-    seen = next(r for r in model.recordings if r.name == where)
-    found = float(model.vectors(fit.point[None], seen)[0, Slot[unknown.name]])
-    believed = (
-        found - value if unknown.added else float(model.bench.vector()[0, Slot[unknown.name]])
-    )
+    sd = math.sqrt(float(fit.covariance[place, place]))
+    first = model.recordings[0]
+    seen = next((r for r in model.recordings if r.name == unknown.recording), first)
+
+    def value(recording: Observed) -> float:
+        return float(model.vectors(fit.point[None], recording)[0, Slot[unknown.name]])
+
+    found = value(seen)
+    believed = value(first) if unknown.added else float(model.bench.vector()[0, Slot[unknown.name]])
     name = unknown.name.replace("__", ".")
     return ChangedParameter(name, unknown.recording, believed, found, sd, _unit(unknown.name))
 

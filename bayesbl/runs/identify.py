@@ -19,6 +19,7 @@ from bayesbl.identification.identify import Identification, identify
 from bayesbl.identification.problem import Problem
 from bayesbl.identification.summary import summarise_identification
 from bayesbl.matching.observed import Observed, observed
+from bayesbl.model_search.always_in import with_friction
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.readers import read_recording
@@ -117,12 +118,17 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
             "There is no motor current in every recording: torques are known only up to what the "
             "data sheet says."
         )
+    bench = with_friction(bench, used)
+    asked = config.identify.effects
+    if asked != "catalogue":
+        present = {effect.name for effect in bench.effects}
+        asked = tuple(name for name in asked if name not in present)
     problem = Problem(
         bench,
         used,
         tuple(seen["hold_out"]),
         parameters,
-        config.identify.effects,
+        asked,
         config.identify.gap_rad,
         config.shares_gap,
         config.run.workers,

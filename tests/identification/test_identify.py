@@ -38,7 +38,7 @@ from bayesbl.identification.next_recording import next_recording
 from bayesbl.identification.problem import Problem
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
-from bayesbl.identification.wrong_by_far import may_be_far_off
+from bayesbl.identification.wrong_by_far import may_be_wrong_by_far
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed, observed
@@ -266,7 +266,7 @@ def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
 )
 def test_a_value_wrong_by_far_is_named(name: str, wrong: float) -> None:
     """Also where no joint can be as the data sheet says, and half a step from what is scanned."""
-    assert may_be_far_off(problem(data_sheet(**{name: wrong})))
+    assert may_be_wrong_by_far(problem(data_sheet(**{name: wrong})))
     found = far_beyond_data_sheet(problem(data_sheet(**{name: wrong})))
     assert found is not None
     _, beyond = found
