@@ -218,6 +218,31 @@ class RigidLaw:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Resonance:
+    """What an elastic part of a joint swings against: no derivative at a rigid one shows that.
+
+    Attributes
+    ----------
+    inertia
+        Bench parameter of the whole inertia on its side of the gear.
+    part
+        Shape that says how much of it the spring has behind it.
+    is_share
+        ``part`` is a share s, so s (1 − s) of the inertia swings; else an inertia of its own.
+    parts
+        Of the inertia, from which a search starts.
+    multiples
+        Range of its frequency in a search, in √(k/J_l).
+    """
+
+    inertia: str
+    part: str
+    is_share: bool
+    parts: tuple[float, ...]
+    multiples: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
     """Everything that is known of one effect but its term in the compiled kernel.
 
@@ -248,6 +273,8 @@ class Effect:
         Whether recordings at a few constant speeds could show that it is this one.
     in_bench_file
         A sentence: how a bench file states it in fewer words than under ``[[effects]]``.
+    resonance
+        Of an elastic part with an inertia behind it.
     always_in
         It moves δ by more than a standard deviation before it shows, and its usual size may hide
         (``configs/bias_against_visibility.toml``): every fit of a gap takes it into account.
@@ -270,6 +297,7 @@ class Effect:
     sought_alone: str | None = None
     sought_in_loop: bool = True
     in_bench_file: str = ""
+    resonance: Resonance | None = None
     always_in: bool = False
     slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
 

@@ -77,6 +77,7 @@ from bayesbl.model_search.always_in import (
     directions,
     marginalised,
     settled,
+    with_elastic_part,
     with_friction,
 )
 from bayesbl.model_search.joint_change import (
@@ -370,6 +371,10 @@ def fit_jointly(
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
     among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
     fit, rest = settled(nominal, among)
+    if not moving:
+        fuller, _ = with_elastic_part(fit)
+        if fuller is not fit:
+            fit, rest = settled(fuller, among)
     check = disagreements(rest.explained(fit))
     if agrees(check, FALSE_ALARM):
         return JointFit(nominal, fit, rest, changed_beside(fit, among), tuple(check))

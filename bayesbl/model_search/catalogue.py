@@ -7,7 +7,7 @@ sign: what is there may be much stronger than usual.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -19,6 +19,7 @@ from bayesbl.bench.effect_declaration import (
     Amplitude,
     Effect,
     EffectParameter,
+    Resonance,
     Role,
     Shape,
 )
@@ -41,6 +42,9 @@ PADDING = 4
 SIDEBANDS = 2.5
 """Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
 
+RESONANCE_SPACING = 1.35
+"""Ratio of neighbouring frequencies of an elastic part, from which a fit finds the one between."""
+
 USUAL_SHARE = 0.1
 """Of a parameter's value: usual size by which it is wrong."""
 
@@ -61,7 +65,8 @@ class Candidate:
     unknowns
         Named as :meth:`Bench.vector` takes them.
     starts
-        Coordinates to start from besides neutral ones, shape (s, k).
+        Coordinates to start from besides neutral ones, shape (s, k). Where a size is not neutral,
+        what is promised is by the change over the whole of it.
     neutral
         Coordinates at which nothing is added, shape (k,).
     scanned
@@ -100,6 +105,14 @@ class Candidate:
         """It has one size, which is not negative."""
         places = amplitude_places(self)
         return len(places) == 1 and self.unknowns[places[0]].low >= self.neutral[places[0]]
+
+    def is_at_full_size(self, start: FloatArray) -> bool:
+        """Whether a start has a size: that of an elastic part, whose frequency would be another
+        with another size."""
+        places = amplitude_places(self)
+        return bool(np.any(start[places] != self.neutral[places])) and any(
+            np.array_equal(start, own) for own in self.starts
+        )
 
     def log_prior(self, coordinates: FloatArray) -> float:
         """ln of the density at its unknowns' coordinates, shape (k,)."""
@@ -240,6 +253,14 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
     sought = [p for p in parameters if effect.sought_alone in (None, p.name)]
     unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
     neutral = np.array([p.neutral for p in sought])
+    if effect.resonance is not None:
+        places = tuple(_resonances(bench, effect, effect.resonance))
+        return replace(
+            Candidate(effect.name, "effect", unknowns, neutral, places),
+            unknowns=tuple(_near(unknowns, places)),
+            effect=_neutral_effect(effect),
+            usual=_usual(bench, effect, [p.name for p in sought]),
+        )
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
     if effect.enters in ("load", "shaft"):
@@ -265,6 +286,32 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
         _neutral_effect(effect),
         usual=_usual(bench, effect, [p.name for p in sought]),
     )
+
+
+def _resonances(bench: Bench, effect: Effect, at: Resonance) -> Iterator[FloatArray]:
+    """Coordinates of a part at its full size, over a grid of its frequency and what swings."""
+    load = bench.value("load_inertia_kg_m2")
+    own = math.sqrt(bench.value("shaft_stiffness_nm_per_rad") / load)
+    low, high = at.multiples
+    count = 1 + round(math.log(high / low) / math.log(RESONANCE_SPACING))
+    (compliance,) = effect.amplitudes
+    for rate in own * np.geomspace(low, high, count):
+        for part in at.parts:
+            behind = part if at.is_share else part * load
+            inertia = part * (1.0 - part) * bench.value(at.inertia) if at.is_share else behind
+            values = {p.name: p.neutral for p in effect.parameters}
+            values |= {compliance.name: 1.0 / (rate**2 * inertia), at.part: behind}
+            yield np.array([values[p.name] for p in effect.parameters])
+
+
+def _near(unknowns: Sequence[Unknown], places: Sequence[FloatArray]) -> Iterator[Unknown]:
+    """Ranges from a part that is four times stiffer than the stiffest of a grid, and what swings
+    from a quarter of its smallest: beyond that it hardly shows and costs the simulator tiny steps.
+    """
+    least = 0.25 * np.min(places, axis=0)
+    for unknown, low in zip(unknowns, least, strict=True):
+        spread = len({float(place[unknowns.index(unknown)]) for place in places}) > 1
+        yield replace(unknown, low=max(unknown.low, float(low))) if spread else unknown
 
 
 def _usual(bench: Bench, effect: Effect, names: Sequence[str]) -> FloatArray:

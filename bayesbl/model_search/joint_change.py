@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
@@ -239,6 +239,8 @@ def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindin
     allowed: list[ChangedParameter] = []
     for place, unknown in enumerate(fit.model.unknowns):
         direction = by_slot.get(unknown.name)
+        if _is_of_a_part(unknown):
+            allowed.append(_as_changed(fit, place))
         # A tolerance of the bench, or what the user lets drift, is flat.
         if direction is None or not math.isfinite(unknown.sd):
             continue
@@ -255,6 +257,16 @@ def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindin
         (),
         tuple(allowed),
     )
+
+
+def _is_of_a_part(unknown: Unknown) -> bool:
+    """Whether it is of an elastic part that a fit added to the bench."""
+    effect, _, parameter = unknown.name.partition("__")
+    return bool(parameter) and math.isinf(unknown.sd) and _is_elastic(effect)
+
+
+def _is_elastic(effect: str) -> bool:
+    return any(e.name == effect and e.resonance is not None for e in EFFECTS)
 
 
 def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
@@ -329,7 +341,11 @@ def _told_places(candidate: Candidate) -> list[int]:
     if candidate.effect is None:
         return places
     effect = effect_named(candidate.name)
-    told = {effect.slots[shape.name].name for shape in effect.shapes if shape.starts}
+    told = {
+        effect.slots[shape.name].name
+        for shape in effect.shapes
+        if shape.starts or effect.resonance is not None
+    }
     return places + [i for i, u in enumerate(candidate.unknowns) if u.name in told]
 
 

@@ -128,7 +128,7 @@ def refit(
     starts = []
     for share in SHARES_TRIED:
         own = [
-            np.where(np.isfinite(c.usual), zero + share * (at - zero), at)
+            np.where(np.isfinite(c.usual) & ~c.is_at_full_size(at), zero + share * (at - zero), at)
             for (c, at), zero in zip(added, neutral, strict=True)
         ]
         starts += [np.concatenate([there + moved, *own]) for moved in (share * shift, 0.0 * shift)]
@@ -206,11 +206,15 @@ def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]
     model = extended(fit.model, candidate)
     found = []
     for start in (candidate.neutral, *candidate.starts):
-        point = np.concatenate([fit.point, start])
+        places = amplitude_places(candidate)
+        bare = start.copy()
+        bare[places] = candidate.neutral[places]
+        point = np.concatenate([fit.point, bare])
         columns = []
-        for i in amplitude_places(candidate):
+        for i in places:
             for phase in (0.0, 0.5 * math.pi) if is_periodic(candidate) else (None,):
-                columns += _difference(model, point, len(fit.point) + i, phase, candidate)
+                by = float(start[i] - candidate.neutral[i])
+                columns += _difference(model, point, len(fit.point) + i, phase, candidate, by)
         found.append(columns)
     return found
 
@@ -220,6 +224,8 @@ def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> Floa
     coordinates = start.copy()
     if not is_periodic(candidate):
         places = amplitude_places(candidate)
+        if candidate.is_at_full_size(start):
+            return coordinates
         coordinates[places] = candidate.neutral[places] + sizes
         return coordinates
     (place,) = amplitude_places(candidate)
@@ -240,11 +246,19 @@ def _small(unknown: Unknown, coordinate: float) -> float:
 
 
 def _difference(
-    model: SimulatedSignals, point: FloatArray, i: int, phase: float | None, candidate: Candidate
+    model: SimulatedSignals,
+    point: FloatArray,
+    i: int,
+    phase: float | None,
+    candidate: Candidate,
+    by: float = 0.0,
 ) -> list[FloatArray]:
-    """Change of the whitened signals by a small amount of one unknown; a column per phase owner."""
+    """Change of the whitened signals over an amount of one unknown; a column per phase owner.
+
+    ``by``: that amount, 0 for a small one.
+    """
     moved = np.stack([point, point])
-    amount = _small(model.unknowns[i], float(point[i]))
+    amount = by or _small(model.unknowns[i], float(point[i]))
     moved[1, i] += amount
     if phase is not None:
         for k in quadrant_phases(candidate):

@@ -8,7 +8,7 @@ J_l and m g l are those of the whole load, of which the shares s and g are behin
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Amplitude, Effect, Shape
+from bayesbl.bench.effect_declaration import Amplitude, Effect, Resonance, Shape
 
 EFFECT = Effect(
     place=102,
@@ -35,7 +35,6 @@ EFFECT = Effect(
             typical=1e-3,
             neutral=1e-3,
             bounded=True,
-            starts=(4e-3,),
         ),
         Shape(
             "inertia_share",
@@ -47,7 +46,6 @@ EFFECT = Effect(
             neutral=0.4,
             positive_scale=True,
             bounded=True,
-            starts=(0.15, 0.7),
         ),
         Shape(
             "gravity_share",
@@ -58,11 +56,17 @@ EFFECT = Effect(
             typical=0.5,
             neutral=0.5,
             bounded=True,
-            starts=(0.0, 1.0),
         ),
     ),
     enters="shaft",
     depends_on=("transmitted_torque",),
+    resonance=Resonance(
+        inertia="load_inertia_kg_m2",
+        part="inertia_share",
+        is_share=True,
+        parts=(0.15, 0.4),
+        multiples=(0.4, 3.0),
+    ),
     data="a second ringing that dies slowly, at the arm's own frequency",
     reference="Spong 1987, J. Dyn. Syst. Meas. Control 109, 310",
     in_bench_file="[arm] with stiffness_nm_per_rad and inertia_kg_m2 says the same.",

@@ -8,7 +8,7 @@ load's absolute angle, and both inertias are turned with the housing.
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Amplitude, Effect, Shape
+from bayesbl.bench.effect_declaration import Amplitude, Effect, Resonance, Shape
 
 EFFECT = Effect(
     place=103,
@@ -35,7 +35,6 @@ EFFECT = Effect(
             typical=1e-3,
             neutral=1e-3,
             bounded=True,
-            starts=(4e-3,),
         ),
         Shape(
             "inertia_kg_m2",
@@ -46,11 +45,17 @@ EFFECT = Effect(
             typical=60.0,
             neutral=60.0,
             positive_scale=True,
-            starts=(10.0, 300.0),
         ),
     ),
     enters="shaft",
     depends_on=("transmitted_torque",),
+    resonance=Resonance(
+        inertia="load_inertia_kg_m2",
+        part="inertia_kg_m2",
+        is_share=False,
+        parts=(1.5, 5.0),
+        multiples=(0.4, 3.0),
+    ),
     data="a second ringing at the base's own frequency",
     reference="Book & Lee 1989, American Control Conference, 1377",
     in_bench_file="[base] with stiffness_nm_per_rad and inertia_kg_m2 says the same.",

@@ -10,7 +10,7 @@ stretch leaves the bench as it was.
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Amplitude, Effect, Shape
+from bayesbl.bench.effect_declaration import Amplitude, Effect, Resonance, Shape
 
 EFFECT = Effect(
     place=101,
@@ -37,7 +37,6 @@ EFFECT = Effect(
             typical=2e-4,
             neutral=2e-4,
             bounded=True,
-            starts=(1e-3,),
         ),
         Shape(
             "reducer_share",
@@ -49,11 +48,17 @@ EFFECT = Effect(
             neutral=0.3,
             positive_scale=True,
             bounded=True,
-            starts=(0.6,),
         ),
     ),
     enters="motor",
     depends_on=("transmitted_torque",),
+    resonance=Resonance(
+        inertia="motor_inertia_kg_m2",
+        part="reducer_share",
+        is_share=True,
+        parts=(0.2, 0.5),
+        multiples=(3.0, 25.0),
+    ),
     data="ringing at two frequencies; the motor answers a current before the gear does",
     reference="Hace, Jezernik & Sabanovic 2005, Mechatronics 15, 717",
     in_bench_file="[belt] with stiffness_nm_per_rad and reducer_inertia_kg_m2 says the same.",
