@@ -75,9 +75,9 @@ from bayesbl.model_search.always_in import (
     Beside,
     beside,
     directions,
+    elastic_part,
     marginalised,
     settled,
-    with_elastic_part,
     with_friction,
 )
 from bayesbl.model_search.joint_change import (
@@ -371,13 +371,14 @@ def fit_jointly(
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
     among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
     fit, rest = settled(nominal, among)
-    if not moving:
-        fuller, _ = with_elastic_part(fit)
-        if fuller is not fit:
-            fit, rest = settled(fuller, among)
+    part = None if moving else elastic_part(nominal, fit)
+    if part is not None:
+        among = [*among, *part.directions]
+        fit, rest = settled(part.fit, among)
     check = disagreements(rest.explained(fit))
     if agrees(check, FALSE_ALARM):
-        return JointFit(nominal, fit, rest, changed_beside(fit, among), tuple(check))
+        joint = changed_beside(fit, among, part)
+        return JointFit(nominal, fit, rest, joint, tuple(check))
     seeking = of_stage(progress, f"Seeking changes in {name}")
     fit, joint = find_changes(fit, among=among, progress=seeking)
     rest = beside(fit, among)

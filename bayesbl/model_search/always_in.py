@@ -522,11 +522,39 @@ def marginalised(
     return replace(posterior, draws=moved.reshape(posterior.draws.shape), model_widening=factor)
 
 
-def with_elastic_part(fit: SimulatedFit) -> tuple[SimulatedFit, float]:
-    """The fit with the elastic part that the recordings speak for, and how likely that one is.
+@dataclass(frozen=True, slots=True)
+class ElasticPart:
+    """A part that the recordings speak for and the bench lacks.
 
-    The fit itself where none is more likely than not. What the data say for a part is Laplace's
-    evidence: ½Δχ² with all priors, less what its unknowns and the wider rest cost.
+    Attributes
+    ----------
+    fit
+        With it in the bench at its most probable values, and the unknowns of the nominal fit.
+    directions
+        Its own values, to be marginalised: of what swings behind it the recordings say little, and
+        that moves δ little.
+    values, sds
+        By slot.
+    probability
+        Against no such part and the others.
+    """
+
+    fit: SimulatedFit
+    directions: tuple[Direction, ...]
+    values: Mapping[str, float]
+    sds: Mapping[str, float]
+    probability: float
+
+
+def elastic_part(nominal: SimulatedFit, fit: SimulatedFit) -> ElasticPart | None:
+    """The part that is more likely than none; ``None`` where none is.
+
+    ``fit``: ``nominal`` with laws and drift freed that stood in for the part. They are linear again
+    beside it, as they are next to nothing then: a lag of microseconds is what the simulator is
+    slowest with.
+
+    What the data say for a part is Laplace's evidence: ½Δχ² with all priors, less what its unknowns
+    and the wider rest cost.
     """
     bench, recordings = fit.model.bench, fit.model.recordings
     names = [e.name for e in EFFECTS if e.resonance is not None]
@@ -534,16 +562,38 @@ def with_elastic_part(fit: SimulatedFit) -> tuple[SimulatedFit, float]:
     tried = sum(len(c.starts) for c in parts)
     rough = [e for e in (_fitted_part(fit, part, tried) for part in parts) if e is not None]
     least = min((e.fit.chi_square for e in rough), default=0.0)
-    weights, fits = [0.0], [fit]
-    for found in (polished(e) for e in rough if e.fit.chi_square < least + CLOSE):
+    fitted = [polished(e) for e in rough if e.fit.chi_square < least + CLOSE]
+    weights = [0.0]
+    for found in fitted:
         gain = 0.5 * (fit.chi_square - found.fit.chi_square)
         volume = _log_volume(found.fit) - _log_volume(fit) + found.log_prior
-        fits.append(found.fit)
         weights.append(gain + volume + math.log(PART / (1.0 - len(parts) * PART)))
     probability = np.exp(np.array(weights) - max(weights))
     probability /= probability.sum()
     best = int(np.argmax(probability))
-    return fits[best], float(probability[best])
+    return None if best == 0 else _in_bench(nominal, fitted[best - 1], float(probability[best]))
+
+
+def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
+    """A fitted part put into the bench, its values as directions of their flat priors."""
+    (part,) = found.candidates
+    places, own = found.places(part), nominal.point.size
+    values = {u.name: float(found.fit.point[k]) for u, k in zip(part.unknowns, places, strict=True)}
+    sds = {
+        u.name: math.sqrt(float(found.fit.covariance[k, k]))
+        for u, k in zip(part.unknowns, places, strict=True)
+    }
+    effect = BenchEffect(
+        part.name,
+        {name.partition("__")[2]: EffectParameterValue(value) for name, value in values.items()},
+    )
+    bench = nominal.model.bench
+    model = nominal.model.beside(bench.with_effects(*bench.effects, effect), ())
+    alone = fit_simulated(model, found.fit.point[:own], found.fit.steps[:own])
+    directions = tuple(
+        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0) for u in part.unknowns
+    )
+    return ElasticPart(alone, directions, values, sds, probability)
 
 
 def _log_volume(fit: SimulatedFit) -> float:

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import EFFECTS, effect_named
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
 from bayesbl.matching.least_squares import SimulatedFit
@@ -23,7 +23,7 @@ from bayesbl.matching.loop_noise import noise_along
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, Unknown
-from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction
+from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
 from bayesbl.model_search.catalogue import (
     USUAL_SHARE,
     Candidate,
@@ -228,19 +228,26 @@ def find_changes(
     return fit, findings
 
 
-def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindings:
+def changed_beside(
+    fit: SimulatedFit, among: Sequence[Direction], part: ElasticPart | None = None
+) -> JointFindings:
     """What of the joint changed where laws, drift and changes beside a fit explain everything.
 
     ``among``: what was marginalised, and so is no blind spot; what was far is now an unknown.
+    ``part``: which of them is an elastic part that the bench lacks.
     """
     names = tuple(seen.name for seen in fit.model.recordings)
     by_slot = {direction.slot: direction for direction in among}
     told: list[ChangedParameter] = []
-    allowed: list[ChangedParameter] = []
+    of_part = {} if part is None else part.values
+    allowed = [
+        ChangedParameter(
+            name.replace("__", "."), None, 0.0, value, part.sds[name] if part else 0.0, _unit(name)
+        )
+        for name, value in of_part.items()
+    ]
     for place, unknown in enumerate(fit.model.unknowns):
         direction = by_slot.get(unknown.name)
-        if _is_of_a_part(unknown):
-            allowed.append(_as_changed(fit, place))
         # A tolerance of the bench, or what the user lets drift, is flat.
         if direction is None or not math.isfinite(unknown.sd):
             continue
@@ -257,16 +264,6 @@ def changed_beside(fit: SimulatedFit, among: Sequence[Direction]) -> JointFindin
         (),
         tuple(allowed),
     )
-
-
-def _is_of_a_part(unknown: Unknown) -> bool:
-    """Whether it is of an elastic part that a fit added to the bench."""
-    effect, _, parameter = unknown.name.partition("__")
-    return bool(parameter) and math.isinf(unknown.sd) and _is_elastic(effect)
-
-
-def _is_elastic(effect: str) -> bool:
-    return any(e.name == effect and e.resonance is not None for e in EFFECTS)
 
 
 def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
