@@ -343,6 +343,11 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "Sensor noise fed back through the speed loop makes impacts vary: the interval is "
         f"{times:.2g} times wider for it."
     ),
+    "elastic_part": lambda name, frequency_hz, probability: (
+        f"The recordings speak for a part that the bench lacks, {name} with a resonance near "
+        f"{frequency_hz:.2g} Hz (probability {probability:.2g}). δ allows for it; "
+        f"state the part in the bench file to make δ sharper."
+    ),
     "counted_twice": lambda name: (
         f"The bench was identified from {name} as well, so this recording counts twice and its "
         "interval is somewhat too narrow. Measure later recordings with that bench."

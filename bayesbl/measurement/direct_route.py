@@ -228,7 +228,7 @@ class DirectMeasurer(Measurer):
         check = [entry for entry in found.check if entry.recording == recording.name]
         seen = posterior.fit.model.recordings[index]
         told = (Reason.told("recording", text) for text in (*recording.notes, *seen.notes))
-        notes = (*told, *self._counted_twice(recording))
+        notes = (*told, *_of_the_part(found.joint), *self._counted_twice(recording))
         level = self.config.interval.level
         groups = direct_groups(posterior, recording, index, check)
         return Answer(
@@ -247,6 +247,17 @@ class DirectMeasurer(Measurer):
         entry = self.config.entry_of(recording.name)
         if joint is not None and file_sha256(entry.file) in joint.sources:
             yield Reason("counted_twice", {"name": entry.name})
+
+
+def _of_the_part(joint: JointFindings) -> Iterator[Reason]:
+    """A note of an elastic part that the bench lacks."""
+    if joint.part is not None:
+        told = {
+            "name": joint.part.name,
+            "frequency_hz": joint.part.frequency_hz,
+            "probability": joint.part.probability,
+        }
+        yield Reason("elastic_part", told)
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:

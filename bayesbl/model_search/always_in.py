@@ -545,6 +545,24 @@ class ElasticPart:
     sds: Mapping[str, float]
     probability: float
 
+    @property
+    def name(self) -> str:
+        """Of its effect."""
+        return next(iter(self.values)).partition("__")[0]
+
+    @property
+    def frequency_hz(self) -> float:
+        """Of what swings behind it against the rest of its inertia; of a base against ground."""
+        effect = effect_named(self.name)
+        assert effect.resonance is not None
+        (compliance,) = effect.amplitudes
+        part = self.values[f"{self.name}__{effect.resonance.part}"]
+        inertia = part
+        if effect.resonance.is_share:
+            inertia *= (1.0 - part) * self.fit.model.bench.value(effect.resonance.inertia)
+        of_spring = self.values[f"{self.name}__{compliance.name}"]
+        return 1.0 / (2.0 * math.pi * math.sqrt(of_spring * inertia))
+
 
 def elastic_part(nominal: SimulatedFit, fit: SimulatedFit) -> ElasticPart | None:
     """The part that is more likely than none; ``None`` where none is.

@@ -93,6 +93,15 @@ class ChangedParameter:
 
 
 @dataclass(frozen=True, slots=True)
+class AddedPart:
+    """An elastic part that the bench lacks: its effect, resonance and probability."""
+
+    name: str
+    frequency_hz: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
 class Rival:
     """Another explanation that the recordings cannot tell from the one chosen.
 
@@ -152,6 +161,8 @@ class JointFindings:
         What was fitted besides and is no more than a joint may differ from its bench, or drift.
     motor_orders
         Whole orders of the motor that make most of what the bench as believed leaves.
+    part
+        An elastic part that the bench lacks and δ allows for.
     """
 
     recordings: tuple[str, ...]
@@ -162,6 +173,7 @@ class JointFindings:
     blind_spots: tuple[BlindSpot, ...]
     motor_orders: tuple[int, ...] = ()
     allowed: tuple[ChangedParameter, ...] = ()
+    part: AddedPart | None = None
 
     @property
     def agrees(self) -> bool:
@@ -263,6 +275,7 @@ def changed_beside(
         tuple(blind_spots(fit, among=among)),
         (),
         tuple(allowed),
+        None if part is None else AddedPart(part.name, part.frequency_hz, part.probability),
     )
 
 

@@ -18,7 +18,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import direct_unknowns
-from bayesbl.model_search.always_in import beside, directions, laws, settled
+from bayesbl.model_search.always_in import beside, directions, elastic_part, laws, settled
 
 BENCH = reference_bench()
 GAP_RAD = 8e-4
@@ -157,3 +157,45 @@ def test_a_damping_that_only_the_gap_shows_is_within_the_interval(
     shift = beside(fit, laws(BENCH)).posterior.draw(np.random.default_rng(0), 4000).shift[:, 0]
     sd = math.hypot(fit.sd(GAP), float(shift.std()))
     assert abs(fit.point[0] + shift.mean() - math.log(gap_rad)) < 1.645 * sd
+
+
+BELT_HZ, REDUCER_SHARE = 80.0, 0.4
+
+
+def with_belt(bench: Bench) -> Bench:
+    """Whose motor hangs on a belt, the share of its inertia behind it."""
+    swings = bench.value("motor_inertia_kg_m2") * REDUCER_SHARE * (1.0 - REDUCER_SHARE)
+    values = {
+        "compliance_rad_per_nm": 1.0 / ((2.0 * math.pi * BELT_HZ) ** 2 * swings),
+        "damping_time_s": 2e-4,
+        "reducer_share": REDUCER_SHARE,
+    }
+    belt = BenchEffect("belt", {n: EffectParameterValue(v) for n, v in values.items()})
+    return bench.with_effects(belt)
+
+
+def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() -> None:
+    sheet = replace(
+        BENCH,
+        parameters={
+            name: BenchParameter(item.value, 0.1 * item.value)
+            if name in (STIFFNESS, DAMPING, INERTIA, "motor_inertia_kg_m2")
+            else item
+            for name, item in BENCH.parameters.items()
+        },
+    )
+    made = with_belt(BENCH).simulate(GAP_RAD, rotations=3, start_angle_rad=0.7, seed=4, name="one")
+    unknowns = direct_unknowns(sheet, ["one"], (1e-4, 1e-2))
+    nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
+    part = elastic_part(nominal, nominal)
+    assert part is not None
+    assert part.name == "belt"
+    assert part.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
+    place = part.fit.model.index(GAP, "one")
+    z = (part.fit.point[place] - math.log(GAP_RAD)) / math.sqrt(part.fit.covariance[place, place])
+    assert abs(z) < 3.0
+    assert part.fit.chi_square < nominal.chi_square - 30.0
+
+
+def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
+    assert elastic_part(nominal := pair(BENCH), nominal) is None
