@@ -25,6 +25,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS, drift_of
+from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import TAILS, DirectPosterior
@@ -490,7 +492,9 @@ def _fitted_from(
 ) -> SimulatedFit | None:
     """Fitted from where all is linear, or nearer by halves where that cannot be simulated."""
     for _ in range(MOST_HALVES):
-        start = np.clip(np.concatenate([fit.point, centres + by]), model.low, model.high)
+        start = np.concatenate([fit.point, centres + by])
+        # What is linear may promise less than none of a law.
+        start = np.clip(start, model.low, model.high)
         if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
             return fit_simulated(model, start, fit.steps)
         by = 0.5 * by
@@ -580,7 +584,10 @@ def elastic_part(nominal: SimulatedFit, fit: SimulatedFit) -> ElasticPart | None
     tried = sum(len(c.starts) for c in parts)
     rough = [e for e in (_fitted_part(fit, part, tried) for part in parts) if e is not None]
     least = min((e.fit.chi_square for e in rough), default=0.0)
-    fitted = [polished(e) for e in rough if e.fit.chi_square < least + CLOSE]
+    fitted = []
+    for close in (e for e in rough if e.fit.chi_square < least + CLOSE):
+        with suppress(BenchError):
+            fitted.append(polished(close))
     weights = [0.0]
     for found in fitted:
         gain = 0.5 * (fit.chi_square - found.fit.chi_square)
