@@ -384,11 +384,15 @@ def fit_jointly(
     fit, rest = settled(nominal, among)
     part = None if moving else elastic_part(nominal, fit)
     if part is not None:
-        among = [*among, *part.directions]
-        fit, rest = settled(part.fit, among)
+        wider = [*among, *part.directions]
+        with_part, beside_part = settled(part.fit, wider)
+        check = disagreements(beside_part.explained(with_part))
+        if agrees(check, FALSE_ALARM):
+            joint = changed_beside(with_part, wider, part)
+            return JointFit(nominal, with_part, beside_part, joint, tuple(check))
     check = disagreements(rest.explained(fit))
     if agrees(check, FALSE_ALARM):
-        joint = changed_beside(fit, among, part)
+        joint = changed_beside(fit, among)
         return JointFit(nominal, fit, rest, joint, tuple(check))
     seeking = of_stage(progress, f"Seeking changes in {name}")
     fit, joint = find_changes(fit, among=among, progress=seeking)

@@ -125,6 +125,8 @@ class Direction:
         Smallest size that the simulator takes without tiny steps.
     effect
         Of the catalogue, where the bench has none such.
+    is_fitted
+        The bench has its most probable value already.
     """
 
     slot: str
@@ -134,6 +136,7 @@ class Direction:
     positive: bool = False
     least: float = 0.0
     effect: str | None = None
+    is_fitted: bool = False
 
     @property
     def size(self) -> float:
@@ -309,6 +312,8 @@ class Beside:
         far: list[Label] = []
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             first = label.directions[0]
+            if first.is_fitted:
+                continue
             # Less than none of a law is none of it, but something else: that stays linear.
             lacks = first.effect is not None and first.is_not_negative
             at = float(drawn[:, 0].mean() if lacks else abs(drawn[:, 0].mean()))
@@ -616,7 +621,8 @@ def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> 
     model = nominal.model.beside(bench.with_effects(*bench.effects, effect), ())
     alone = fit_simulated(model, found.fit.point[:own], found.fit.steps[:own])
     directions = tuple(
-        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0) for u in part.unknowns
+        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0, is_fitted=True)
+        for u in part.unknowns
     )
     return ElasticPart(alone, directions, values, sds, probability)
 
