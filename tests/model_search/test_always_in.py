@@ -11,13 +11,14 @@ import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effects import EFFECT_BY_NAME
+from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS, DEFAULT_DRIFT, PARAMETER_INFO, drift_of
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
-from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import direct_unknowns
+from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
+from bayesbl.measurement.direct_route import direct_unknowns, fit_jointly
 from bayesbl.model_search.always_in import beside, directions, elastic_part, laws, settled
 
 BENCH = reference_bench()
@@ -202,3 +203,47 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
 
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
     assert elastic_part(nominal := pair(BENCH), nominal) is None
+
+
+def test_friction_that_the_bench_lacks_moves_no_gap() -> None:
+    """Friction at the load moves the flank changes, that of the motor the current's mean."""
+    friction = (
+        BenchEffect(
+            "load_viscous_friction", {"coefficient_nm_s_per_rad": EffectParameterValue(6.0)}
+        ),
+        BenchEffect("motor_coulomb_friction", {"torque_nm": EffectParameterValue(0.12)}),
+    )
+    made = BENCH.with_effects(*friction)
+    gaps_rad = {"before": 7e-4, "after": 9e-4}
+    rng = np.random.default_rng(20261126)
+    seen = [
+        observed(made.simulate(gap, rotations=3, seed=rng, name=name), BENCH)
+        for name, gap in gaps_rad.items()
+    ]
+    found = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    assert found.joint.explained
+    assert not found.joint.changed
+    for name, gap in gaps_rad.items():
+        place = found.fit.model.index(GAP, name)
+        sd = math.sqrt(found.fit.covariance[place, place])
+        assert abs(found.fit.point[place] - math.log(gap)) < 3.5 * sd
+        assert sd < 0.01
+
+
+def test_no_drift_takes_a_parameter_below_zero_that_its_tolerance_lowers() -> None:
+    nominal = BENCH.value(STIFFNESS)
+    bench = replace(
+        BENCH, parameters={**BENCH.parameters, STIFFNESS: BenchParameter(nominal, 0.25 * nominal)}
+    )
+    fit = pair(BENCH)
+    unknowns = [
+        Unknown(STIFFNESS, 0.75 * nominal, 1.25 * nominal),
+        Unknown(STIFFNESS, -nominal, sd=0.01 * nominal, recording="after", added=True),
+    ]
+    model = fit.model.beside(bench, unknowns)
+    point = np.array([*fit.point, 0.75 * nominal, -0.9 * nominal])
+    before, after = (
+        float(model.vectors(point[None], seen)[0, Slot[STIFFNESS]]) for seen in model.recordings
+    )
+    assert before == pytest.approx(0.75 * nominal)
+    assert after == pytest.approx(0.1 * before)
