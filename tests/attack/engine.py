@@ -399,7 +399,9 @@ def _harm(
         if after.get(name) != content and not _is_output(name, outputs):
             yield HARM, f"{name} was {'changed' if name in after else 'deleted'}"
     for name in after.keys() - before.keys():
-        hidden = name.rpartition("/")[2].startswith(".") and not name.startswith(KEPT)
+        # Every group of a Zarr store has hidden files of its format.
+        hidden = name.rpartition("/")[2].startswith(".") and ".zarr/" not in name
+        hidden = hidden and not name.startswith(KEPT)
         if hidden and not _is_output(name, outputs):
             yield OTHER, f"{name} is left behind"
 
