@@ -257,7 +257,7 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
         places = tuple(_resonances(bench, effect, effect.resonance))
         return replace(
             Candidate(effect.name, "effect", unknowns, neutral, places),
-            unknowns=tuple(_near(unknowns, places)),
+            unknowns=tuple(_near(effect, unknowns, places)),
             effect=_neutral_effect(effect),
             usual=_usual(bench, effect, [p.name for p in sought]),
         )
@@ -304,14 +304,23 @@ def _resonances(bench: Bench, effect: Effect, at: Resonance) -> Iterator[FloatAr
             yield np.array([values[p.name] for p in effect.parameters])
 
 
-def _near(unknowns: Sequence[Unknown], places: Sequence[FloatArray]) -> Iterator[Unknown]:
-    """Ranges from a part that is four times stiffer than the stiffest of a grid, and what swings
-    from a quarter of its smallest: beyond that it hardly shows and costs the simulator tiny steps.
+def _near(
+    effect: Effect, unknowns: Sequence[Unknown], places: Sequence[FloatArray]
+) -> Iterator[Unknown]:
+    """Ranges about a grid: from four times stiffer than the stiffest to four times softer than the
+    softest, and what swings from a quarter of its smallest.
+
+    What is stiffer hardly shows and costs the simulator tiny steps.
     """
-    least = 0.25 * np.min(places, axis=0)
-    for unknown, low in zip(unknowns, least, strict=True):
-        spread = len({float(place[unknowns.index(unknown)]) for place in places}) > 1
-        yield replace(unknown, low=max(unknown.low, float(low))) if spread else unknown
+    least, most = 0.25 * np.min(places, axis=0), 4.0 * np.max(places, axis=0)
+    columns = zip(unknowns, effect.parameters, np.transpose(places), least, most, strict=True)
+    for unknown, parameter, values, low, high in columns:
+        if isinstance(parameter, Amplitude):
+            yield replace(unknown, low=float(low), high=float(high))
+        elif np.ptp(values) > 0.0:
+            yield replace(unknown, low=max(unknown.low, float(low)))
+        else:
+            yield unknown
 
 
 def _usual(bench: Bench, effect: Effect, names: Sequence[str]) -> FloatArray:
