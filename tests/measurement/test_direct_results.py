@@ -24,10 +24,10 @@ from bayesbl.runs.kinds import declared_groups
 pytestmark = pytest.mark.long
 
 KNOWN, TOLERANCES = CONFIGS / "bench.toml", CONFIGS / "bench_tolerances.toml"
-FRICTION = """
+OFFSET = """
 [[effects]]
-name = "load_coulomb_friction"
-parameters = {torque_nm = {value = 15.0, sd = 0.4}}
+name = "load_torque_offset"
+parameters = {torque_nm = {value = -15.0, sd = 0.4}}
 """
 
 
@@ -87,8 +87,9 @@ def test_a_fit_answers_with_the_keys_of_the_contract(fit):
     delta = found["delta_rad"]
     # Fails by chance in 1 of 10 000: four standard deviations on either side.
     assert abs(delta["median"] - 8e-4) < 4.0 * found["posterior_sd"]["delta_rad"]
-    assert {"start_angle_rad"} == set(found["parameters"])
-    assert set(found["budget"]) == {"noise", "laws_and_drift"}
+    friction = {f"{side}_viscous_friction__coefficient_nm_s_per_rad" for side in ("motor", "load")}
+    assert {"start_angle_rad", *friction} == set(found["parameters"])
+    assert set(found["budget"]) == {"noise", "laws_and_drift", "bench"}
     assert sum(found["budget"].values()) == pytest.approx(1.0)
     assert found["noise"]["kind"] == "ar"
     assert found["noise"]["sd_a"] == pytest.approx(0.05, rel=0.1)
@@ -157,6 +158,7 @@ def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):
         "gap",
         "amplitude_to_gap",
         "corner",
+        "misfit",
     }
     assert run("figures", fit) == 0
 
@@ -215,29 +217,39 @@ def test_where_something_shakes_the_joint_the_amplitude_answers_and_says_why(
 
 
 def test_an_effect_that_the_bench_lacks_withholds_the_answer(folder, no_figures, capsys):
-    effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
-    file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")
+    effect = BenchEffect("load_torque_offset", {"torque_nm": EffectParameterValue(-15.0)})
+    file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "offset")
     options = ["--route", "direct", "--config", two_ensembles(folder, "fit")]
     refused = ["--bench", KNOWN, "--out", folder / "refused"]
     assert run("fit", file, *options, *refused) == cli.WITHHELD
     found = summary(folder / "refused")
     assert found["delta_rad"] is None
-    assert "load_coulomb_friction.torque_nm" in found["reason"]["text"]
+    assert "load_torque_offset.torque_nm" in found["reason"]["text"]
     assert "bayesbl diagnose" in found["reason"]["text"]
     assert not found["model_check"]["agrees"]
     assert np.isfinite(read_tree(folder / "refused")["gap"]["delta_rad"].values).all()
     assert "withheld" in capsys.readouterr().out
 
     completed = folder / "completed.toml"
-    completed.write_text(KNOWN.read_text() + FRICTION)
+    completed.write_text(KNOWN.read_text() + OFFSET)
     answered = ["--bench", completed, "--out", folder / "answered"]
     assert run("fit", file, *options, *answered) == 0
     found = summary(folder / "answered")
     sd = found["posterior_sd"]["delta_rad"]
     # Fails by chance in 1 of 10 000.
     assert abs(found["delta_rad"]["median"] - 8e-4) < 4.0 * sd
-    torque = found["parameters"]["load_coulomb_friction__torque_nm"]
-    assert 14.0 < torque["low"] < torque["high"] < 16.0
+    torque = found["parameters"]["load_torque_offset__torque_nm"]
+    assert -16.0 < torque["low"] < torque["high"] < -14.0
+
+
+def test_friction_that_the_bench_lacks_is_part_of_the_answer(folder, no_figures):
+    effect = BenchEffect("load_coulomb_friction", {"torque_nm": EffectParameterValue(15.0)})
+    file = written(folder, load_bench(KNOWN).with_effects(effect), 8e-4, 4, "friction")
+    options = ["--route", "direct", "--config", two_ensembles(folder, "fit"), "--bench", KNOWN]
+    assert run("fit", file, *options, "--out", folder / "friction") == 0
+    found = summary(folder / "friction")
+    # Fails by chance in 1 of 10 000.
+    assert abs(found["delta_rad"]["median"] - 8e-4) < 4.0 * found["posterior_sd"]["delta_rad"]
 
 
 def test_what_changed_in_one_recording_is_no_parameter_of_the_other(folder, no_figures, capsys):
