@@ -15,10 +15,11 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, field_validator
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -69,13 +70,25 @@ CLEAR = 100.0
 
 
 class Row(BaseModel):
-    """``laws``: how many are hidden at once."""
+    """``laws``: how many are hidden at once, or their names in every case."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     cases: PositiveInt
-    laws: PositiveInt = Field(le=3)
+    laws: Annotated[int, Field(ge=1, le=3)] | tuple[str, ...]
+
+    @field_validator("laws")
+    @classmethod
+    def _are_laws(cls, laws: int | tuple[str, ...]) -> int | tuple[str, ...]:
+        if not isinstance(laws, int) and not (laws and set(laws) <= set(LAWS)):
+            raise ValueError(f"laws must be among {', '.join(LAWS)}")
+        return laws
+
+    @property
+    def count(self) -> int:
+        """Laws hidden at once."""
+        return self.laws if isinstance(self.laws, int) else len(self.laws)
 
 
 COLUMNS = {
@@ -111,8 +124,11 @@ def count(row: Row) -> int:
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str, float]:
     """One dataset, diagnosed and compared with the truth."""
     generator = np.random.default_rng(seed)
-    laws = [list(LAWS)[index % len(LAWS)]] if row.laws == 1 else []
-    if not laws:
+    if not isinstance(row.laws, int):
+        laws = list(row.laws)
+    elif row.laws == 1:
+        laws = [list(LAWS)[index % len(LAWS)]]
+    else:
         laws = [str(name) for name in generator.choice(list(LAWS), row.laws, replace=False)]
     strengths = 10.0 ** generator.uniform(-0.5, 0.5, len(laws))
     settings = {
@@ -182,7 +198,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     line |= {
         "clear": float(clear.sum()),
         "right_of_clear": _mean(column["right"][clear] >= 1.0),
-        "all_right_of_clear": _mean(column["right"][clear] >= row.laws),
+        "all_right_of_clear": _mean(column["right"][clear] >= row.count),
         "right_or_learned_of_clear": _mean(
             (column["right"] >= 1.0)[clear] | (some & (column["closed_held_out"] >= 0.8))[clear]
         ),
@@ -204,7 +220,7 @@ def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
     # What a law's form leaves, and does to δ.
     error = np.log(column["delta_ratio_after"])
     moved = np.log(column["delta_ratio_before"]) - error
-    for law in SHAFT_LAWS if row.laws == 1 else ():
+    for law in SHAFT_LAWS if row.count == 1 else ():
         of_law = column["truth"] == float(1 << list(LAWS).index(law))
         of_law &= np.isfinite(column["form_share"]) & np.isfinite(error)
         line[f"{law}: form_share_max"] = float(np.max(column["form_share"][of_law], initial=0.0))
