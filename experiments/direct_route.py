@@ -28,12 +28,7 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import agrees, disagreements
-from bayesbl.matching.signals import (
-    GAP,
-    gap_unknown,
-    start_angle_unknown,
-    tolerance_unknowns,
-)
+from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown, tolerance_unknowns
 from bayesbl.matching.surrogate import simulated_chi_square
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.importance import effective_size

@@ -37,12 +37,7 @@ from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum, local_search
 from bayesbl.ringing.search import refine
-from bayesbl.ringing.symbols import (
-    ROTATION,
-    WINDOW_END,
-    WINDOW_START,
-    DisturbanceModel,
-)
+from bayesbl.ringing.symbols import ROTATION, WINDOW_END, WINDOW_START, DisturbanceModel
 from bayesbl.ringing.table_2 import (
     same_pulses,
     search_as_printed,

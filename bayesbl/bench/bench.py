@@ -15,13 +15,7 @@ import numpy as np
 
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.kernel import (
-    CURRENT,
-    POSITION,
-    SLOTS,
-    SPEED,
-    Slot,
-)
+from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (

@@ -9,48 +9,19 @@ at the load are the same law.
 
 from __future__ import annotations
 
-from collections.abc import (
-    Mapping,
-    Sequence,
-)
-from dataclasses import (
-    dataclass,
-    field,
-    replace,
-)
-from functools import (
-    cached_property,
-    partial,
-)
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
-from scipy.optimize import (
-    least_squares,
-)
+from scipy.optimize import least_squares
 
-from bayesbl.bench.bench import (
-    Bench,
-)
-from bayesbl.bench.effect_declaration import (
-    EffectParameter,
-    Shape,
-)
-from bayesbl.bench.effects import (
-    EFFECTS,
-    effect_named,
-)
-from bayesbl.bench.kernel import (
-    MOTOR_ANGLE,
-    MOTOR_SPEED,
-    STATES,
-    Slot,
-)
-from bayesbl.bench.learned import (
-    LearnedTorque,
-)
-from bayesbl.bench.simulation import (
-    simulate_states,
-)
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.effect_declaration import EffectParameter, Shape
+from bayesbl.bench.effects import EFFECTS, effect_named
+from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
+from bayesbl.bench.learned import LearnedTorque
+from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
@@ -59,10 +30,7 @@ from bayesbl.diagnosis.comparison import (
     Piece,
     TestedEffect,
 )
-from bayesbl.diagnosis.diagnosis import (
-    Diagnosis,
-    LearnedAnswer,
-)
+from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
 from bayesbl.diagnosis.inference import (
     MOST_EFFECTS,
     Coefficients,
@@ -71,9 +39,7 @@ from bayesbl.diagnosis.inference import (
     diagnose,
     learned_answer,
 )
-from bayesbl.diagnosis.rigid.inverse import (
-    TORQUE_TERMS,
-)
+from bayesbl.diagnosis.rigid.inverse import TORQUE_TERMS
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -84,29 +50,12 @@ from bayesbl.diagnosis.rigid.preparation import (
     require_rigid,
     unknown_parameters,
 )
-from bayesbl.diagnosis.task import (
-    Task,
-    notes_of,
-    refused,
-    wanted,
-)
-from bayesbl.errors import (
-    BenchError,
-    RecordingError,
-)
-from bayesbl.progress import (
-    StageProgress,
-)
-from bayesbl.recording.types import (
-    MOTOR_POSITION,
-    FloatArray,
-)
-from bayesbl.recording.types import (
-    MOTOR_SPEED as SPEED_CHANNEL,
-)
-from bayesbl.units import (
-    RPM_PER_RAD_PER_S,
-)
+from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
+from bayesbl.errors import BenchError, RecordingError
+from bayesbl.progress import StageProgress
+from bayesbl.recording.types import MOTOR_POSITION, FloatArray
+from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 ACCURACY = 1e-7
 """Largest error of the simulated speed, as a share of the largest speed.

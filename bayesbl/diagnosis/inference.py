@@ -7,42 +7,18 @@ everything in it leaves it, then as the average over the posterior does.
 from __future__ import annotations
 
 import math
-from collections.abc import (
-    Callable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
-from dataclasses import (
-    dataclass,
-    replace,
-)
-from functools import (
-    cached_property,
-)
-from typing import (
-    Protocol,
-)
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from bayesbl.bench.bench import (
-    Bench,
-)
-from bayesbl.bench.effect_declaration import (
-    ORDER,
-    PHASE,
-)
-from bayesbl.bench.effects import (
-    effect_named,
-)
-from bayesbl.bench.learned import (
-    LearnedTorque,
-    Variable,
-)
-from bayesbl.bench.parameters import (
-    PARAMETER_INFO,
-)
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.effect_declaration import ORDER, PHASE
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.learned import LearnedTorque, Variable
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
@@ -61,39 +37,14 @@ from bayesbl.diagnosis.diagnosis import (
     PieceSignals,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import (
-    PieceResiduals,
-    disagreement_table,
-    piece_residuals,
-)
-from bayesbl.diagnosis.residual_noise import (
-    ResidualNoise,
-)
-from bayesbl.diagnosis.residuals.unexplained import (
-    Unexplained,
-    What,
-)
-from bayesbl.model_search.constants import (
-    EXPECTED_HYPOTHESES,
-    LEARNED_SHARE,
-    NAMED_AT,
-)
-from bayesbl.model_search.linear import (
-    DiscrepancyGroup,
-    Linearised,
-    Priors,
-    Term,
-    search,
-)
-from bayesbl.progress import (
-    StageProgress,
-)
-from bayesbl.recording.types import (
-    FloatArray,
-)
-from bayesbl.units import (
-    unit_of,
-)
+from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
+from bayesbl.diagnosis.residual_noise import ResidualNoise
+from bayesbl.diagnosis.residuals.unexplained import Unexplained, What
+from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
+from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
+from bayesbl.progress import StageProgress
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import unit_of
 
 SURE_PARAMETER = 3.0
 """Standard deviations beyond which a value is told: three in a thousand by chance."""

@@ -12,13 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from bayesbl.noise.rotation_noise import (
-    HIGHEST_ORDER,
-    bic,
-    burg,
-    innovation_share,
-    log_variances,
-)
+from bayesbl.noise.rotation_noise import HIGHEST_ORDER, bic, burg, innovation_share, log_variances
 from bayesbl.recording.types import FloatArray
 
 AROUND = 25

@@ -33,12 +33,7 @@ from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import GAP
 from bayesbl.matching.standstill import believed, in_motion
-from bayesbl.model_search.catalogue import (
-    Candidate,
-    OrderPeak,
-    candidates,
-    order_peaks,
-)
+from bayesbl.model_search.catalogue import Candidate, OrderPeak, candidates, order_peaks
 from bayesbl.model_search.closed_loop import (
     FittedSet,
     NamedCandidate,

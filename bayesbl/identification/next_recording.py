@@ -12,13 +12,7 @@ import numpy as np
 from bayesbl.diagnosis.closed_loop.suggest import ROTATIONS, SPEED_SHARES
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
 from bayesbl.matching.observed import Observed, begin_of
-from bayesbl.matching.signals import (
-    GAP,
-    REFERENCE_DELAY,
-    START_ANGLE,
-    SimulatedSignals,
-    Unknown,
-)
+from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.recording.types import FloatArray
 
 NEAR_LIMIT = 0.95

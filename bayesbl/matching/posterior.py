@@ -30,9 +30,7 @@ from bayesbl.sampling.chains import (
     walk,
     walkers_needed,
 )
-from bayesbl.sampling.convergence import (
-    Diagnostics,
-)
+from bayesbl.sampling.convergence import Diagnostics
 from bayesbl.sampling.importance import (
     effective_size,
     independent_draws,

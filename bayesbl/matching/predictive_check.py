@@ -13,11 +13,7 @@ from functools import partial
 import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.loop_noise import (
-    degrees_of_freedom,
-    loop_noise,
-    rounded_rotations,
-)
+from bayesbl.matching.loop_noise import degrees_of_freedom, loop_noise, rounded_rotations
 from bayesbl.matching.observed import Observed, begin_of, whole_rotations
 from bayesbl.probabilities import chi2_isf, chi2_sf, f_sf
 from bayesbl.recording.types import ComplexArray, FloatArray

@@ -20,13 +20,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import after, effect_named, lateness_rad, without_ticks
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.parameters import PARAMETER_INFO, largest
-from bayesbl.matching.as_observed import (
-    accuracy_rpm,
-    continued,
-    in_whole_ticks,
-    repeats,
-    simulated,
-)
+from bayesbl.matching.as_observed import accuracy_rpm, continued, in_whole_ticks, repeats, simulated
 from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.simulation_cache import RecentSimulations

@@ -28,12 +28,7 @@ from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
-from bayesbl.measurement.joint_features import (
-    INTEGRAL,
-    PROPORTIONAL,
-    beside_bench,
-    harmonic_name,
-)
+from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,

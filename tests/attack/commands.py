@@ -10,17 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from attack.engine import (
-    DONE,
-    OTHER,
-    WITHHELD,
-    WRONG,
-    Ended,
-    Finding,
-    Group,
-    Skipped,
-    Trial,
-)
+from attack.engine import DONE, OTHER, WITHHELD, WRONG, Ended, Finding, Group, Skipped, Trial
 from attack.workshop import CONFIGURATIONS, put_configuration, put_inputs
 
 FIT = ("--config", "fit.toml", "--json")

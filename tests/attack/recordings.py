@@ -10,17 +10,7 @@ import numpy as np
 
 from attack.damage import BYTES, Damage
 from attack.engine import DONE, OTHER, SILENT, Ended, Finding, Group, Prepare, Trial
-from attack.workshop import (
-    CURRENT,
-    HEAD,
-    JOINT,
-    SHORT,
-    SPEED,
-    TIME,
-    Table,
-    example,
-    plain_csv,
-)
+from attack.workshop import CURRENT, HEAD, JOINT, SHORT, SPEED, TIME, Table, example, plain_csv
 
 CHECKED = HEAD.format(kind="fit") + JOINT + SHORT + '[[recordings]]\nname = "it"\nfile = "{file}"\n'
 FIT = ("run", "config.toml", "--json")

@@ -10,12 +10,7 @@ import pytest
 
 from bayesbl.bench import effects
 from bayesbl.bench.effect_declaration import ORDER, PHASE, Amplitude, Effect, Shape
-from bayesbl.bench.effects import (
-    EFFECT_BY_NAME,
-    EFFECTS,
-    repeat_each_rotation,
-    turn_with_the_motor,
-)
+from bayesbl.bench.effects import EFFECT_BY_NAME, EFFECTS, repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.learned import LEARNED_TERMS
 from bayesbl.bench.parameters import check_parameters

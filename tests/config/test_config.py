@@ -17,12 +17,7 @@ from places import BEFORE, CONFIGS
 from pydantic import ValidationError
 
 from bayesbl.config.kinds import StudyConfig
-from bayesbl.config.loading import (
-    OPTIONS,
-    config_from_options,
-    dump_config,
-    load_config,
-)
+from bayesbl.config.loading import OPTIONS, config_from_options, dump_config, load_config
 from bayesbl.config.measurement import CompareConfig, FitConfig, SnapshotConfig
 from bayesbl.errors import ConfigError, UserError
 from bayesbl.measurement.measurement import estimator_of

@@ -26,13 +26,7 @@ from bayesbl.diagnosis.task import Task
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import sample_direct
-from bayesbl.matching.signals import (
-    GAP,
-    START_ANGLE,
-    Unknown,
-    gap_unknown,
-    start_angle_unknown,
-)
+from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.model_search.catalogue import order_peaks
 from bayesbl.noise.process import NoiseModel
 from bayesbl.presentation.diagnosis import headline, residuals_in_words, wear

@@ -16,12 +16,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayesbl.bench.bench import (
-    Bench,
-    BenchEffect,
-    BenchParameter,
-    EffectParameterValue,
-)
+from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, JointNormal
 from bayesbl.bench.simulation import Measurement

@@ -17,12 +17,7 @@ from bayesbl.results.store import read_tree
 from bayesbl.ringing.covariance import Covariance
 from bayesbl.ringing.estimator import Estimator, PointEstimate
 from bayesbl.ringing.posterior import sample_posterior
-from bayesbl.ringing.symbols import (
-    AMPLITUDE,
-    DECAY,
-    FREQUENCY,
-    DisturbanceModel,
-)
+from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
 
 pytestmark = pytest.mark.long

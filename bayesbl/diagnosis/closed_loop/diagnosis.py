@@ -11,9 +11,7 @@ import numpy as np
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.diagnosis.closed_loop.findings import Findings, share_closed
 from bayesbl.diagnosis.closed_loop.learned_in_loop import answer_of
-from bayesbl.diagnosis.closed_loop.prediction import (
-    residuals_of,
-)
+from bayesbl.diagnosis.closed_loop.prediction import residuals_of
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,

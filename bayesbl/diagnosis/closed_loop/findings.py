@@ -13,10 +13,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, learned_term
-from bayesbl.diagnosis.closed_loop.prediction import (
-    SimulatedPair,
-    simulated_pairs,
-)
+from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, simulated_pairs
 from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
 from bayesbl.errors import BenchError
@@ -27,20 +24,9 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.model_search.always_in import beside, laws
 from bayesbl.model_search.catalogue import candidates
-from bayesbl.model_search.closed_loop import (
-    FittedSet,
-    Naming,
-    laws_of_shaft,
-    name_missing,
-    weighed,
-)
+from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, name_missing, weighed
 from bayesbl.model_search.constants import FALSE_ALARM, FORM_SHARE, UNEXPLAINED_SHARE
-from bayesbl.model_search.refit import (
-    Explanation,
-    nominal_explanation,
-    reduced,
-    with_own_noise,
-)
+from bayesbl.model_search.refit import Explanation, nominal_explanation, reduced, with_own_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 

@@ -14,12 +14,7 @@ from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.signals import (
-    SimulatedSignals,
-    Unknown,
-    shift_unknowns,
-    start_angle_unknown,
-)
+from bayesbl.matching.signals import SimulatedSignals, Unknown, shift_unknowns, start_angle_unknown
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 

@@ -16,56 +16,21 @@ of the recordings' own, so that a machine of any size has the same answer.
 from __future__ import annotations
 
 import math
-from collections.abc import (
-    Callable,
-    Hashable,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
-from dataclasses import (
-    dataclass,
-    field,
-    replace,
-)
-from functools import (
-    cached_property,
-    partial,
-)
-from types import (
-    MappingProxyType,
-)
-from typing import (
-    Any,
-)
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from scipy.optimize import (
-    minimize_scalar,
-)
-from scipy.stats import (
-    norm,
-)
+from scipy.optimize import minimize_scalar
+from scipy.stats import norm
 
-from bayesbl.bench.bench import (
-    Bench,
-    BenchEffect,
-    EffectParameterValue,
-)
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, RigidLaw, direction
-from bayesbl.bench.effects import (
-    EFFECTS,
-    effect_named,
-)
-from bayesbl.bench.kernel import (
-    LEARNED_HARMONICS,
-)
-from bayesbl.bench.learned import (
-    LearnedTorque,
-    Variable,
-    variable_of,
-)
+from bayesbl.bench.effects import EFFECTS, effect_named
+from bayesbl.bench.kernel import LEARNED_HARMONICS
+from bayesbl.bench.learned import LearnedTorque, Variable, variable_of
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
@@ -75,39 +40,13 @@ from bayesbl.diagnosis.comparison import (
     TestedEffect,
     least_squares,
 )
-from bayesbl.diagnosis.diagnosis import (
-    Diagnosis,
-    LearnedAnswer,
-)
-from bayesbl.diagnosis.inference import (
-    Coefficients,
-    Inference,
-    Series,
-    learned_answer,
-)
-from bayesbl.diagnosis.rigid.motion import (
-    END_PERIODS,
-    Motion,
-    Window,
-    noise_of,
-)
-from bayesbl.diagnosis.rigid.orders import (
-    FEWEST_CYCLES,
-    Line,
-    OrderedRest,
-    peaks,
-)
-from bayesbl.diagnosis.rigid.preparation import (
-    GRAVITY,
-    INERTIAS,
-    believed_sds,
-)
-from bayesbl.model_search.constants import (
-    NAMED_AT,
-)
-from bayesbl.recording.types import (
-    FloatArray,
-)
+from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
+from bayesbl.diagnosis.inference import Coefficients, Inference, Series, learned_answer
+from bayesbl.diagnosis.rigid.motion import END_PERIODS, Motion, Window, noise_of
+from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, Line, OrderedRest, peaks
+from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
+from bayesbl.model_search.constants import NAMED_AT
+from bayesbl.recording.types import FloatArray
 
 SKEW = "channel_time_skew"
 

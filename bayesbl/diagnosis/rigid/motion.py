@@ -16,32 +16,16 @@ that are nearly independent, so that no answer depends on how densely a recordin
 from __future__ import annotations
 
 import math
-from collections.abc import (
-    Callable,
-    Sequence,
-)
-from dataclasses import (
-    dataclass,
-    replace,
-)
-from typing import (
-    Any,
-)
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy import (
-    fft,
-)
-from scipy.interpolate import (
-    make_interp_spline,
-)
-from scipy.ndimage import (
-    binary_dilation,
-)
+from scipy import fft
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import binary_dilation
 
-from bayesbl.errors import (
-    RecordingError,
-)
+from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (
     MOTOR_POSITION,
     MOTOR_SPEED,
@@ -50,9 +34,7 @@ from bayesbl.recording.types import (
     FloatArray,
     Recording,
 )
-from bayesbl.units import (
-    RPM_PER_RAD_PER_S,
-)
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 FILTER_ORDER = 4
 FADE_PERIODS = 4.0

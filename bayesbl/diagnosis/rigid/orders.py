@@ -3,33 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import (
-    Sequence,
-)
-from dataclasses import (
-    dataclass,
-    replace,
-)
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import (
-    fft,
-)
-from scipy.ndimage import (
-    median_filter,
-)
-from scipy.optimize import (
-    minimize_scalar,
-)
-from scipy.stats import (
-    chi2,
-)
+from scipy import fft
+from scipy.ndimage import median_filter
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
 
-from bayesbl.recording.types import (
-    BoolArray,
-    ComplexArray,
-    FloatArray,
-)
+from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
 
 FEWEST_CYCLES = 3.0
 FEWEST_SAMPLES = 20

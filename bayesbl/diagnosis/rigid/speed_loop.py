@@ -16,52 +16,20 @@ and with the loop's own unknowns. Phases are free: where the motor starts is not
 from __future__ import annotations
 
 import math
-from collections.abc import (
-    Callable,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
-from dataclasses import (
-    dataclass,
-    field,
-    replace,
-)
-from functools import (
-    partial,
-)
-from typing import (
-    Literal,
-)
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Literal
 
 import numpy as np
-from scipy.ndimage import (
-    median_filter,
-)
-from scipy.optimize import (
-    least_squares,
-    minimize_scalar,
-)
-from scipy.special import (
-    gammaln,
-    logsumexp,
-)
-from scipy.stats import (
-    chi2,
-)
+from scipy.ndimage import median_filter
+from scipy.optimize import least_squares, minimize_scalar
+from scipy.special import gammaln, logsumexp
+from scipy.stats import chi2
 
-from bayesbl.bench.bench import (
-    Bench,
-)
-from bayesbl.bench.effect_declaration import (
-    HIGHEST_ORDER,
-    LOWEST_ORDER,
-)
-from bayesbl.diagnosis.comparison import (
-    Piece,
-    TestedEffect,
-)
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER
+from bayesbl.diagnosis.comparison import Piece, TestedEffect
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
@@ -72,56 +40,19 @@ from bayesbl.diagnosis.diagnosis import (
     probability_of,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import (
-    PieceResiduals,
-    disagreement_table,
-    piece_residuals,
-)
-from bayesbl.diagnosis.inference import (
-    MOST_EFFECTS,
-    parameter_errors,
-)
-from bayesbl.diagnosis.residuals.unexplained import (
-    Unexplained,
-)
-from bayesbl.diagnosis.rigid.motion import (
-    WIDEST,
-)
-from bayesbl.diagnosis.rigid.orders import (
-    FEWEST_CYCLES,
-)
-from bayesbl.diagnosis.rigid.preparation import (
-    even_recordings,
-    require_rigid,
-)
-from bayesbl.diagnosis.task import (
-    Task,
-    notes_of,
-    piece_of,
-    refused,
-    wanted,
-)
-from bayesbl.errors import (
-    ConfigError,
-    RecordingError,
-)
+from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
+from bayesbl.diagnosis.inference import MOST_EFFECTS, parameter_errors
+from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.rigid.motion import WIDEST
+from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES
+from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
+from bayesbl.diagnosis.task import Task, notes_of, piece_of, refused, wanted
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import INDISTINGUISHABLE_Z
-from bayesbl.progress import (
-    StageProgress,
-)
-from bayesbl.recording.moving import (
-    VARIES,
-    is_one_speed,
-)
-from bayesbl.recording.types import (
-    MOTOR_POSITION,
-    MOTOR_SPEED,
-    ComplexArray,
-    FloatArray,
-)
-from bayesbl.units import (
-    RPM_PER_RAD_PER_S,
-)
+from bayesbl.progress import StageProgress
+from bayesbl.recording.moving import VARIES, is_one_speed
+from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, ComplexArray, FloatArray
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 LOOP_PARAMETERS = (
     "motor_inertia_kg_m2",
