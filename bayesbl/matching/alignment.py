@@ -47,12 +47,14 @@ def fit_aligned(
     """
     noise = [noise_of(seen, seen.signals) for seen in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
+    if progress is not None:
+        progress(0, STARTS_FITTED + NOISE_ROUNDS)
     starts = _each_settled(model, aligned_starts(model))
     fits: list[SimulatedFit] = []
     for start in starts:
+        fits.append(fit_simulated(model, start, rough=True))
         if progress is not None:
             progress(len(fits), len(starts) + NOISE_ROUNDS)
-        fits.append(fit_simulated(model, start, rough=True))
     best = min(fits, key=lambda fit: fit.chi_square)
     best = replace(best, model=replace(model, noise=remaining_noise(best)))
     recordings = [_forgetful(best, i) for i in range(len(recordings))]

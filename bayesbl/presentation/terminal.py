@@ -15,6 +15,7 @@ import io
 import re
 import sys
 import textwrap
+import threading
 import time
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
@@ -134,17 +135,20 @@ def error(console: Console, problem: UserError) -> None:
 
 def print_blocks(blocks: Iterable[Block], console: Console) -> None:
     """Headings after an empty line, sentences broken between words, tables between empty lines."""
+    is_below_table = False
     for block in blocks:
+        if is_below_table or not isinstance(block, Sentence):
+            console.print()
+        is_below_table = isinstance(block, Table)
         match block:
             case Heading():
-                console.print()
                 _print_text(block.text, "", "bold", console)
             case Sentence():
                 _print_text(block.text, block.label, _STYLES[block.tone], console)
             case Table():
-                console.print()
                 print_table(block, console)
-                console.print()
+    if is_below_table:
+        console.print()
 
 
 def print_table(table: Table, console: Console) -> None:
@@ -213,8 +217,12 @@ def _print_row_by_row(table: Table, console: Console) -> None:
             console.print(Text(_INDENT + line), soft_wrap=True)
 
 
-EVERY_S = 20.0
-"""Between two lines in a pipe, and before the first: what ends sooner needs none."""
+SILENT_S = 2.0
+"""Longest silence in a pipe at first."""
+
+SILENT_SHARE = 0.1
+"""Of the time since the begin, that a silence grows to: a line more for each tenth that it lasts
+longer, so that the log of a day has a hundred lines."""
 
 
 @contextmanager
@@ -226,7 +234,8 @@ def progress(console: Console, *, of_cases: bool = False) -> Iterator[StageProgr
     """
     # Rich takes a pipe for a terminal where FORCE_COLOR asks for colours, as notebooks do.
     if not console.file.isatty():
-        yield _Lines(console)
+        with _Lines(console) as lines:
+            yield lines
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -241,19 +250,35 @@ def progress(console: Console, *, of_cases: bool = False) -> Iterator[StageProgr
 
 
 class _Lines:
-    """A line with the time since the begin, for logs."""
+    """For logs: what is being done and since when, said again before a silence becomes long.
+
+    From a thread, as imports, compilation and a single long step report nothing themselves.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._begin_s = self._last_s = time.monotonic()
+        self._begin_s = time.monotonic()
+        self._state = "Starting (on a new machine the simulator is compiled first)"
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._speak, name="progress", daemon=True)
+
+    def __enter__(self) -> _Lines:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
 
     def __call__(self, stage: str, done: int, count: int, /) -> None:
-        now_s = time.monotonic()
-        if now_s - self._last_s < EVERY_S:
-            return
-        self._last_s = now_s
-        line = f"{stage}: {done} of {count}, after {now_s - self._begin_s:.0f} s"
-        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self._state = f"{stage}: {done} of {count}"
+
+    def _speak(self) -> None:
+        lasting_s = 0.0
+        while not self._ended.wait(max(SILENT_S, SILENT_SHARE * lasting_s)):
+            lasting_s = time.monotonic() - self._begin_s
+            line = f"{self._state}, after {lasting_s:.0f} s"
+            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 class _Cases:
