@@ -40,6 +40,7 @@ from bayesbl.model_search.catalogue import (
 from bayesbl.model_search.constants import (
     FALSE_ALARM,
     FORM_SHARE,
+    HOPEFUL_SHARE,
     LEAVES_MOST,
     MEAN_SHARE,
     NAMED_AT,
@@ -241,6 +242,8 @@ class _Search:
     ) -> None:
         self._catalogue, self._most, self._among = candidates, most, among
         self._progress = progress
+        # One noise for all sets, as the recorder's is; and its simulation is dear.
+        self._noise = _loop_noise(nominal.fit)
         self._candidates = {c.key: c for c in candidates(order_peaks(nominal.fit))}
         self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
@@ -263,6 +266,8 @@ class _Search:
             if not best.explanation.candidates and self._is_far(self.best):
                 self._scan()
             self._shed()
+            if self._is_hopeless():
+                return
             if self.best is not best:
                 continue
             # What was added first may only have stood in for what came after it.
@@ -286,7 +291,7 @@ class _Search:
         for found in from_afar(self.nominal.explanation, list(self._candidates.values())):
             self._add(polished(found))
             # Where another law is missing too, alone it is drawn away again.
-            self._explore(weighed(found, self._among))
+            self._explore(weighed(found, self._among, self._noise))
 
     def answer(self) -> Naming:
         """Names by the one rule."""
@@ -342,6 +347,11 @@ class _Search:
         """What no hypothesis holds is more than a share of the disagreement."""
         share = own.misfit / max(self.nominal.excess, 1e-300)
         return share > UNEXPLAINED_SHARE and not own.explains_all
+
+    def _is_hopeless(self) -> bool:
+        """Whether a few hypotheses more cannot hold nearly all, as none yet holds anything much."""
+        least = min(own.misfit for own in self._sets.values())
+        return least > (1.0 - HOPEFUL_SHARE) * self.nominal.excess
 
     def _is_far(self, own: FittedSet) -> bool:
         """Whether what a bench lacks may have drawn the gap away from where it is.
@@ -448,7 +458,7 @@ class _Search:
         return self._sets[keys]
 
     def _weighed(self, explanation: Explanation) -> FittedSet:
-        own = weighed(explanation, self._among)
+        own = weighed(explanation, self._among, self._noise)
         own.log_evidence += self._log_odds * len(explanation.candidates)
         return own
 
@@ -471,7 +481,7 @@ class _Search:
                     usual = np.resize(usual, len(own))
                     parts.append(np.stack(own, axis=1) * usual)
                     shapes.append(_Shape(candidate, start, usual))
-        view = linearised(explanation, parts, self._among)
+        view = linearised(explanation, parts, self._among, self._noise)
         count: dict[str, int] = {}
         for shape in shapes:
             count[shape.candidate.label] = count.get(shape.candidate.label, 0) + 1
@@ -534,12 +544,17 @@ class _Search:
         return frozenset(found - {candidate.label})
 
 
-def weighed(explanation: Explanation, among: Sequence[Direction] = ()) -> FittedSet:
+def weighed(
+    explanation: Explanation,
+    among: Sequence[Direction] = (),
+    noise: Sequence[Sequence[FloatArray]] | None = None,
+) -> FittedSet:
     """A set with its evidence, all sets taken to be as likely beforehand.
 
-    ``among``: what is always beside it.
+    ``among``: what is always beside it; ``noise``: in the loop, as :func:`_loop_noise` of another
+    fit has it.
     """
-    view = linearised(explanation, (), among)
+    view = linearised(explanation, (), among, noise)
     alone = search(view, None, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
     scales = alone.models[0].scales
@@ -558,13 +573,17 @@ def weighed(explanation: Explanation, among: Sequence[Direction] = ()) -> Fitted
 
 
 def linearised(
-    explanation: Explanation, parts: Sequence[FloatArray], among: Sequence[Direction] = ()
+    explanation: Explanation,
+    parts: Sequence[FloatArray],
+    among: Sequence[Direction] = (),
+    noise: Sequence[Sequence[FloatArray]] | None = None,
 ) -> Linearised:
     """The view at a fit: a term for each of ``parts``, (N, k) each, then what is always there."""
     fit = explanation.fit
+    noise = _loop_noise(fit) if noise is None else noise
     labels, always = always_terms(fit, among) if among else ((), [])
     forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
-    view = _banded(fit, [*parts, *always], forms)
+    view = _banded(fit, [*parts, *always], forms, noise)
     own, beside = view.terms[: len(parts)], view.terms[len(parts) :]
     terms = [
         *own,
@@ -612,7 +631,10 @@ def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[Floa
 
 
 def _banded(
-    fit: SimulatedFit, parts: Sequence[FloatArray], forms: Sequence[FloatArray]
+    fit: SimulatedFit,
+    parts: Sequence[FloatArray],
+    forms: Sequence[FloatArray],
+    noise: Sequence[Sequence[FloatArray]],
 ) -> Linearised:
     """Derivatives, columns and residual of a fit by bands of load orders.
 
@@ -639,7 +661,6 @@ def _banded(
                 pieces[place].append(piece)
     first = d + sum(widths)
     several = sum(len(band) for band in pieces) if own else 0
-    noise = _loop_noise(fit)
     count = noise[0][0].shape[1] if noise else 0
     usual = {BANDS[0]: MEAN_SHARE * _largest_line(model)}
     blocks, bands, begin, at = [], [], 0, 0

@@ -48,6 +48,10 @@ FALSE_ALARM = 0.01
 UNEXPLAINED_SHARE = 0.05
 """Of the disagreement: what no hypothesis holds, from which on nothing is named."""
 
+HOPEFUL_SHARE = 0.1
+"""Of the disagreement: what the best of the sets tried first must hold, for a search to go on. The
+largest of three independent parts of a whole holds a third of it."""
+
 FORM_SHARE = 0.1
 """Of a law's own signal: what it may be off by for its form. Of eleven joints whose shaft follows
 Bouc-Wen's law, Dahl's left up to the square of that in χ²."""

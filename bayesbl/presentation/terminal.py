@@ -258,7 +258,7 @@ class _Lines:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._begin_s = time.monotonic()
-        self._state = "Starting (on a new machine the simulator is compiled first)"
+        self._state = "Starting"
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._speak, name="progress", daemon=True)
 

@@ -136,12 +136,9 @@ class ArrayTable:
             return np.asarray(filled, dtype=np.float64)
         if values.dtype.kind == "m":
             return np.asarray(values / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
-        if (
-            values.dtype.kind in "OSU"
-            and (numbers := self._number_in_text(values, column)) is not None
-        ):
-            return numbers
-        kinds = {"M": "dates", "c": "complex numbers", "O": "text", "S": "text", "U": "text"}
+        if values.dtype.kind in "OSU":
+            return self._number_in_text(values, column)
+        kinds = {"M": "dates", "c": "complex numbers"}
         raise RecordingError(
             "This column does not hold numbers.",
             file=self.file,
@@ -150,11 +147,9 @@ class ArrayTable:
             expected="real numbers",
         )
 
-    def _number_in_text(self, values: AnyArray, column: int) -> FloatArray | None:
-        """Numbers among cells of text; ``None`` where no cell holds one."""
+    def _number_in_text(self, values: AnyArray, column: int) -> FloatArray:
+        """Numbers among cells of text."""
         numbers = np.full(values.size, np.nan)
-        bad: int | None = None
-        good = 0
         for row, value in enumerate(values.tolist()):
             text = _text(value)
             if text == "":
@@ -163,18 +158,15 @@ class ArrayTable:
                 if "_" in text or not text.isascii():  # float() reads more than instruments write
                     raise ValueError
                 numbers[row] = float(text)
-                good += 1
             except ValueError:
-                bad = row if bad is None else bad
-        if bad is None or not good:
-            return numbers if bad is None else None
-        raise RecordingError(
-            "There is text in a column of numbers.",
-            file=self.file,
-            where=self.place(bad, column),
-            found=repr(shortened(_text(values[bad]))),
-            expected="a number",
-        )
+                raise RecordingError(
+                    "There is text in a column of numbers.",
+                    file=self.file,
+                    where=self.place(row, column),
+                    found=repr(shortened(text)),
+                    expected="a number",
+                ) from None
+        return numbers
 
     def plain_arrays(self) -> Iterator[AnyArray]:
         """Each column without Python's objects: numbers, dates, or text cut to a length."""

@@ -114,9 +114,15 @@ def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) ->
     return [channels.pop(TIME), *channels.values()]
 
 
+def _brackets_of(name: str) -> re.Match[str] | None:
+    """The brackets that hold a unit, else the last: an index may stand before, ``r61[0] [rpm]``."""
+    every = list(_BRACKETS.finditer(name))
+    return next((b for b in every if is_unit(spelled(b[1]))), every[-1] if every else None)
+
+
 def split_unit(name: str) -> tuple[str, str | None]:
     """A column's name without the unit in it, and the unit: ``n [rad/s]``, ``n_rad_per_s``."""
-    brackets = _BRACKETS.search(name)
+    brackets = _brackets_of(name)
     bare = name[: brackets.start()] + name[brackets.end() :] if brackets else name
     unit = spelled(brackets[1]) if brackets else ""
     tail = _PER_SECOND.search(bare)
@@ -132,7 +138,7 @@ def unknown_unit(name: str) -> str | None:
     """
     if split_unit(name)[1] is not None:
         return None
-    brackets = _BRACKETS.search(name)
+    brackets = _brackets_of(name)
     if brackets:
         text = brackets[1].strip()
         looks = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")

@@ -58,6 +58,14 @@ _MOTOR = "motor mot m"
 _SIDES = f"{_REFERENCE} {_MOTOR} load"
 """What groups of one joint's columns are called: none of them is a joint."""
 
+_STEMS = frozenset(
+    word
+    for words in (*_NAMES_OF.values(), _REFERENCE, _LOAD, _MOTOR, "ist act actual value wert")
+    for word in words.split()
+    if len(word) > 2
+)
+"""What compounds are made of."""
+
 NO_UNIT = "no unit found: check it"
 """Reason for a unit that nothing in the file supports."""
 
@@ -302,19 +310,22 @@ def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
     if column.unit == UNKNOWN:
         return column
     rpm = float(np.nanmean(np.abs(values))) * conversion_factor(MOTOR_SPEED, column.unit)
-    if not column.sure or rpm >= _USUAL_SPEEDS_RPM[0]:
+    if rpm >= _USUAL_SPEEDS_RPM[0]:
         return column
     reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
+    if not column.sure:
+        reason += " Or is this unit wrong?"
     return replace(column, reason=reason, doubted=True)
 
 
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None, str | None]:
     """Words of a name in small letters, the unit that it or the file states, and an unknown one."""
     bare, in_name = split_unit(name)
-    parts = _split(bare)
     unit = _known_unit(table.unit(index)) or in_name
-    if unit is None and len(parts) > 1:
-        unit = _known_unit(parts[-1], also_small=True)
+    # Whole before in parts: of "n 1/min" and "current_mA" the last part alone is another unit.
+    for ends in (bare.split(), re.split(r"[\W_]+", bare.strip()), _split(bare)):
+        if unit is None and len(ends) > 1:
+            unit = _known_unit(ends[-1], also_small=True)
     stated = (table.unit(index) or "").strip() or None
     unknown = None if unit else stated or unknown_unit(name)
     words = _words(bare)
@@ -331,8 +342,19 @@ def _split(text: str) -> list[str]:
 
 
 def _words(text: str) -> frozenset[str]:
-    """Words in small letters, without the numbers at their ends."""
-    return frozenset(re.sub(r"\d+$", "", part.lower()) or part for part in _split(text))
+    """Words in small letters, without the numbers at their ends, compounds in their parts."""
+    words = (re.sub(r"\d+$", "", part.lower()) or part for part in _split(text))
+    return frozenset(part for word in words for part in _parts_of(word))
+
+
+def _parts_of(word: str) -> tuple[str, ...]:
+    """A word as a compound of known ones, ``drehzahlistwert``; itself where it is none."""
+    if word in _STEMS:
+        return (word,)
+    for end in range(len(word) - 2, 2, -1):
+        if word[:end] in _STEMS and all(p in _STEMS for p in _parts_of(word[end:])):
+            return (word[:end], *_parts_of(word[end:]))
+    return (word,)
 
 
 def _known_unit(text: str | None, *, also_small: bool = False) -> str | None:
@@ -410,33 +432,52 @@ def _units(
         seconds, angle = factor * values[TIME][good], values[MOTOR_POSITION][good]
         lasted = seconds[-1] - seconds[0] if seconds.size else 0.0
         rate = abs(angle[-1] - angle[0]) / lasted if lasted else 0.0  # time may stand still
-        pair = _agreeing(chosen, speed, float(rate), MOTOR_POSITION, RPM_PER_RAD_PER_S)
-        if pair:
-            found |= {channel: (unit, "speed and position then agree") for channel, unit in pair}
+        pairs = _agreeing(chosen, speed, float(rate), MOTOR_POSITION, RPM_PER_RAD_PER_S)
+        found |= _of_position(pairs)
     if REFERENCE_SPEED in values:
         asked = float(np.nanmean(np.abs(values[REFERENCE_SPEED])))
-        if MOTOR_SPEED in found:
-            speed *= conversion_factor(MOTOR_SPEED, found[MOTOR_SPEED][0])
+        if known := found.get(MOTOR_SPEED):
+            speed *= conversion_factor(MOTOR_SPEED, known[0])
             fixed = {**chosen, MOTOR_SPEED: replace(chosen[MOTOR_SPEED], unit="rpm")}
-            pair = _agreeing(fixed, speed, asked, REFERENCE_SPEED, 1.0)[1:]
+            found |= _of_reference(_agreeing(fixed, speed, asked, REFERENCE_SPEED, 1.0))
+            found[MOTOR_SPEED] = known
         else:
-            pair = _agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0)
-        found |= {channel: (unit, "speed and reference then agree") for channel, unit in pair}
+            found |= _of_reference(_agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0))
     return found
+
+
+def _of_position(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """Units of speed and position. Of those that agree alike the numbers tell none: joints are
+    logged in rad."""
+    if not pairs:
+        return {}
+    speed, angle = ("rad/s", "rad") if ("rad/s", "rad") in pairs else pairs[0]
+    reason = "speed and position then agree"
+    if len(pairs) > 1:
+        others = " or ".join(theirs for _, theirs in pairs if theirs != angle)
+        reason = f"no unit found, and speed and position agree in {others} too: check it"
+    return {MOTOR_SPEED: (speed, reason), MOTOR_POSITION: (angle, reason)}
+
+
+def _of_reference(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """Units of speed and reference, which nearly always have the same."""
+    reason = "speed and reference then agree"
+    first = next(iter(pairs), ())
+    return {c: (u, reason) for c, u in zip((MOTOR_SPEED, REFERENCE_SPEED), first, strict=False)}
 
 
 def _agreeing(
     chosen: Mapping[str, _Named], speed: float, other: float, channel: str, scale: float
 ) -> list[tuple[str, str]]:
-    """Units of speed and another channel in which both agree and are usual; else nothing."""
+    """Units of speed and another channel in which both agree, those of a usual speed first."""
+    found: list[tuple[bool, str, str]] = []
     for mine in _possible(MOTOR_SPEED, chosen[MOTOR_SPEED]):
         rpm = speed * conversion_factor(MOTOR_SPEED, mine)
         for theirs in _possible(channel, chosen[channel]):
             compared = other * conversion_factor(channel, theirs) * scale
-            usual = _USUAL_SPEEDS_RPM[0] <= rpm <= _USUAL_SPEEDS_RPM[1]
-            if usual and abs(compared / rpm - 1.0) <= _AGREEMENT:
-                return [(MOTOR_SPEED, mine), (channel, theirs)]
-    return []
+            if 0.0 < rpm <= _USUAL_SPEEDS_RPM[1] and abs(compared / rpm - 1.0) <= _AGREEMENT:
+                found.append((rpm < _USUAL_SPEEDS_RPM[0], mine, theirs))
+    return [(mine, theirs) for _, mine, theirs in sorted(found, key=lambda pair: pair[0])]
 
 
 def _possible(channel: str, column: _Named) -> Iterable[str]:

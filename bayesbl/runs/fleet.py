@@ -254,6 +254,8 @@ def _finish(
     options.say(f"{new} recordings to measure, {len(lacking)} of {len(jobs)} joints to look at.")
     level = Level(config.interval.level, config.interval.kind)
     done = len(jobs) - len(lacking)
+    if options.progress is not None:
+        options.progress("Joints", done, len(jobs))
     for job, (answers, wear) in _measured(config, lacking, options.say):
         addresses = []
         for number, answer in enumerate(answers):

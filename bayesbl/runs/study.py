@@ -614,6 +614,9 @@ def _finish(
     jobs = [job for row in rows for job in row.jobs(config.run.seed)]
     if not jobs:
         return
+    if options.progress is not None:
+        row = by_name[jobs[0].row]
+        options.progress(row.name, len(row.cases), row.count)
     if config.run.scheduler is None:
         ended = run_in_processes(study, jobs, git_commit(), config.run.workers)
     else:

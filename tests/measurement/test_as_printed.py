@@ -48,7 +48,7 @@ def test_a_search_that_ended_elsewhere_is_told_and_gives_no_gap(
     ended, summary = fitted(tmp_path, method, 0)
     assert ended == 3
     assert summary["delta_rad"] is None
-    assert "ended elsewhere" in summary["reason"]["text"]
+    assert "missed the best fit" in summary["reason"]["text"]
     assert 'method = "guess"' in summary["reason"]["text"]
     found = summary["box_search"]
     assert found["has_pulses_of_optimum"] == 0.0

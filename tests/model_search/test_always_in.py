@@ -19,7 +19,14 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import direct_unknowns, fit_jointly
-from bayesbl.model_search.always_in import beside, directions, elastic_part, laws, settled
+from bayesbl.model_search.always_in import (
+    Direction,
+    beside,
+    directions,
+    elastic_part,
+    laws,
+    settled,
+)
 
 BENCH = reference_bench()
 GAP_RAD = 8e-4
@@ -247,3 +254,20 @@ def test_no_drift_takes_a_parameter_below_zero_that_its_tolerance_lowers() -> No
     )
     assert before == pytest.approx(0.75 * nominal)
     assert after == pytest.approx(0.1 * before)
+
+
+def test_a_law_at_the_end_of_its_range_has_its_slope_from_within() -> None:
+    arm = {"compliance_rad_per_nm": 2e-5, "inertia_share": 0.3}
+    (damping,) = [p for p in EFFECT_BY_NAME["arm"].shapes if p.name == "damping_time_s"]
+    sizes = []
+    for value in (damping.high, 0.9 * damping.high):
+        parameters = {n: EffectParameterValue(v) for n, v in arm.items()}
+        parameters[damping.name] = EffectParameterValue(value)
+        bench = BENCH.with_effects(BenchEffect("arm", parameters))
+        seen = observed(
+            bench.simulate(GAP_RAD, rotations=3, seed=np.random.default_rng(1), name="one"), bench
+        )
+        fit = fit_aligned(bench, [seen], direct_unknowns(bench, ["one"], (1e-4, 1e-2)))
+        own = Direction(f"arm__{damping.name}", 0.2 * damping.high, 0.0, is_fitted=True)
+        sizes.append(beside(fit, [own]).posterior.draw(np.random.default_rng(1), 500).sizes.std())
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.3)

@@ -391,6 +391,54 @@ def test_turns_that_the_file_states_win_over_every_guess(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
+    ("name", "channel", "unit"),
+    [
+        ("SERVO_02.r61[0]: Drehzahlistwert Geber 1 [1/min]", "motor_speed_rpm", "rpm"),
+        ("Motordrehzahl ist 1/min", "motor_speed_rpm", "rpm"),
+        ("Drehzahlsollwert [1/min]", "reference_speed_rpm", "rpm"),
+        ("speed (krpm)", "motor_speed_rpm", "krpm"),
+        ("motor speed (rad/min)", "motor_speed_rpm", "rad/min"),
+        ("current_mA", "motor_current_a", "mA"),
+        ("Strom ist A", "motor_current_a", "A"),
+        ("SERVO_02.r78: Stromistwert [Aeff]", "motor_current_a", "A"),
+        ("Motorwinkel [mrad]", "motor_position_rad", "mrad"),
+    ],
+)
+def test_names_of_drives_tell_channel_and_unit(
+    name: str, channel: str, unit: str, tmp_path: Path
+) -> None:
+    speed = "" if channel == "motor_speed_rpm" else ";n [rpm]"
+    form = "{t:.3f};{n:.3f};{n:.3f}" if speed else "{t:.3f};{n:.3f}"
+    file = tmp_path / "drive.csv"
+    file.write_text(text(rows(form), f"time [s]{speed};{name}"), encoding="utf-8")
+    guess = guess_columns(file, read_table(file))
+    (own,) = [column for column in guess.columns if column.name == name]
+    assert (own.channel, own.unit, own.sure) == (channel, unit, True)
+
+
+def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
+    # A joint by ROS, in rad and rad/s: the same numbers agree as turns and turns per second.
+    speed = 1.5 + 0.01 * np.sin(40.0 * TIME)
+    angle = np.cumsum(speed) * 1e-3
+    lines = [f"{t:.3f},{q:.8f},{v:.8f}" for t, q, v in zip(TIME, angle, speed, strict=True)]
+    file = tmp_path / "joint.csv"
+    file.write_text(text(lines, "time,position,velocity"), encoding="utf-8")
+    columns = {c.channel: c for c in guess_columns(file, read_table(file)).columns}
+    assert columns["motor_position_rad"].unit == "rad"
+    assert columns["motor_speed_rpm"].unit == "rad/s"
+    assert columns["motor_speed_rpm"].doubted
+    assert "check it" in columns["motor_position_rad"].reason
+
+
+def test_a_labview_file_is_a_table(tmp_path: Path) -> None:
+    head = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\t\nChannels\t1\t\t\n"
+    file = tmp_path / "one.lvm"
+    file.write_text(head + text(rows("{t:.6f}\t{n:.6f}"), "\t".join([*NAMES, "Comment"])))
+    recording = read_recording(file)
+    np.testing.assert_allclose(recording.motor_speed_rpm, SPEED)
+
+
+@pytest.mark.parametrize(
     "name",
     [
         "speed [furlong/s]",

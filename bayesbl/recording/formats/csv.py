@@ -54,6 +54,7 @@ _KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
 
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
 _COMMENT = ("#", "%", "//")
+_REMARKS = ("comment", "comments", "kommentar")
 _BEGINS = frozenset("0123456789+-.")
 """With what most lines of samples begin, and hardly any other line."""
 
@@ -416,6 +417,8 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
     for i in above:
         if head[i].lstrip().startswith(_COMMENT):
             cut[i] = _split(head[i].lstrip().lstrip("#%/").strip(), separator)
+        if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
+            cut[i].pop()  # LabVIEW ends its header so, and no line of samples
     found = header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
     mark = decimal_mark(file, [_split(line, separator) for line in middle], values)
     if found is None:
@@ -614,4 +617,6 @@ def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int,
     return skipped, rows, {kind: count for kind, count in counts.items() if count > 0}
 
 
-FORMAT = Format("CSV, TSV", (".csv", ".tsv", ".txt", ".log"), read_csv)
+_SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".lvm", ".asc", ".prn")
+
+FORMAT = Format("CSV, TSV", _SUFFIXES, read_csv)
