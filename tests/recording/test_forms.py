@@ -97,6 +97,7 @@ MORE_COLUMNS = {
     "a tuple without quotes": text(
         [f"(1, 2),{row}" for row in rows()], "pose,time_s,motor_speed_rpm"
     ),
+    "units in the cells": text(rows('{t:.3f} sec,"{n:.3f} rpm"')),
     "a list": text([f"[1, 2, 3],{row}" for row in rows()], "pose,time_s,motor_speed_rpm"),
 }
 
@@ -115,6 +116,18 @@ def test_every_form_of_text_holds_the_same_samples(content: str | bytes, tmp_pat
     np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
     np.testing.assert_allclose(read.motor_speed_rpm, SPEED, atol=1e-9)
     assert sum("Put right" in note for note in read.notes) <= 1
+
+
+def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows("{t:.3f} s,{n:.3f} rad/s"), "time,speed"))
+    columns = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    assert (columns["motor_speed_rpm"].unit, columns["motor_speed_rpm"].sure) == ("rad/s", True)
+    # What a dashboard scales by itself: 0.999 s comes after 998 ms.
+    lines = [f"{1e3 * t:.0f} ms,{n:.3f}" if t < 0.3 else f"{t:.3f} s,{n:.3f}" for t, n in PAIRS]
+    path.write_text(text(lines))
+    with pytest.raises(RecordingError, match=r"in different units.*ms and s"):
+        read_recording(path)
 
 
 def test_what_is_left_out_is_told_once_with_its_count(tmp_path: Path) -> None:

@@ -66,6 +66,9 @@ _GROUPED = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[{other}'’\u00a0\u202f ]\d{{3}})+(?:[{mark}]\d*)?")
     for mark, other in ((".", ","), (",", "."))
 }
+_WITH_UNIT = re.compile(r"([+\-−]?\d[^\sA-Za-z]*(?:[eE][+-]?\d+)?)\s?([^\d\s.,:+\-/].*)")
+"""As exports write durations and formatted values: ``0.001 sec``, ``1500.2 rpm``."""
+
 _NUMBER_IN = {".": "a number", ",": "a number, with a decimal comma as the others"}
 
 MOST_ABOVE = 50
@@ -276,6 +279,10 @@ class CsvTable:
     def _number(self, cell: str, row: int, column: int) -> float:
         value = number_in(cell, self._layout.mark)
         if value is None:
+            number, unit = _parted(cell)
+            if unit and unit == self.unit(column):
+                value = number_in(number, self._layout.mark)
+        if value is None:
             raise RecordingError(
                 "There is text in a column of numbers.",
                 file=self.file,
@@ -377,8 +384,36 @@ def number_in(cell: str, mark: str) -> float | None:
     return None
 
 
+def _parted(cell: str) -> tuple[str, str]:
+    """A cell's number and the unit behind it; the cell where there is none that is known."""
+    held = _WITH_UNIT.fullmatch(cell)
+    return (held[1], held[2]) if held and is_unit(spelled(held[2])) else (cell, "")
+
+
+def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
+    """The unit that a column's cells state.
+
+    Raises
+    ------
+    RecordingError
+        If they state several: a value is then another multiple of its unit than the one above it.
+    """
+    cells = [row[column] for row in rows if column < len(row)]
+    units = {_parted(cell)[1] for cell in cells if cell.lower() not in _MISSING}
+    if len(units) > 1:
+        raise RecordingError(
+            "The cells of a column are in different units.",
+            file=file,
+            where=f"column {column + 1}",
+            found=" and ".join(sorted(unit or "none" for unit in units)),
+            expected="one unit for the whole column, in its name",
+        )
+    return next(iter(units), "")
+
+
 def _is_number(cell: str) -> bool:
-    """Whether it may be a number with either mark; missing ones are not."""
+    """Whether it may be a number with either mark, bare or before its unit; never if missing."""
+    cell = _parted(cell)[0]
     return any(
         (value := number_in(cell, mark)) is not None and (value == value or cell.lower() == "nan")
         for mark in ".,"
@@ -420,7 +455,9 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
         if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
             cut[i].pop()  # LabVIEW ends its header so, and no line of samples
     found = header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
-    mark = decimal_mark(file, [_split(line, separator) for line in middle], values)
+    rows = [_split(line, separator) for line in middle]
+    mark = decimal_mark(file, rows, values)
+    stated = tuple(_units_of(file, rows, k) if k in values else "" for k in range(width))
     if found is None:
         nearest = cut[above[-1]] if above else []
         if len(nearest) > 1 and not any(map(_is_number, nearest)):
@@ -431,8 +468,9 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
                 found=f"{width} cells",
                 expected=f"{len(nearest)}, as in the header",
             )
-        return _Layout(separator, width, unnamed(width), (), (), written[first], mark)
+        return _Layout(separator, width, unnamed(width), stated, (), written[first], mark)
     last, names, units = found
+    units = stated[: len(names)] if any(stated) else units
     lines = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
     return _Layout(separator, len(names), names, units, lines, above[last] + 1, mark)
 
@@ -515,7 +553,7 @@ def value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
 
 def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int]) -> str:
     """Whether numbers have a decimal comma or a decimal point, by all of them together."""
-    cells = [row[i] for row in rows for i in values if i < len(row)]
+    cells = [_parted(row[i])[0] for row in rows for i in values if i < len(row)]
     cells = [cell for cell in cells if _is_number(cell)]
     if not any("," in cell for cell in cells):
         return "."
