@@ -14,13 +14,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED
+from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED, Slot
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.simulation import ACCURACY
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.quantisation import Rounding, speed_steps
-from bayesbl.recording.checks import require_plausible_current, speed_in_another_unit
+from bayesbl.recording.checks import (
+    SPEED_AVERAGED_S,
+    require_plausible_current,
+    speed_in_another_unit,
+)
 from bayesbl.recording.evenly import UNEVEN_STAMPS, even
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
 from bayesbl.recording.repetition import Repetition, repetition
@@ -234,9 +238,10 @@ def observed(
     if stamped.channels is not recording.channels:
         notes = (UNEVEN_STAMPS,)
     speed, period = recording.motor_speed_rpm, recording.sampling_period_s
+    known = _known(recording, bench)
     if moves(recording):
         seen = _motion(recording, bench, period)
-        return replace(seen, notes=(*notes, *seen.notes))
+        return replace(seen, known=known, notes=(*notes, *seen.notes))
     reference = reference_speed(recording, bench, reference_speed_rpm)
     if reference_speed_rpm is None:
         notes += tuple(filter(None, [asked_speed(recording, bench)[1]]))
@@ -260,7 +265,16 @@ def observed(
         excluded=recording.excluded,
         rounding=_rounding(signals, bench, reference),
         notes=(*notes, *more),
+        known=known,
     )
+
+
+def _known(recording: Recording, bench: Bench) -> dict[str, float]:
+    """What the bench has otherwise: a speed that was derived is a mean."""
+    averaged_s = recording.metadata.get(SPEED_AVERAGED_S)
+    if averaged_s is None or bench.measurement.speed_source == "encoder":
+        return {}
+    return {Slot.speed_averaging__time_s.name: float(averaged_s)}
 
 
 def _as_it_repeats(

@@ -18,7 +18,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import PUBLISHED, SnapshotRecording
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
 from bayesbl.progress import StageProgress
-from bayesbl.recording.checks import ready_for_fit, require_reference_speed
+from bayesbl.recording.checks import ready_for_fit, require_reference_speed, with_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.variables import Group
@@ -87,7 +87,8 @@ def recording_of(entry: SnapshotRecording, config: SnapshotConfig) -> Recording:
     RecordingError
         If it cannot be read, or lacks what a fit needs.
     """
-    recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
+    columns = config.column_specs
+    recording = with_speed(read_recording(entry.file, name=entry.name, columns=columns))
     if entry.reference_speed_rpm is not None:
         require_reference_speed(recording, entry.reference_speed_rpm)
     return ready_for_fit(recording, config.joint.gear_ratio)

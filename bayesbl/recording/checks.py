@@ -32,6 +32,7 @@ from bayesbl.recording.lost_samples import (
     runs,
 )
 from bayesbl.recording.moving import moves
+from bayesbl.recording.repairs import new_values
 from bayesbl.recording.types import BoolArray, FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
@@ -90,6 +91,7 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     RecordingError
         If anything that a fit needs is missing.
     """
+    recording = with_speed(recording)
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
@@ -108,6 +110,49 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     if gear_ratio is not None:
         require_rotations(recording, rotations_of(recording, gear_ratio))
     return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
+
+
+SPEED_AVERAGED_S = "speed_averaged_s"
+"""Entry of a recording's metadata: time over which its speed is a mean, where it is derived."""
+
+
+def with_speed(recording: Recording) -> Recording:
+    """The recording with the motor's speed, of its position where that is all there is.
+
+    ω_k = (θ_k − θ_{k−1})/Δt, the mean over the period before a sample, as the law
+    ``speed_averaging`` has it. Positions that the recorder made up between others are not used.
+    """
+    if MOTOR_SPEED in recording.channels or MOTOR_POSITION not in recording.channels:
+        return recording
+    steps = np.diff(recording.channels[MOTOR_POSITION])
+    speed = RPM_PER_RAD_PER_S * steps / np.diff(recording.time_s)
+    if made_up := new_values(speed):
+        return with_speed(_only(recording, made_up[0]))
+    lost = recording.excluded
+    behind = _only(recording, slice(1, None))
+    period_s = recording.sampling_period_s
+    return replace(
+        behind,
+        channels={**behind.channels, MOTOR_SPEED: speed},
+        excluded=None if lost is None else lost[1:] | lost[:-1],
+        metadata={**recording.metadata, SPEED_AVERAGED_S: period_s},
+        notes=(
+            *recording.notes,
+            f"The speed is that of the position, its mean over the {1e3 * period_s:.3g} ms before "
+            "each sample.",
+        ),
+    )
+
+
+def _only(recording: Recording, kept: slice) -> Recording:
+    """Some samples of a recording."""
+    lost = recording.excluded
+    return replace(
+        recording,
+        time_s=recording.time_s[kept],
+        channels={name: np.ascontiguousarray(v[kept]) for name, v in recording.channels.items()},
+        excluded=None if lost is None else lost[kept],
+    )
 
 
 def require_channels(recording: Recording, channels: Sequence[str]) -> None:

@@ -133,22 +133,14 @@ class _Named:
         return not self.words.isdisjoint(words.split())
 
 
-def guess_columns(
-    path: str | Path, table: Table, joint: str | None = None, *, position_will_do: bool = False
-) -> Guess:
+def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> Guess:
     """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
-
-    Parameters
-    ----------
-    position_will_do
-        Whether a position is enough where there is no speed.
 
     Raises
     ------
     RecordingError
-        If no column can be time, or none the motor's speed (nor position and torque, as of ramps
-        with the output held), or these do not hold numbers; if there is no such joint, or several
-        and none was chosen.
+        If no column can be time, or none the motor's speed or position, or these do not hold
+        numbers; if there is no such joint, or several and none was chosen.
     """
     named = _of_joint(path, table, joint)
     chosen = _by_name(named)
@@ -166,8 +158,8 @@ def guess_columns(
         chosen |= _pair_of_positions(table, named, chosen)
     both = _is_of_two_encoders(table, chosen)
     ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(table, chosen)
-    moved = position_will_do and MOTOR_POSITION in chosen
-    if MOTOR_SPEED not in chosen and not ramps and not both and not moved:
+    bare = MOTOR_SPEED not in chosen
+    if bare and not ramps and not both and MOTOR_POSITION not in chosen:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
         channel: _series(path, table, column)
@@ -178,7 +170,7 @@ def guess_columns(
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     units = _units(table, chosen, held)
     guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
-    if ramps or both:
+    if bare or both:
         guesses = [_unknown(column) for column in guesses]
     columns = tuple(_doubted(column, held[column.channel]) for column in guesses)
     taken = {column.name for column in columns}
@@ -296,7 +288,7 @@ def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> G
 
 
 def _unknown(column: GuessedColumn) -> GuessedColumn:
-    """A position whose unit nothing tells: in ramps it alone sets the size of the gap."""
+    """A position whose unit nothing tells: without a speed it alone sets the size of everything."""
     if column.channel not in (MOTOR_POSITION, LOAD_POSITION) or column.reason != NO_UNIT:
         return column
     units = ", ".join(accepted_units(column.channel))

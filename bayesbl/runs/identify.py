@@ -100,7 +100,8 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         recording = ready_for_fit(recording, bench.value("gear_ratio"))
         require_alive(recording, (MOTOR_CURRENT,))
         known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
-        one = replace(observed(recording, bench, entry.reference_speed_rpm), known=known)
+        one = observed(recording, bench, entry.reference_speed_rpm)
+        one = replace(one, known={**one.known, **known})
         seen[entry.use].append(one)
         notes += [f"{entry.name}: {note}" for note in (*recording.notes, *one.notes)]
     used = tuple(seen["fit"])

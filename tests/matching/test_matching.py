@@ -19,6 +19,7 @@ from bayesbl.matching.signals import SimulatedSignals, Unknown, gap_unknown, sta
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.noise.process import NoiseModel
+from bayesbl.recording.checks import ready_for_fit
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -53,6 +54,26 @@ def test_whitened_residuals_are_those_of_the_whole_recording(effects) -> None:
     assert stretch == (seen.samples if effects else seen.lag)
     whole = noise.whiten(seen.signals - asked.signals(POINTS, 0))
     assert asked.whitened(POINTS) == pytest.approx(whole.reshape(len(POINTS), -1), abs=1e-9)
+
+
+@pytest.mark.parametrize("sampling_hz", [250.0, 1000.0])
+def test_a_speed_that_is_derived_of_the_position_is_simulated_as_one(sampling_hz: float) -> None:
+    bench = replace(reference_bench(), measurement=Measurement(encoder_counts=None))
+    clean = bench.simulate(8e-4, rotations=2.4, sampling_hz=sampling_hz, start_angle_rad=1.0)
+    speed = clean.motor_speed_rpm[1:]
+    channels = {n: row for n, row in clean.channels.items() if n != MOTOR_SPEED}
+    seen = observed(ready_for_fit(replace(clean, channels=channels)), bench)
+    noise = estimate_channel_noise(seen.signals, seen.lag)
+    unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown(seen.name)]
+    asked = SimulatedSignals(bench, [seen], unknowns, [noise])
+    # Its first sample is the second of the position.
+    turned = bench.value("reference_speed_rpm") / RPM_PER_RAD_PER_S / sampling_hz
+    start = 1.0 + turned / bench.value("gear_ratio")
+    simulated = asked.signals(np.array([[math.log(8e-4), start]]), 0)[0]
+    apart = np.abs(simulated[0] - seen.signals[0]).max()
+    assert apart < 0.05
+    # A momentary speed it is not.
+    assert np.abs(speed - seen.signals[0]).max() > 20.0 * apart
 
 
 @pytest.mark.parametrize(("samples", "rotations"), [(300, 3), (298, 3), (297, 2), (203, 2)])

@@ -168,6 +168,27 @@ def test_a_position_in_degrees_is_recognised_by_the_speed(example: Recording) ->
         checks.ready_for_fit(replace(example, channels=channels))
 
 
+def test_a_position_alone_gives_the_speed(example: Recording) -> None:
+    alone = {"motor_position_rad": example.channels["motor_position_rad"]}
+    derived = checks.ready_for_fit(replace(example, channels=alone))
+    turned = np.ptp(example.channels["motor_position_rad"])
+    lasted = example.time_s[-1] - example.time_s[0]
+    assert derived.samples == example.samples - 1
+    assert derived.motor_speed_rpm.mean() == pytest.approx(60 / (2 * np.pi) * turned / lasted)
+    assert any("that of the position" in note for note in derived.notes)
+
+
+def test_positions_that_the_recorder_made_up_give_no_speed(example: Recording) -> None:
+    time, angle = example.time_s, example.channels["motor_position_rad"]
+    drawn = np.interp(time, time[::4], angle[::4])[: 4 * ((time.size - 1) // 4)]
+    made_up = replace(
+        example, time_s=time[: drawn.size], channels={"motor_position_rad": drawn}, excluded=None
+    )
+    derived = checks.with_speed(made_up)
+    measured = 60 / (2 * np.pi) * np.diff(angle[::4]) / np.diff(time[::4])
+    np.testing.assert_allclose(derived.motor_speed_rpm, measured[: derived.samples], rtol=1e-9)
+
+
 def test_position_and_speed_may_count_in_opposite_directions(example: Recording) -> None:
     checks.require_plausible_speed_unit(with_speed(example, -example.motor_speed_rpm))
 
