@@ -34,8 +34,3 @@ def chi2_isf(probability: ArrayLike, freedom: ArrayLike) -> np.ndarray:
 def f_sf(value: float, above: float, below: float) -> float:
     """P(F > value) at degrees of freedom above and below the line."""
     return float(special.fdtrc(above, below, value))
-
-
-def f_isf(probability: float, above: float, below: float) -> float:
-    """The value that F exceeds with this probability."""
-    return float(special.fdtri(above, below, 1.0 - probability))

@@ -137,10 +137,8 @@ class Slot(IntEnum):
 
 SLOTS = len(Slot)
 FIRST_EFFECT = int(Slot.motor_coulomb_friction__torque_nm)
-FIRST_LEARNED = int(Slot.learned_torque__side)
 FIRST_COSINE = int(Slot["learned_torque__cosine_1_nm"])
 FIRST_SINE = int(Slot["learned_torque__sine_1_nm"])
-FIRST_OF_ENCODER = int(Slot.encoder_error__orders)
 FIRST_ENCODER_COSINE = int(Slot["encoder_error__cosine_1_rad"])
 FIRST_ENCODER_SINE = int(Slot["encoder_error__sine_1_rad"])
 FIRST_SKEW = int(Slot.channel_time_skew__position_s)

@@ -150,18 +150,6 @@ def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
     return factors
 
 
-def factors_along(fit: SimulatedFit, change: FloatArray) -> FloatArray:
-    """As :func:`noise_along`, of one change."""
-    return noise_along(fit)(change)
-
-
-def factors_of_estimates(fit: SimulatedFit, weights: FloatArray) -> FloatArray:
-    """Variance of a sum of estimates (d,) of the unknowns, some likely values, as
-    :func:`factors_along` of J C w: in units of what the covariance C makes of it.
-    """
-    return factors_along(fit, fit.derivatives() @ (fit.covariance @ weights))
-
-
 def _factors(fit: SimulatedFit, place: int) -> Callable[[FloatArray], FloatArray]:
     """Of a recording, by its noise in the loop, or by rounding alike in rotations; (k,) or (1,)."""
     if not fit.model.noise[place].repeats:

@@ -189,7 +189,6 @@ class JointFindings:
 
 def find_changes(
     nominal: SimulatedFit,
-    false_alarm: float = FALSE_ALARM,
     *,
     among: Sequence[Direction] = (),
     progress: Progress | None = None,
@@ -200,8 +199,6 @@ def find_changes(
     ----------
     nominal
         All recordings of a joint fitted together with the bench as believed.
-    false_alarm
-        Of the predictive check, over all that it tests.
     among
         What is marginalised beside every fit, and so is no blind spot.
     progress
@@ -222,7 +219,7 @@ def find_changes(
     if final.candidates:
         # What changed is not noise: the interval rests on the noise estimated without it.
         final = with_own_noise(final)
-    explained = agrees(disagreements(final.fit), false_alarm)
+    explained = agrees(disagreements(final.fit), FALSE_ALARM)
     fit = final.fit if explained else nominal
     findings = JointFindings(
         tuple(seen.name for seen in nominal.model.recordings),
@@ -234,7 +231,7 @@ def find_changes(
             for found in naming.effects
             for other, rival in found.indistinguishable
         ),
-        tuple(blind_spots(fit, false_alarm, among)) if explained else (),
+        tuple(blind_spots(fit, among)) if explained else (),
         tuple(_motor_orders(nominal)),
     )
     return fit, findings
@@ -272,7 +269,7 @@ def changed_beside(
         tuple(told),
         tuple(dict.fromkeys(c.name for c in told)),
         (),
-        tuple(blind_spots(fit, among=among)),
+        tuple(blind_spots(fit, among)),
         (),
         tuple(allowed),
         None if part is None else AddedPart(part.name, part.frequency_hz, part.probability),
@@ -492,9 +489,7 @@ def _own_effects(bench: Bench) -> list[Candidate]:
     return found
 
 
-def blind_spots(
-    fit: SimulatedFit, false_alarm: float = FALSE_ALARM, among: Sequence[Direction] = ()
-) -> list[BlindSpot]:
+def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[BlindSpot]:
     """Changes in the last recording that would pass, the one that moves the change of δ most first.
 
     But for laws and drift ``among`` what is marginalised.
@@ -511,7 +506,7 @@ def blind_spots(
     toward = np.zeros(fit.point.size)
     toward[model.index(GAP, last)] = fit.value(GAP, last)
     toward[model.index(GAP, first)] = -fit.value(GAP, first)
-    least = math.sqrt(float(chi2_isf(false_alarm / len(_candidates(fit, ())), 1)))
+    least = math.sqrt(float(chi2_isf(FALSE_ALARM / len(_candidates(fit, ())), 1)))
     least += normal_isf(MISSED)
     derivatives, noise = fit.derivatives(), noise_along(fit)
     # That something was changed by people is only a small probability.

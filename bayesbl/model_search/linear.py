@@ -44,6 +44,7 @@ from bayesbl.model_search.constants import (
 from bayesbl.recording.types import FloatArray
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
+GIBBS_SWEEPS = 25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -763,12 +764,6 @@ class ModelPosterior:
         return {m: math.exp(m.log_posterior) / held[count - 1] for m in self.models[:count]}
 
     @cached_property
-    def explained_share(self) -> float:
-        """Of the excess chi-square at the fit, what the terms take."""
-        d = self.disagreement
-        return (d.before - d.beside_terms) / d.before if d.before > 0.0 else 0.0
-
-    @cached_property
     def discrepancy_share(self) -> float:
         """Of the excess chi-square at the fit, what the discrepancy takes beyond its freedom."""
         d = self.disagreement
@@ -912,7 +907,6 @@ def _truncated(
     positive: np.ndarray,
     n: int,
     generator: np.random.Generator,
-    sweeps: int = 25,
 ) -> FloatArray:
     """(n, k) draws of a normal with some amplitudes positive: n chains of Gibbs side by side."""
     result = np.zeros((n, mean.size))
@@ -922,7 +916,7 @@ def _truncated(
         precision = np.linalg.inv(sub)
         middle = mean[bounded]
         x = np.maximum(np.broadcast_to(middle, (n, bounded.size)), 0.0).copy()
-        for _ in range(sweeps if bounded.size > 1 else 1):
+        for _ in range(GIBBS_SWEEPS if bounded.size > 1 else 1):
             for i in range(bounded.size):
                 others = [j for j in range(bounded.size) if j != i]
                 sd = 1.0 / math.sqrt(precision[i, i])

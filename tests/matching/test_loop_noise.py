@@ -10,7 +10,7 @@ import pytest
 from test_impacts import fitted, turning
 
 from bayesbl.config.bench import reference_bench
-from bayesbl.matching.loop_noise import LoopNoise, factors_of_estimates
+from bayesbl.matching.loop_noise import LoopNoise, noise_along
 from bayesbl.model_search.closed_loop import weighed
 from bayesbl.model_search.refit import nominal_explanation
 from bayesbl.probabilities import f_sf
@@ -99,4 +99,5 @@ def test_noise_in_the_loop_leaves_less_evidence(independent: ModuleType, in_loop
     )
     by_recorder = 0.5 * (squares[1] - squares[0])
     assert (evidence[0] - evidence[1] < 0.7 * by_recorder) == in_loop
-    assert (factors_of_estimates(fit, np.array([1.0, 0.0])).mean() > 1.5) == in_loop
+    estimate = fit.derivatives() @ fit.covariance[:, 0]
+    assert (noise_along(fit)(estimate).mean() > 1.5) == in_loop
