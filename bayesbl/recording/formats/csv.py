@@ -399,7 +399,7 @@ def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
         If they state several: a value is then another multiple of its unit than the one above it.
     """
     cells = [row[column] for row in rows if column < len(row)]
-    units = {_parted(cell)[1] for cell in cells if cell.lower() not in _MISSING}
+    units = {_parted(cell)[1] for cell in cells if _is_value(cell)}
     if len(units) > 1:
         raise RecordingError(
             "The cells of a column are in different units.",
