@@ -172,7 +172,9 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
     guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
     if bare or both:
         guesses = [_unknown(column) for column in guesses]
-    columns = tuple(_doubted(column, held[column.channel]) for column in guesses)
+    if not (ramps or both):
+        guesses = _doubted(guesses, held)
+    columns = tuple(guesses)
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
     return Guess(
@@ -295,19 +297,41 @@ def _unknown(column: GuessedColumn) -> GuessedColumn:
     return replace(column, unit=UNKNOWN, reason=f"enter its unit: {units}")
 
 
-def _doubted(column: GuessedColumn, values: FloatArray) -> GuessedColumn:
+def _doubted(
+    columns: Sequence[GuessedColumn], values: Mapping[str, FloatArray]
+) -> list[GuessedColumn]:
     """Not sure of a motor's speed that is a load's: what ROS calls a joint's velocity is one."""
-    if column.channel != MOTOR_SPEED:
-        return column
-    if column.unit == UNKNOWN:
-        return column
-    rpm = float(np.nanmean(np.abs(values))) * conversion_factor(MOTOR_SPEED, column.unit)
-    if rpm >= _USUAL_SPEEDS_RPM[0]:
-        return column
+    by_channel = {column.channel: column for column in columns}
+    rpm = _mean_speed_rpm(by_channel, values)
+    if rpm is None or rpm >= _USUAL_SPEEDS_RPM[0]:
+        return list(columns)
+    own = by_channel.get(MOTOR_SPEED) or by_channel[MOTOR_POSITION]
     reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
-    if not column.sure:
+    if not own.sure:
         reason += " Or is this unit wrong?"
-    return replace(column, reason=reason, doubted=True)
+    doubted = replace(own, reason=reason, doubted=True)
+    return [doubted if column is own else column for column in columns]
+
+
+def _mean_speed_rpm(
+    columns: Mapping[str, GuessedColumn], values: Mapping[str, FloatArray]
+) -> float | None:
+    """The motor's, by its speed or else its position; ``None`` where a unit is not known."""
+    speed, angle, time = (columns.get(c) for c in (MOTOR_SPEED, MOTOR_POSITION, TIME))
+    if speed is not None:
+        if speed.unit == UNKNOWN:
+            return None
+        factor = conversion_factor(MOTOR_SPEED, speed.unit)
+        return factor * float(np.nanmean(np.abs(values[MOTOR_SPEED])))
+    if angle is None or time is None or UNKNOWN in (angle.unit, time.unit):
+        return None
+    good = np.isfinite(values[TIME]) & np.isfinite(values[MOTOR_POSITION])
+    seconds = conversion_factor(TIME, time.unit) * values[TIME][good]
+    way = np.abs(
+        np.diff(conversion_factor(MOTOR_POSITION, angle.unit) * values[MOTOR_POSITION][good])
+    )
+    lasted = float(seconds[-1] - seconds[0]) if seconds.size else 0.0
+    return RPM_PER_RAD_PER_S * float(way.sum()) / lasted if lasted > 0.0 else None
 
 
 def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None, str | None]:

@@ -441,6 +441,11 @@ def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
     assert columns["motor_speed_rpm"].unit == "rad/s"
     assert columns["motor_speed_rpm"].doubted
     assert "check it" in columns["motor_position_rad"].reason
+    # The position alone: its unit is asked for, and stated it is slow for a motor.
+    file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position"))
+    assert guess_columns(file, read_table(file)).columns[1].unit == UNKNOWN
+    file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position [rad]"))
+    assert guess_columns(file, read_table(file)).columns[1].doubted
 
 
 def test_a_labview_file_is_a_table(tmp_path: Path) -> None:
