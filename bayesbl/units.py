@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -48,65 +49,52 @@ _FACTORS: dict[str, dict[str, float]] = {
     "torque": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "mNm": 1e-3},
 }
 
-_OTHER_SPELLINGS = {
-    "sec": "s",
-    "second": "s",
-    "seconds": "s",
-    "milliseconds": "ms",
-    "microseconds": "us",
-    "µs": "us",
-    "μs": "us",
-    "nanoseconds": "ns",
-    "minutes": "min",
-    "rpm": "rpm",
-    "r/min": "rpm",
-    "1/min": "rpm",
-    "u/min": "rpm",
-    "min-1": "rpm",
-    "min^-1": "rpm",
-    "rev/min": "rpm",
-    "kr/min": "krpm",
-    "rad s-1": "rad/s",
-    "rad/sec": "rad/s",
-    "radian/s": "rad/s",
-    "radians/s": "rad/s",
-    "radps": "rad/s",
-    "deg s-1": "deg/s",
-    "deg/sec": "deg/s",
-    "degree/s": "deg/s",
-    "degrees/s": "deg/s",
-    "degps": "deg/s",
-    "dps": "deg/s",
-    "rev/sec": "rev/s",
-    "rps": "rev/s",
-    "turn": "rev",
-    "turns": "rev",
-    "revs": "rev",
-    "revolutions": "rev",
-    "rotations": "rev",
-    "turn/s": "rev/s",
-    "turns/s": "rev/s",
-    "revs/s": "rev/s",
-    "revolutions/s": "rev/s",
-    "arcminutes": "arcmin",
-    "'": "arcmin",
-    "′": "arcmin",
-    "arcseconds": "arcsec",
-    "″": "arcsec",
-    "hertz": "Hz",
-    "radian": "rad",
-    "radians": "rad",
-    "degree": "deg",
-    "degrees": "deg",
-    "aeff": "A",
-    "arms": "A",
-    "a rms": "A",
-    "ampere": "A",
-    "amperes": "A",
-    "newton meter": "N m",
-    "n*m": "N m",
-    "n.m": "N m",
+_WORDS = {
+    word: (dimension, factor)
+    for dimension, factor, words in (
+        ("time", 1.0, "s sec secs second seconds sekunden"),
+        ("time", 60.0, "min mins minute minutes"),
+        ("time", 3600.0, "h hr hrs hour hours"),
+        ("angle", 1.0, "rad rads radian radians"),
+        ("angle", math.pi / 180.0, "deg degs degree degrees"),
+        ("angle", 2.0 * math.pi, "rev revs turn turns revolution revolutions umdr"),
+        ("angle", 2.0 * math.pi, "rotation rotations"),
+        ("angle", math.pi / 10800.0, "arcmin arcminute arcminutes '"),
+        ("angle", math.pi / 648000.0, 'arcsec arcsecond arcseconds "'),
+        ("speed", 1.0, "rpm upm"),
+        ("speed", 60.0, "rps hz hertz"),
+        ("speed", RPM_PER_RAD_PER_S, "radps"),
+        ("speed", 1.0 / 6.0, "dps degps"),
+        ("current", 1.0, "a amp amps ampere amperes arms aeff"),
+        ("torque", 1.0, "nm"),
+        ("torque", 0.01, "ncm"),
+    )
+    for word in words.split()
 }
+"""What files write for units, in small letters without spaces and dots."""
+
+_PREFIXES = {
+    "time": {"milli": 1e-3, "micro": 1e-6, "nano": 1e-9, "m": 1e-3, "u": 1e-6, "n": 1e-9},
+    "angle": {"milli": 1e-3, "micro": 1e-6, "m": 1e-3, "u": 1e-6},
+    "speed": {"k": 1e3},
+    "current": {"milli": 1e-3, "micro": 1e-6, "m": 1e-3, "u": 1e-6},
+    "torque": {"m": 1e-3, "c": 1e-2, "k": 1e3},
+}
+_TURNS_BY_MINUTE = frozenset(("1", "r", "u", "umdr", "tr", "giri", "obr"))
+"""Each is a turn by the minute; by the second some are radians or counts as well."""
+
+_TURNS_BY_SECOND = frozenset(("u", "umdr", "tr"))
+_SIGNS = str.maketrans(
+    {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "˚": "deg", "⁻": "-", "−": "-", "¹": "1", "³": "3",
+     "′": "'", "″": '"', "×": "x", "{": "", "}": "", "(": "", ")": ""}
+)  # fmt: skip
+_BY = re.compile(r"[\s_]+(?:per|p)[\s_]+|/")
+_PAIR = re.compile(r"([a-z]+)[ _](s|sec)")
+_INVERSE = re.compile(r"(?:^|[\W_])(s|sec|min)\s*[*^]*-1$")
+_NUMBER_BEFORE = re.compile(
+    r"x?\s*(?:10\^?(?P<power>3|-[1-9])|1/(?P<part>\d+)|(?P<plain>\d+(?:[.,]\d+)?(?:e-?\d+)?))"
+    r"\s*[x*]?\s*(?P<unit>[^\d\s/].*|1/min)"
+)
 
 _DIMENSION_OF_SUFFIX = {
     "_s": "time",
@@ -192,7 +180,10 @@ def conversion_factor(channel: str, unit: str) -> float:
     KeyError
         If the unit is none of these.
     """
-    units = _FACTORS.get(dimension_of(channel) or "", {})
+    return _factor(_FACTORS.get(dimension_of(channel) or "", {}), unit)
+
+
+def _factor(units: Mapping[str, float], unit: str) -> float:
     if unit in units:
         return units[unit]
     for form in (_SHARE, _MULTIPLE, _PART):
@@ -229,17 +220,72 @@ def choice_of_units(channel: str) -> str:
 
 
 def spelled(unit: str) -> str:
-    """A unit as files spell it, in this package's spelling if that is known."""
-    text = unit.strip().replace("·", " ").replace("⁻¹", "-1").replace("°", "deg")
+    """A unit as files spell it, in this package's spelling if it is one; else as it is.
+
+    ``r/min``, ``min⁻¹`` and ``revolutions per minute`` are ``rpm``; ``0.1 r/min``, ``10^3 rpm`` and
+    ``mdeg`` are multiples: ``0.1 rpm``, ``krpm`` and ``0.001 deg``.
+    """
+    text = unit.strip()
     if is_unit(text):
         return text
-    # Only these ignore case: "MN m" is not "mN m".
-    return _OTHER_SPELLINGS.get(text.lower(), text)
+    plain = text.translate(_SIGNS).strip()
+    if plain[:1] == "M" and not plain.isupper() and not plain.lower().startswith(("mi", "msec")):
+        return text  # "MN m" is not "mN m"
+    plain = plain.lower()
+    held = _NUMBER_BEFORE.fullmatch(plain)
+    size, rest = 1.0, plain
+    if held and held["part"]:
+        size, rest = 1.0 / float(held["part"]), held["unit"]
+    elif held:
+        power, number = held["power"], (held["plain"] or "").replace(",", ".")
+        size, rest = 10.0 ** int(power) if power else float(number), held["unit"]
+    found = _quantity(rest)
+    if found is None or size == 0.0:
+        return text
+    units = _FACTORS[found[0]]
+    multiples = [(f"{size * found[1] / factor:.12g}", name) for name, factor in units.items()]
+    number, name = min(multiples, key=lambda pair: (pair[0] != "1", len(pair[0])))
+    return name if number == "1" else f"{number} {name}"
+
+
+def _quantity(text: str) -> tuple[str, float] | None:
+    """Dimension and factor of a unit without a number, in small letters."""
+    text = _INVERSE.sub(r"/\1", text)
+    if two := _PAIR.fullmatch(text):
+        text = f"{two[1]}/{two[2]}"
+    over, *under = (re.sub(r"[\s_.*·⋅-]", "", part) for part in _BY.split(text))
+    if not under:
+        return _word(re.sub(r"(?<=a)(rms|eff)$", "", over))
+    by = _word(under[0])
+    if len(under) > 1 or by not in (("time", 1.0), ("time", 60.0)):
+        return None
+    kilo, turn = (1e3, over[1:]) if over[:1] == "k" else (1.0, over or "1")
+    if turn in (_TURNS_BY_MINUTE if by[1] == 60.0 else _TURNS_BY_SECOND):
+        return "speed", kilo * 60.0 / by[1]
+    angle = _word(over)
+    if angle is None or angle[0] != "angle":
+        return None
+    return "speed", angle[1] * RPM_PER_RAD_PER_S / by[1]
+
+
+def _word(word: str) -> tuple[str, float] | None:
+    if word in _WORDS:
+        return _WORDS[word]
+    for rest, (dimension, factor) in _WORDS.items():
+        size = _PREFIXES[dimension].get(word.removesuffix(rest)) if word.endswith(rest) else None
+        if size and not (dimension == "time" and factor != 1.0):
+            return dimension, size * factor
+    return None
 
 
 def is_unit(text: str) -> bool:
     """Whether this is a unit, of any dimension, in this package's spelling."""
-    return any(text in units for units in _FACTORS.values())
+    for units in _FACTORS.values():
+        try:
+            return math.isfinite(_factor(units, text))
+        except KeyError:
+            continue
+    return False
 
 
 LimitUnit = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "mm"]

@@ -13,13 +13,22 @@ from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean,
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
 
-_BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
-_PER_SECOND = re.compile(r"(?i)[_ .](rad|deg|rev)(?:_per_|_p_|p|_|/)s$")
-_WITHOUT_SIZE = frozenset(
+_BRACKETS = re.compile(r"[\[({<]([^\])}>]*)[\])}>]")
+_BOUNDARY = re.compile(r"^|(?<=[\s_/,:;|.-])|(?<=[a-z]{2})(?=[A-Z])")
+_LONGEST_ENDING = 24
+_NUMBER_FIRST = re.compile(r"[x×*]?\s*(\d+)(?![\d/]*min)([^\s_A-Za-z]*)")
+_BY_TIME = re.compile(r"\S+/(?:s|sec|min)|(?:s|sec|min)\^?-1")
+_QUESTIONS = frozenset(
     "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
-    "digits pu erpm percent permille".split()
+    "digits pu erpm percent permille grad cycles".split()
 )
 """Words for units of a size that only the user knows."""
+
+_OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m units".split())  # noqa: SIM905
+"""In brackets also units of other things than a channel is, or of which the size is open."""
+
+COUNTED = frozenset(("sample", "samples"))
+_COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
 
 
 class Table(Protocol):
@@ -114,40 +123,99 @@ def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) ->
     return [channels.pop(TIME), *channels.values()]
 
 
-def _brackets_of(name: str) -> re.Match[str] | None:
-    """The brackets that hold a unit, else the last: an index may stand before, ``r61[0] [rpm]``."""
-    every = list(_BRACKETS.finditer(name))
-    return next((b for b in every if is_unit(spelled(b[1]))), every[-1] if every else None)
+@dataclass(frozen=True, slots=True)
+class StatedUnit:
+    """What a file says of a column's unit.
 
-
-def split_unit(name: str) -> tuple[str, str | None]:
-    """A column's name without the unit in it, and the unit: ``n [rad/s]``, ``n_rad_per_s``."""
-    brackets = _brackets_of(name)
-    bare = name[: brackets.start()] + name[brackets.end() :] if brackets else name
-    unit = spelled(brackets[1]) if brackets else ""
-    tail = _PER_SECOND.search(bare)
-    if tail:
-        bare, unit = bare[: tail.start()], unit if is_unit(unit) else f"{tail[1].lower()}/s"
-    return bare, unit if is_unit(unit) else None
-
-
-def unknown_unit(name: str) -> str | None:
-    """What a column's name states as a unit that is none here: ``pos [counts]``, ``speed_erpm``.
-
-    A question, as any guess would be a factor. An index (``x[0]``) and a remark are no units.
+    Attributes
+    ----------
+    bare
+        The column's name without it.
+    unit
+        In this package's spelling; ``None`` where the file states none that is known.
+    unknown
+        What it states that is no unit here, or no size: a question to the user.
+    ending
+        The name's ending that states it (``n_rad_s``); empty where the file or brackets do.
     """
-    if split_unit(name)[1] is not None:
-        return None
-    brackets = _brackets_of(name)
-    if brackets:
+
+    bare: str
+    unit: str | None = None
+    unknown: str | None = None
+    ending: str = ""
+
+    def of(self, channel: str) -> StatedUnit:
+        """The same for this channel: a unit that it cannot have is a question.
+
+        Of an ending a single letter may be anything: ``speed_a`` is one of axis a.
+        """
+        if self.unit is None or is_accepted(channel, self.unit):
+            return self
+        if len(self.ending) == 1:
+            return StatedUnit(self.bare)
+        return replace(self, unit=None, unknown=self.unknown or self.ending or self.unit)
+
+
+def stated_unit(table: Table, index: int, name: str | None = None) -> StatedUnit:
+    """The unit in the file, else in the brackets of the column's name, else at the name's end.
+
+    ``n [rad/s]``, ``n / rad/s``, ``n_rad_per_s``, ``nRadPerS``. Whatever looks like a unit and is
+    none here is unknown: any guess would be a factor. An index (``x[0]``) and a remark are none.
+    """
+    name = table.columns[index] if name is None else name
+    of_name = _bracketed(name) or _ending(name)
+    of_file = (table.unit(index) or "").strip()
+    if not re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
+        return of_name
+    unit = spelled(of_file)
+    known = (unit, None) if is_unit(unit) else (None, of_file)
+    return StatedUnit(of_name.bare, *known)
+
+
+def _bracketed(name: str) -> StatedUnit | None:
+    every = list(_BRACKETS.finditer(name))
+    parts = [(b, part) for b in every for part in (b[1], *re.split("[,;]", b[1]))]
+    for brackets, part in parts:
+        if is_unit(unit := spelled(part)):
+            return StatedUnit(name[: brackets.start()] + name[brackets.end() :], unit)
+    for brackets in reversed(every):
         text = brackets[1].strip()
-        looks = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
-        if text and not is_unit(spelled(text)):
-            worded = re.search(r"[^\W\d_]", text) or text in ("%", "‰", "°")
-            if worded and (looks or text.lower() in _WITHOUT_SIZE):
-                return text
-    last = re.split(r"[\W_]+", name.strip())[-1].lower()
-    return last if last in _WITHOUT_SIZE else None
+        words = re.findall(r"[^\W\d_]+", text.lower())
+        meant = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
+        meant |= text.lower() in _OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
+        meant |= any(len(word) > 1 and is_unit(spelled(word)) for word in words)
+        if meant and (words or text in ("%", "‰", "°")):
+            return StatedUnit(name[: brackets.start()] + name[brackets.end() :], None, text)
+    return None
+
+
+def _ending(name: str) -> StatedUnit:
+    """The longest ending that is a unit. A number before it is an index, or else a question."""
+    name = name.strip()
+    for at in (boundary.start() for boundary in _BOUNDARY.finditer(name)):
+        text = name[at:].strip()
+        is_whole = at == 0 and (len(text) < 2 or text.lower() == "min")  # a name of its own
+        if is_whole or len(text) > _LONGEST_ENDING or not re.search(r"[\w°'\"′″]$", text):
+            continue
+        unit = spelled(text)
+        if not is_unit(unit):
+            unit = spelled(re.sub("(?<=[a-z]{2})(?=[A-Z])", " ", text))
+        if not is_unit(unit):
+            continue
+        number = _NUMBER_FIRST.match(text)
+        if number and (number[2] or re.fullmatch("10+", number[1])):
+            return StatedUnit(name[:at], None, text)
+        if not number:
+            bare = re.sub(r"[\s_/,:;|.-]+(?:in[\s_]*)?$", "", name[:at])
+            # Of "x/s" the x may be a unit that is none here, of "x_s" only s may be a unit.
+            return StatedUnit(bare, unit, ending=f"/{text}" if name[:at].endswith("/") else text)
+    last = re.split(r"[\W_]+", name)[-1].lower()
+    if by_time := _BY_TIME.fullmatch(re.split(r"[\s_,:]", name)[-1]):
+        return StatedUnit(name, None, by_time[0])
+    words = {word for word in re.split(r"[\W_\d]+", name.lower()) if word}
+    if words & COUNTED and words <= _COUNTERS_WORDS:
+        return StatedUnit(name, None, "a count of samples")
+    return StatedUnit(name, None, last if last in _QUESTIONS else None)
 
 
 def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
@@ -173,35 +241,25 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
         )
     if spec.unit is not None:
         return Column(index, channel, spec.unit)
-    stated = table.unit(index)
-    if stated and stated.strip():
-        return Column(index, channel, _known(path, table, index, channel, stated))
-    _, named = split_unit(spec.name)
-    if named is None and (named := unknown_unit(spec.name)) and channel == TIME:
-        # The form of a date (time [hh:mm:ss]) is no unit.
-        named = None if table.timestamps(index) is not None else named
-    if named is None:
-        return Column(index, channel, None)
-    unit = _known(path, table, index, channel, named)
-    column = Column(index, channel, unit)
-    if column.factor == 1.0:
-        return column
-    note = f'The unit of column "{spec.name}" is taken from its name: {unit}.'
-    return replace(column, note=note)
-
-
-def _known(path: Path, table: Table, index: int, channel: str, stated: str) -> str:
-    """The unit that the file itself states; the user's, under [columns], goes before."""
-    unit = spelled(stated)
-    if not is_accepted(channel, unit):
+    stated = stated_unit(table, index).of(channel)
+    if stated.unknown and not _is_of_dates(table, index, channel):
         raise RecordingError(
             "The file states a unit that is not known for this channel.",
             file=path,
-            where=f'column "{table.columns[index]}"',
-            found=f'"{shortened(stated)}"',
+            where=f'column "{spec.name}"',
+            found=f'"{shortened(stated.unknown)}"',
             expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
-    return unit
+    column = Column(index, channel, stated.unit)
+    if column.factor == 1.0 or (table.unit(index) or "").strip():
+        return column
+    note = f'The unit of column "{spec.name}" is taken from its name: {stated.unit}.'
+    return replace(column, note=note)
+
+
+def _is_of_dates(table: Table, index: int, channel: str) -> bool:
+    """Whether what looks like a unit is the form of a date: ``time [hh:mm:ss]``."""
+    return channel == TIME and table.timestamps(index) is not None
 
 
 def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> RecordingError:

@@ -27,15 +27,14 @@ from bayesbl.recording.channels import (
     REFERENCE_SPEED,
     TIME,
 )
-from bayesbl.recording.columns import Table, split_unit, unknown_unit
+from bayesbl.recording.columns import COUNTED, StatedUnit, Table, stated_unit
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
     RPM_PER_RAD_PER_S,
     accepted_units,
     choice_of_units,
     conversion_factor,
-    is_unit,
-    spelled,
+    is_accepted,
 )
 
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
@@ -48,9 +47,6 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
     }
 )
 """Channel to the words that files use for it, in small letters."""
-
-_COUNTED = frozenset(("sample", "samples"))
-_COUNTERS_WORDS = _COUNTED | {"index", "number", "no", "nr", "count"}
 
 _REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
 _LOAD = "load link joint output out arm l wheel pendulum secondary external"
@@ -120,13 +116,12 @@ class Guess:
 
 @dataclass(frozen=True, slots=True)
 class _Named:
-    """What a column's name and the file say of it; ``unknown``: a unit that is none here."""
+    """What a column's name and the file say of it."""
 
     index: int
     name: str
     words: frozenset[str]
-    unit: str | None
-    unknown: str | None = None
+    stated: StatedUnit
 
     def is_called(self, words: str) -> bool:
         """Whether its name has any of these words."""
@@ -190,11 +185,9 @@ def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]
 
     What stands before the last slash is the joint, and does not tell what a column holds.
     """
-    groups = [split_unit(name)[0].rpartition("/")[0] for name in table.columns]
-    inner = [
-        _Named(i, name, *_parsed(table, i, name.removeprefix(f"{group}/")))
-        for i, (name, group) in enumerate(zip(table.columns, groups, strict=True))
-    ]
+    bare = [stated_unit(table, index).bare for index in range(len(table.columns))]
+    groups = [name.rpartition("/")[0] for name in bare]
+    inner = [_named(table, index, group) for index, group in enumerate(groups)]
     joints = dict.fromkeys(
         group
         for group, column in zip(groups, inner, strict=True)
@@ -219,7 +212,7 @@ def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]
             expected=f"one of them, e.g. --joint {shlex.quote(next(iter(joints)))}",
         )
     if not joints:
-        return [_Named(i, name, *_parsed(table, i, name)) for i, name in enumerate(table.columns)]
+        return [_named(table, index) for index in range(len(table.columns))]
     chosen = joint if joint is not None else next(iter(joints))
     pairs = zip(groups, inner, strict=True)
     return [column for group, column in pairs if group in ("", chosen)]
@@ -334,22 +327,13 @@ def _mean_speed_rpm(
     return RPM_PER_RAD_PER_S * float(way.sum()) / lasted if lasted > 0.0 else None
 
 
-def _parsed(table: Table, index: int, name: str) -> tuple[frozenset[str], str | None, str | None]:
-    """Words of a name in small letters, the unit that it or the file states, and an unknown one."""
-    bare, in_name = split_unit(name)
-    unit = _known_unit(table.unit(index)) or in_name
-    # Whole before in parts: of "n 1/min" and "current_mA" the last part alone is another unit.
-    for ends in (bare.split(), re.split(r"[\W_]+", bare.strip()), _split(bare)):
-        if unit is None and len(ends) > 1:
-            unit = _known_unit(ends[-1], also_small=True)
-    stated = (table.unit(index) or "").strip() or None
-    unknown = None if unit else stated or unknown_unit(name)
-    words = _words(bare)
-    if not (unit or unknown) and not words.isdisjoint(_COUNTED) and words <= _COUNTERS_WORDS:
-        unknown = "a count of samples"
-    if unknown and table.timestamps(index) is not None:  # time [hh:mm:ss]
-        unknown = None
-    return words, unit, unknown
+def _named(table: Table, index: int, group: str = "") -> _Named:
+    """A column; ``group``: of its joint, which stands before its own name."""
+    name = table.columns[index]
+    stated = stated_unit(table, index, name.removeprefix(f"{group}/"))
+    if stated.unknown and table.timestamps(index) is not None:  # time [hh:mm:ss]
+        stated = replace(stated, unknown=None)
+    return _Named(index, name, _words(stated.bare), stated)
 
 
 def _split(text: str) -> list[str]:
@@ -373,26 +357,18 @@ def _parts_of(word: str) -> tuple[str, ...]:
     return (word,)
 
 
-def _known_unit(text: str | None, *, also_small: bool = False) -> str | None:
-    """A unit in this package's spelling; of a name's last word in any case of letters."""
-    if not text:
-        return None
-    unit = spelled(text)
-    if is_unit(unit):
-        return unit
-    every = [known for channel in (TIME, *CHANNELS) for known in accepted_units(channel)]
-    small = [known for known in every if known.lower() == unit.lower()]
-    return small[0] if also_small and small else None
-
-
 def _channel(column: _Named) -> str | None:
-    """The channel that a column may be, by its unit first and its words then."""
+    """The channel that a column may be: by a unit in brackets first, then by its words."""
     if column.name in (TIME, *CHANNELS):
         return column.name
-    kinds = [c for c in _NAMES_OF if column.unit in accepted_units(c)] if column.unit else []
+    unit = column.stated.unit
+    of_unit = [c for c in _NAMES_OF if unit and is_accepted(c, unit)]
     # A current is often called I_q, of which the letter q alone would be a joint's position.
     words = column.words - {"q"} if column.is_called("i current strom") else column.words
-    kinds = kinds or [c for c, named in _NAMES_OF.items() if not words.isdisjoint(named.split())]
+    kinds = [c for c, named in _NAMES_OF.items() if not words.isdisjoint(named.split())]
+    kinds = [c for c in kinds if c in of_unit] or (
+        kinds if kinds and (column.stated.ending or not of_unit) else of_unit
+    )
     if not kinds:
         return None
     kind = kinds[0]
@@ -409,7 +385,7 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
     exact = (TIME, *CHANNELS)
     for column in sorted(
         named,
-        key=lambda c: (c.name not in exact, bool(c.words & _COUNTED), not c.is_called(_MOTOR)),
+        key=lambda c: (c.name not in exact, bool(c.words & COUNTED), not c.is_called(_MOTOR)),
     ):
         channel = _channel(column)
         if channel is not None:
@@ -419,14 +395,15 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
 
 def _stated(channel: str, column: _Named) -> GuessedColumn:
     own = accepted_units(channel)[0]
-    if column.unknown:
+    stated = column.stated.of(channel)
+    if stated.unknown:
         units = choice_of_units(channel)
-        asked = f'enter its unit, as the file says "{shortened(column.unknown)}": {units}'
+        asked = f'enter its unit, as the file says "{shortened(stated.unknown)}": {units}'
         return GuessedColumn(channel, column.name, UNKNOWN, asked, True)
-    if column.unit in accepted_units(channel):
-        return GuessedColumn(channel, column.name, str(column.unit), "stated in the file", True)
     if column.name == channel:
         return GuessedColumn(channel, column.name, own, "the name says so", True)
+    if stated.unit:
+        return GuessedColumn(channel, column.name, stated.unit, "stated in the file", True)
     return GuessedColumn(channel, column.name, own, NO_UNIT, False)
 
 
@@ -454,7 +431,10 @@ def _units(
         asked = float(np.nanmean(np.abs(values[REFERENCE_SPEED])))
         if known := found.get(MOTOR_SPEED):
             speed *= conversion_factor(MOTOR_SPEED, known[0])
-            fixed = {**chosen, MOTOR_SPEED: replace(chosen[MOTOR_SPEED], unit="rpm")}
+            fixed = {
+                **chosen,
+                MOTOR_SPEED: replace(chosen[MOTOR_SPEED], stated=StatedUnit("", "rpm")),
+            }
             found |= _of_reference(_agreeing(fixed, speed, asked, REFERENCE_SPEED, 1.0))
             found[MOTOR_SPEED] = known
         else:

@@ -403,6 +403,47 @@ def test_turns_that_the_file_states_win_over_every_guess(tmp_path: Path) -> None
     assert np.ptp(position) / 0.599 * RPM_PER_RAD_PER_S == pytest.approx(1995, rel=0.01)
 
 
+STATED = {
+    "motor_speed_rpm": ("speed", 1.0, "rpm|r/min|1/min|min⁻¹|min^-1|U/min|revolutions per minute"),
+    "motor_speed_rpm ": ("speed", 1e3, "krpm|kr/min"),
+    "motor_speed_rpm  ": ("speed", RPM_PER_RAD_PER_S, "rad/s|rad s-1|rad·s⁻¹|rad_per_sec|rad_s"),
+    "motor_speed_rpm   ": ("speed", 1.0 / 6.0, "deg/s|°/s|degrees per second|dps"),
+    "motor_position_rad": ("position", np.pi / 180.0, "deg|°|degrees"),
+    "motor_position_rad ": ("position", 1e-3 * np.pi / 180.0, "mdeg|m°"),
+    "motor_position_rad  ": ("position", 2.0 * np.pi, "turns|rev|Umdr"),
+    "motor_current_a": ("current", 1e-3, "mA|milliamps|mA rms"),
+    "time_s": ("time", 1e-6, "us|µs|usec|microseconds"),
+    "time_s ": ("time", 3600.0, "h|hours"),
+}
+PLACES = ("{n} [{u}]", "{n}({u})", "{n} <{u}>", "{n} / {u}", "{n}/{u}", "{n}, {u}", "{n} in {u}")
+
+
+@pytest.mark.parametrize("place", [*PLACES, "{n} {u}", "{n}_{u}", "axis_2 {n}:{u}", "below"])
+@pytest.mark.parametrize("channel", STATED)
+def test_a_stated_unit_wins_wherever_it_stands(channel: str, place: str, tmp_path: Path) -> None:
+    word, factor, units = STATED[channel]
+    channel = channel.strip()
+    path = tmp_path / "a.csv"
+    for unit in units.split("|"):
+        columns = {"time_s": "time [s]", "motor_speed_rpm": "speed [rpm]"}
+        below = place == "below"
+        columns[channel] = word if below else place.format(n=word, u=unit)
+        units_below = [unit if c == channel and below else "" for c in columns]
+        lines = [";".join(units_below)] if below else []
+        values = {"time_s": TIME, "motor_speed_rpm": SPEED} | {channel: 1.0 + TIME}
+        lines += [
+            ";".join(map(repr, map(float, row))) for row in zip(*values.values(), strict=True)
+        ]
+        path.write_text(text(lines, ";".join(columns.values())), encoding="utf-8")
+        guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}[channel]
+        assert guess.sure
+        assert conversion_factor(channel, guess.unit) == pytest.approx(factor, rel=1e-10), unit
+        specs = {c: ColumnSpec(name) for c, name in columns.items()}
+        read = read_recording(path, columns=specs)
+        series = read.time_s if channel == "time_s" else read.channels[channel]
+        assert np.ptp(series) == pytest.approx(factor * np.ptp(values[channel]), rel=1e-9), unit
+
+
 @pytest.mark.parametrize(
     ("name", "channel", "unit"),
     [
@@ -465,11 +506,18 @@ def test_a_labview_file_is_a_table(tmp_path: Path) -> None:
         "motor_erpm",
         "speed (%)",
         "vel_counts",
+        "speed / r/s",
+        "speed, 1/s",
+        "speed (s^-1)",
+        "speed, 0.1 rpm",
+        "speed x1000 rpm",
+        "speed (rpm x10)",
+        "speed_deg",
     ],
 )
 def test_a_unit_that_is_not_known_is_a_question(name: str, tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    path.write_text(text(rows(), f"time_s,{name}"))
+    path.write_text(text(rows("{t:.3f};{n:.3f}"), f"time_s;{name}"))
     with pytest.raises(RecordingError, match=r"states a unit that is not known.*state the right"):
         read_recording(path, columns={"motor_speed_rpm": ColumnSpec(name)})
     speed = guess_columns(path, read_table(path)).columns[1]

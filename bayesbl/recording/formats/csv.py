@@ -413,7 +413,10 @@ def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
 
 def _is_number(cell: str) -> bool:
     """Whether it may be a number with either mark, bare or before its unit; never if missing."""
-    cell = _parted(cell)[0]
+    return _is_bare_number(_parted(cell)[0])
+
+
+def _is_bare_number(cell: str) -> bool:
     return any(
         (value := number_in(cell, mark)) is not None and (value == value or cell.lower() == "nan")
         for mark in ".,"
@@ -491,7 +494,7 @@ def header_of(
             cells.pop()
         if not any(cells):
             continue
-        if len(cells) in widths and not any(map(_is_number, cells)):
+        if len(cells) in widths and not any(map(_is_bare_number, cells)):
             named.append(i)
         elif len(cells) > 1:
             named.clear()
