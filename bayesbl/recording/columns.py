@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
 from bayesbl.recording.types import FloatArray
@@ -170,6 +172,24 @@ def stated_unit(table: Table, index: int, name: str | None = None) -> StatedUnit
     unit = spelled(of_file)
     known = (unit, None) if is_unit(unit) else (None, of_file)
     return StatedUnit(of_name.bare, *known)
+
+
+def stamps_and_values(
+    table: Table, time: int, columns: Sequence[int] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Numbers of a column of time, shape (n,), and of others, shape (n, c).
+
+    Nanoseconds that a second column holds are put to whole seconds: ROS writes ``stamp.sec`` and
+    ``stamp.nanosec``.
+    """
+    name = table.columns[time]
+    whole = [re.sub("(?i)n(ano)?(?=s(ec(ond)?s?)?$)", "", other) for other in table.columns]
+    rest = [i for i, n in enumerate(whole) if n == name and i != time]
+    read = table.numbers([time, *columns, *rest])
+    stamps, nanoseconds = read[:, 0], read[:, 1 + len(columns) :]
+    if len(rest) == 1 and np.all((nanoseconds >= 0.0) & (nanoseconds < 1e9)):
+        stamps = stamps - stamps[0] + 1e-9 * nanoseconds[:, 0]
+    return stamps, read[:, 1 : 1 + len(columns)]
 
 
 def _bracketed(name: str) -> StatedUnit | None:

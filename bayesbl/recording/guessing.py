@@ -27,7 +27,7 @@ from bayesbl.recording.channels import (
     REFERENCE_SPEED,
     TIME,
 )
-from bayesbl.recording.columns import COUNTED, StatedUnit, Table, stated_unit
+from bayesbl.recording.columns import COUNTED, StatedUnit, Table, stamps_and_values, stated_unit
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
     RPM_PER_RAD_PER_S,
@@ -68,7 +68,13 @@ NO_UNIT = "no unit found: check it"
 UNKNOWN = "?"
 """In place of a unit that nothing tells now and nothing could check later."""
 
-_USUAL_RATES_HZ = (10.0, 1e5)
+_USUAL_RATES_HZ = (10.0, 5e4)
+_THESE_YEARS = (631152000.0, 4102444800.0)
+"""1990 to 2100 in seconds since 1970."""
+
+_STARTS_OF_TICKS = (11644473600.0, 62135596800.0)
+"""Seconds before 1970 from which Windows and .NET count their ticks of 100 ns."""
+
 _LONGEST_S = 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SIDES_ALIKE = 2.5
@@ -143,6 +149,10 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
     if len(tied) == 1:
         (clock,) = tied
         chosen[TIME] = next(column for column in named if column.index == clock)
+    clocks = [column for column in named if _channel(column) == TIME]
+    if len(clocks) > 1 and not tied and chosen[TIME].name != TIME:
+        finer = (c for c in clocks if not c.stated.unknown and _increases(_numbers(table, c)))
+        chosen[TIME] = next(finer, chosen[TIME])
     if TIME not in chosen:
         rest = [column for column in named if column not in chosen.values()]
         found = next((column for column in rest if _increases(_numbers(table, column))), None)
@@ -343,6 +353,7 @@ def _split(text: str) -> list[str]:
 
 def _words(text: str) -> frozenset[str]:
     """Words in small letters, without the numbers at their ends, compounds in their parts."""
+    text = re.sub(r"\w+\s*=", " ", text)  # of a label, joint="left", the key is none
     words = (re.sub(r"\d+$", "", part.lower()) or part for part in _split(text))
     return frozenset(part for word in words for part in _parts_of(word))
 
@@ -450,16 +461,19 @@ def _of_position(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]
     speed, angle = ("rad/s", "rad") if ("rad/s", "rad") in pairs else pairs[0]
     reason = "speed and position then agree"
     if len(pairs) > 1:
-        others = " or ".join(theirs for _, theirs in pairs if theirs != angle)
-        reason = f"no unit found, and speed and position agree in {others} too: check it"
+        others = dict.fromkeys(theirs for _, theirs in pairs if theirs != angle)
+        reason = (
+            f"speed and position agree in {' or '.join(others) or 'another unit'} too: check it"
+        )
     return {MOTOR_SPEED: (speed, reason), MOTOR_POSITION: (angle, reason)}
 
 
 def _of_reference(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]:
     """Units of speed and reference, which nearly always have the same."""
     reason = "speed and reference then agree"
-    first = next(iter(pairs), ())
-    return {c: (u, reason) for c, u in zip((MOTOR_SPEED, REFERENCE_SPEED), first, strict=False)}
+    if len({speed for speed, _ in pairs}) != 1:  # as any unit would, where neither is stated
+        return {}
+    return {c: (u, reason) for c, u in zip((MOTOR_SPEED, REFERENCE_SPEED), pairs[0], strict=True)}
 
 
 def _agreeing(
@@ -484,19 +498,30 @@ def _possible(channel: str, column: _Named) -> Iterable[str]:
 
 
 def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str] | None:
+    """The unit in which stamps are of these years, or else have a usual rate, if it is one."""
     if table.timestamps(column.index) is not None:
         return "datetime", "holds dates"
     if _stated(TIME, column).sure:
         return None
-    steps = np.diff(time[np.isfinite(time)])
+    there = time[np.isfinite(time)]
+    steps = np.diff(there)
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
-    for unit in ("s", "ms", "us", "ns"):
+    usual: dict[str, float] = {}
+    for unit in ("s", "ms", "us", "100 ns", "ns"):
         factor = conversion_factor(TIME, unit)
         rate = 1.0 / (step * factor) if step > 0.0 else 0.0
-        lasts = factor * step * steps.size
-        if _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1] and lasts <= _LONGEST_S:
-            return unit, f"a sampling rate of {rate:.4g} Hz"
-    return None
+        if not _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1]:
+            continue
+        begins = float(there[0]) * factor
+        starts = _STARTS_OF_TICKS if unit == "100 ns" else (0.0,)
+        if any(_THESE_YEARS[0] <= begins - start <= _THESE_YEARS[1] for start in starts):
+            return unit, f"its years, and a sampling rate of {rate:.4g} Hz"
+        if unit != "100 ns" and factor * step * steps.size <= _LONGEST_S:
+            usual[unit] = rate
+    readings = [f"{rate:.4g} Hz in {unit}" for unit, rate in usual.items()]
+    if len(usual) > 1:
+        return UNKNOWN, f"enter its unit: a sampling rate of {' or '.join(readings)}"
+    return next(((unit, f"a sampling rate of {rate:.4g} Hz") for unit, rate in usual.items()), None)
 
 
 def _series(path: str | Path, table: Table, column: _Named) -> FloatArray:
@@ -509,7 +534,7 @@ def _series(path: str | Path, table: Table, column: _Named) -> FloatArray:
     """
     values = table.timestamps(column.index)
     if values is None:
-        values = table.numbers([column.index])[:, 0]
+        values = stamps_and_values(table, column.index)[0]
     count = int(np.isfinite(values).sum())
     if count < 2:
         raise RecordingError(
@@ -528,7 +553,7 @@ def _numbers(table: Table, column: _Named) -> FloatArray:
     if stamps is not None:
         return stamps
     try:
-        values: FloatArray = table.numbers([column.index])[:, 0]
+        values = stamps_and_values(table, column.index)[0]
     except RecordingError:
         return np.full(2, np.nan)
     return np.where(np.isfinite(values), values, np.nan)

@@ -26,7 +26,7 @@ from bayesbl.recording.channels import (
     ColumnSpec,
     did_you_mean_file,
 )
-from bayesbl.recording.columns import Column, Table, choose_columns
+from bayesbl.recording.columns import Column, Table, choose_columns, stamps_and_values
 from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
 from bayesbl.recording.lost_samples import bridge, without_lost
@@ -166,8 +166,7 @@ def _values(
     if stamps is None:
         if time_column.unit == "datetime":
             raise _wrong_time_unit(path, table, time_column, "numbers", "dates")
-        both = table.numbers([time_column.index, *indices])
-        stamps, values = both[:, 0], both[:, 1:]
+        stamps, values = stamps_and_values(table, time_column.index, indices)
     else:
         if time_column.unit not in (None, "s", "datetime"):
             raise _wrong_time_unit(path, table, time_column, "dates", "numbers")

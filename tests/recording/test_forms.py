@@ -52,6 +52,7 @@ def clock(seconds: float, form: str = "%H:%M:%S") -> str:
 SPACED = {
     "np.savetxt": text(rows("{t:.18e} {n:.18e}"), f"# {' '.join(NAMES)}"),
     "spaces": text(rows("{t:.3f}   {n:.3f}"), "  ".join(NAMES)),
+    "tabs among spaces": text(rows("{t:.3f} \t {n:.3f}"), "   ".join(NAMES)),
     "bars": text(rows("{t:.3f} | {n:.3f}"), " | ".join(NAMES)),
 }
 MARKS = {
@@ -89,6 +90,8 @@ LEFT_OUT = {
     "a line of text": with_line("stopped"),
     "units below": text(["s,rpm", *rows()]),
     "brackets of units below": text(["[s],[rpm]", *rows()]),
+    "a name over two lines": text(rows(), '"time\n[s]","speed\n[rpm]"'),
+    "numbers of columns above": text([",".join(NAMES), *rows()], "1,2"),
     "a title above": "Recorder 7\nMachine;A\n\n" + text(rows()),
 }
 MORE_COLUMNS = {

@@ -429,9 +429,11 @@ def _is_value(cell: str) -> bool:
     return _is_number(cell) or is_date(cell)
 
 
-def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
+def _layout(
+    file: Path, text: _Text, head: Sequence[str], separators: Sequence[str] = _SEPARATORS
+) -> _Layout:
     middle = text.middle()
-    separator, width, values = _dialect(middle)
+    separator, width, values = _dialect(middle, separators)
     written = [i for i, line in enumerate(head) if line.strip()]
     if not written:
         raise RecordingError("The file is empty.", file=file, found="nothing", expected=_EXPECTED)
@@ -444,9 +446,10 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
             found=f"{width} columns",
             expected="a column for each channel and a line for each sample",
         )
+    head = _joined(head)
+    written = [i for i, line in enumerate(head) if line.strip()]
     cut = [_split(line, separator) for line in head]
-    places = range(len(written))
-    first = next((k for k in places[:MOST_ABOVE] if is_sample(cut[written[k]], values)), None)
+    first = first_sample([cut[i] for i in written[: MOST_ABOVE + 1]], values)
     if first is None:
         raise _no_table(file, text, [head[i] for i in written])
     # Some loggers end each line of samples with a separator, but not the header.
@@ -461,6 +464,8 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
     rows = [_split(line, separator) for line in middle]
     mark = decimal_mark(file, rows, values)
     stated = tuple(_units_of(file, rows, k) if k in values else "" for k in range(width))
+    if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
+        return _layout(file, text, head, (" ",))  # tabs among spaces
     if found is None:
         nearest = cut[above[-1]] if above else []
         if len(nearest) > 1 and not any(map(_is_number, nearest)):
@@ -475,7 +480,20 @@ def _layout(file: Path, text: _Text, head: Sequence[str]) -> _Layout:
     last, names, units = found
     units = stated[: len(names)] if any(stated) else units
     lines = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
-    return _Layout(separator, len(names), names, units, lines, above[last] + 1, mark)
+    return _Layout(separator, len(names), names, units, lines, written[first], mark)
+
+
+def _joined(head: Sequence[str]) -> list[str]:
+    """Lines with those that a quoted name goes on over in one; the others are blank."""
+    joined = list(head)
+    at = 0
+    for i, line in enumerate(head):
+        if i > at and joined[at].count('"') % 2 and joined[at].count('"') + line.count('"') < 200:
+            joined[at] += f" {line}"
+            joined[i] = ""
+        else:
+            at = i
+    return joined
 
 
 def header_of(
@@ -503,6 +521,7 @@ def header_of(
     bare = [cell.strip("[]() ") for cell in above[named[-1]]]
     has_units = len(named) > 1 and any(is_unit(spelled(cell)) for cell in bare)
     names = above[named[-2] if has_units else named[-1]]
+    names = [name or f"column {i}" for i, name in enumerate(names, 1)]
     units = tuple(bare[: len(names)]) if has_units else ()
     return named[-1], tuple(numbered(names)), units
 
@@ -522,10 +541,17 @@ def is_sample(cells: Sequence[str], values: Sequence[int]) -> bool:
     )
 
 
-def _dialect(lines: Sequence[str]) -> tuple[str, int, list[int]]:
+def first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int | None:
+    """The first row that is a sample; numbers of columns are none, they stand above their names."""
+    followed = [any(map(_is_value, row)) for row in rows[1:]] + [True]
+    pairs = zip(rows, followed, strict=True)
+    return next((i for i, (row, on) in enumerate(pairs) if on and is_sample(row, values)), None)
+
+
+def _dialect(lines: Sequence[str], separators: Sequence[str]) -> tuple[str, int, list[int]]:
     """Separator, number of cells and which of them hold values: equal rows, most of numbers."""
     best, chosen = 0.0, (",", 0, list[int]())
-    for separator in _SEPARATORS:
+    for separator in separators:
         rows = [_split(line, separator) for line in lines]
         widths = Counter(map(len, rows))
         if not widths:

@@ -15,8 +15,8 @@ from bayesbl.recording.formats import Format
 from bayesbl.recording.formats.csv import (
     MOST_ABOVE,
     decimal_mark,
+    first_sample,
     header_of,
-    is_sample,
     number_in,
     unnamed,
     value_columns,
@@ -71,8 +71,8 @@ def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
     width = max(map(len, rows), default=0)
     middle = [_texts(row, width) for row in rows[len(rows) // 2 :][:_MIDDLE]]
     values, _ = value_columns(middle) if middle else ([], 0.0)
-    above = [_texts(row, width) for row in rows[:MOST_ABOVE]]
-    first = next((i for i, cells in enumerate(above) if values and is_sample(cells, values)), None)
+    above = [_texts(row, width) for row in rows[: MOST_ABOVE + 1]]
+    first = first_sample(above, values) if values else None
     if first is None:  # a sheet of remarks
         return Group(sheet.title, {})
     found = header_of(above[:first], {width})
