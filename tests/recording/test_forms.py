@@ -90,7 +90,7 @@ LEFT_OUT = {
     "a line of text": with_line("stopped"),
     "units below": text(["s,rpm", *rows()]),
     "brackets of units below": text(["[s],[rpm]", *rows()]),
-    "a name over two lines": text(rows(), '"time\n[s]","speed\n[rpm]"'),
+    "a name over two lines": text(rows(), '"time_s\n",motor_speed_rpm'),
     "numbers of columns above": text([",".join(NAMES), *rows()], "1,2"),
     "a title above": "Recorder 7\nMachine;A\n\n" + text(rows()),
 }
