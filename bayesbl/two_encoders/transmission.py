@@ -33,6 +33,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp, ndtri
+from scipy.stats import qmc
 
 from bayesbl.compiled import compiled
 from bayesbl.progress import Progress
@@ -62,9 +63,12 @@ about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 COASTING = (np.inf, 3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
 
-WEIGHT, RUBBED, DIRECTIONS = 30.0, (0.05, 0.1, 0.2, 0.4, 0.8), 8
-"""Deceleration by the load's weight, rad/s² (gravity over a third of a metre), parts of it that
-friction makes, and directions of the weight: to begin with."""
+WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
+"""Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
+makes, and h over half of what the encoders differ by: to begin with."""
+
+TRIED, MOVED = 1024, 6
+"""Points of this space that are weighed, and the best of them that are moved."""
 
 STAYS = 0.5
 """Probability of the first, beforehand."""
@@ -77,10 +81,11 @@ ANYWHERE, VISIBLE, CHANGE = 0.8, 8.0, np.log(3.0)
 normal density as high as the uniform one), the least h over the noise, and the cost of a change
 between flank and gap."""
 
-ECCENTRIC_RAD = 0.015
-"""Standard deviation of what an encoder's ring or magnet that is not centred makes once a turn.
+ECCENTRIC_RAD, ENCODER_ORDERS = 0.015, (1, 2, 3)
+"""Standard deviation of what an encoder's ring or magnet that is not centred makes once a turn, and
+orders of its curve, n times a turn, which fall by 1/n².
 
-Over a part of a turn it looks like another gear ratio.
+Over a part of a turn they look like another gear ratio.
 """
 
 ALIKE_RAD = 1e-3
@@ -236,14 +241,16 @@ class Design:
         sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S]
         sd += [INERTIA_S2]
         self.turns = self.travel_rad > 2.0 * np.pi
-        first = len(names) + (0 if self.turns else 2)
+        first = len(names)
         orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
         if self.turns:
             names += [f"load {n} {part}" for part in ("cos", "sin") for n in orders[0]]
         else:
+            names += [f"encoder, {part} {n}" for part in ("cos", "sin") for n in ENCODER_ORDERS]
+            sd += [ECCENTRIC_RAD / n**2 for _ in range(2) for n in ENCODER_ORDERS]
+            first = len(names)
             orders = [np.arange(1, CURVE_ORDERS + 1)]
-            names += ["eccentric, cos", "eccentric, sin", *(f"curve {n}" for n in orders[0])]
-            sd += [ECCENTRIC_RAD, ECCENTRIC_RAD]
+            names += [f"curve {n}" for n in orders[0]]
         sd += [1.0 / n for group in orders for n in group]
         if self.travel_rad > motor_turn:
             phase = 2.0 * np.pi / motor_turn * self.motor_rad
@@ -286,7 +293,7 @@ class Design:
         if self.turns:
             waves += [power.imag for power in powers]
         else:
-            waves = [np.cos(angle), np.sin(angle), *waves]
+            waves = [wave(n * angle) for wave in (np.cos, np.sin) for n in ENCODER_ORDERS] + waves
         return np.stack([self.plain[0], angle, *self.plain[2:], *waves, *self.motor_part], axis=1)
 
     def slopes(self, columns: FloatArray) -> FloatArray:
@@ -361,8 +368,11 @@ class Model:
         weight = how.weight_cos, how.weight_sin
         return np.asarray(load_lag(*motion, half_rad, how.drag, start, *weight))
 
-    def cell(self, course: int, half_rad: float, noise: Noise) -> Cell:
-        """The evidence there, and β."""
+    def cell(self, course: int, half_rad: float, noise: Noise, misfit_rad: float = 0.0) -> Cell:
+        """The evidence there, and β.
+
+        A misfit that is the same at all bins counts once: as white noise √bins times as large.
+        """
         design, change = self.design, 0
         if self.courses[course].free:
             spread = float(np.hypot(noise.white_rad, noise.drift_rad))
@@ -377,7 +387,7 @@ class Model:
             lag = self.paths.binned(self.lag(course, half_rad))
             # In the gap, and nowhere without one.
             loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
-        white = np.full(lag.size, noise.white_rad**2) + loose
+        white = noise.white_rad**2 + lag.size * misfit_rad**2 + loose
         columns = design.columns(lag)
         left = design.load_rad - columns @ design.centre
         both = np.concatenate([columns, left[:, None]], axis=1)
@@ -515,10 +525,11 @@ def of_windup(model: Model, cell: Cell) -> tuple[float, float, float | None]:
     """
     paths, design, half = model.paths, model.design, cell.half_rad
     how = model.courses[cell.course]
-    if paths.torque_nm is None or how.falls or half <= 0.0:
+    if paths.torque_nm is None or half <= 0.0:
         return 0.5, np.inf, None
-    other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ cell.beta)
-    other -= np.interp(paths.time_s, design.time_s, cell.beta[1] * (design.motor_rad - cell.lag))
+    rest = cell.beta.copy()
+    rest[1] = 0.0
+    other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ rest)
     lag = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
     model_lag = model.lag(0 if how.free else cell.course, half) / half
     at_flank = np.where(np.abs(model_lag) > 1.0 - 1e-9, np.sign(model_lag), 0.0)
@@ -659,8 +670,9 @@ def _placed(
 
     order = np.argsort([-at(point).log_evidence for point in tried])
     moved: list[tuple[float, FloatArray]] = []
-    for point in (tried[int(i)] for i in order[:3]):
-        steps = np.diag([0.2, 0.4, 0.2 * WEIGHT, 0.2 * WEIGHT][: point.size])
+    for point in (tried[int(i)] for i in order[:MOVED]):
+        pull = 0.2 * float(np.hypot(*point[2:])) if point.size > 2 else 0.0
+        steps = np.diag([0.2, 0.4, pull, pull][: point.size])
         simplex = np.vstack([point, point + steps])
         found = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
         moved.append((at(found).log_evidence, found))
@@ -680,16 +692,16 @@ def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
 
 
 def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
-    """With a load that its weight moves, by some frictions and directions to begin with."""
-    turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    tried = [
-        np.array([np.log(half), np.log(rubbed * WEIGHT), *pull])
-        for rubbed in RUBBED
-        for pull in WEIGHT * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-        for half in _halves(model, 1e-4, PER_DECADE)
-    ]
-    prior = 0.2 * (1.0 - STAYS) / (len(RUBBED) * DIRECTIONS)
-    return _placed(model, noise, best, tried, prior)
+    """With a load that its weight moves; to begin with by points that fill the space evenly."""
+    differs = np.quantile(model.residual(model.cell(0, 0.0, noise)), (0.05, 0.95))
+    low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
+    low[0], high[0] = (bound + np.log(0.5 * float(np.ptp(differs))) for bound in (low[0], high[0]))
+    tried = []
+    for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
+        half, rubbed, weight = low + np.array(shares) * (high - low)
+        pull = np.exp(weight + 2j * np.pi * turn)
+        tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
+    return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
 
 
 def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
@@ -761,10 +773,7 @@ def _drawn(
     breadth = 0.1 + 0.2 * float(np.std(logs))
     bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
     bare /= breadth * np.sqrt(2.0 * np.pi)
-    # A load that its weight moves changes the flank where the joint is not wound up.
-    falls = np.array([model.courses[c.course].falls for c in cells])
-    bare[falls] = 0.0
-    gap = half[:, None] - np.where(falls[:, None], 0.0, held)
+    gap = half[:, None] - held
     inside = (gap > low) & (gap < high)
     of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
     part, spread, handed_nm = of_windup(model, best)
@@ -789,13 +798,17 @@ def _drawn(
         mine = plays & (nearest == cell)
         each = of_gap[cell] / of_gap[cell].sum()
         chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each)]
-        delta[mine] = np.clip(lost[mine] - (0.0 if falls[cell] else chosen), low, high)
-    beta, wider = np.empty((count, len(names))), np.sqrt(model.counted)
+        delta[mine] = np.clip(lost[mine] - chosen, low, high)
+    # What repeats, what lasts and what the model leaves out of the lag do not average out.
+    beta = np.empty((count, len(names)))
+    again = replace(noise, white_rad=noise.white_rad * np.sqrt(model.counted))
     for cell in np.unique(nearest):
         mine = np.flatnonzero(nearest == cell)
-        normal = wider * generator.standard_normal((len(names), mine.size))
-        moved = solve_triangular(cells[cell].root, normal, lower=True, trans=1)
-        beta[mine] = (cells[cell].beta[:, None] + moved).T
+        misfit = float(np.hypot(MODEL * half[cell], noise.drift_rad))
+        at = model.cell(cells[cell].course, half[cell], again, misfit)
+        normal = generator.standard_normal((len(names), mine.size))
+        moved = solve_triangular(at.root, normal, lower=True, trans=1)
+        beta[mine] = (at.beta[:, None] + moved).T
     # s is scaled as the load follows the motor: a ratio and a transmission error can be exchanged
     # over a part of a turn, not the slope that both make. No model of a gap is better than MODEL.
     # A misfit that lasts for a stroke moves the flank by as much, and does so again at every
@@ -809,6 +822,9 @@ def _drawn(
     lost = np.maximum(lost * scale + moved, 0.0)
     delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
     plays = delta > 0.0
+    # Friction that winds the joint up may follow the speed in any way, and is then like a skew.
+    usual_speed = float(np.std(paths.binned(paths.speed)))
+    by_speed_s = (lost - delta) / usual_speed * generator.standard_normal(count)
     goes = [how.falls or how.free for how in model.courses]
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
@@ -818,7 +834,7 @@ def _drawn(
         "lost_motion_rad": 2.0 * lost,
         "held_windup_rad": 2.0 * (lost - delta),
         "gear_ratio": 1.0 / (paths.slope * beta[:, names.index("ratio")]),
-        "channel_skew_s": paths.skew_s - beta[:, names.index("skew")],
+        "channel_skew_s": paths.skew_s - beta[:, names.index("skew")] - by_speed_s,
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
     if handed_nm is not None:

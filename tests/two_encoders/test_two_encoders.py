@@ -24,16 +24,23 @@ def dragged(path, half):
     return np.array(load)
 
 
-def recorded(play=PLAY, ratio=RATIO, skew_s=SKEW_S, eccentric=2e-3, seed=0, offset=0.0):
-    """Uneven stamps of a sine and its harmonic, the load's encoder of 2^16 counts."""
+def recorded(
+    play=PLAY, ratio=RATIO, skew_s=SKEW_S, eccentric=2e-3, seed=0, offset=0.0, oval=0.0, wound=0.0
+):
+    """Uneven stamps of a sine and its harmonic, the load's encoder of 2^16 counts.
+
+    ``oval`` of its ring, and what viscous friction winds up at the usual speed, rad.
+    """
     generator = np.random.default_rng(seed)
     time = np.arange(0.0, 16.0, 5e-4)
     path = 0.7 * np.sin(2.0 * np.pi * time / 2.0) + 0.3 * np.sin(2.0 * np.pi * time / 3.1)
-    load = dragged(path, 0.5 * play)
+    speed = np.gradient(path, time)
+    load = dragged(path, 0.5 * play) - wound * speed / np.std(speed)
     stamps = np.sort(generator.uniform(0.1, 15.9, 1600))
     at = np.interp(stamps - skew_s, time, load)
     step = 2.0 * np.pi / 2**16
-    read = step * np.round((at + eccentric * np.sin(at + 1.0)) / step)
+    curve = eccentric * np.sin(at + 1.0) + oval * np.sin(2.0 * at + 0.3)
+    read = step * np.round((at + curve) / step)
     motor = ratio * np.interp(stamps, time, path)
     return Channels.unwrapped(stamps, motor + offset, read - offset)
 
@@ -98,6 +105,18 @@ def test_eccentric_and_skewed_encoders_are_no_play():
     assert low <= -5e-3 <= high
 
 
+@pytest.mark.parametrize("oval", [1e-3, -1e-3])
+def test_an_oval_ring_over_a_part_of_a_turn_is_not_another_gear_ratio(oval):
+    low, high = bounds(fitted(recorded(oval=oval)).draws["gear_ratio"], 0.99)
+    assert low <= RATIO <= high
+
+
+@pytest.mark.parametrize("wound", [3e-5, -3e-5])
+def test_twist_by_viscous_friction_is_not_taken_for_a_skew_that_is_known(wound):
+    low, high = bounds(fitted(recorded(wound=wound)).draws["channel_skew_s"], 0.99)
+    assert low <= SKEW_S <= high
+
+
 def test_the_published_backlash_of_two_actuators_is_not_confirmed():
     table = DATA / "planetary_compact"
     if not table.is_dir():
@@ -149,6 +168,7 @@ def test_a_load_that_its_weight_moves_shows_its_play():
     found = fitted(Channels.unwrapped(time[::8], RATIO * motor[::8], read))
     low, high = bounds(found.draws["delta_rad"], 0.99)
     assert low <= half <= high
+    assert np.median(found.draws["delta_rad"]) == pytest.approx(half, rel=0.05)
     assert found.probability_of_play > 0.95
 
 
