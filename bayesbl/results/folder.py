@@ -165,7 +165,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
             "This folder holds files that are not part of a result, and is left as it is.",
             file=path,
             found=_listed(foreign),
-            expected="a new or empty folder",
+            expected="a new or empty folder, by [run] output or --out",
         )
 
 
