@@ -183,7 +183,7 @@ def stamps_and_values(
     ``stamp.nanosec``.
     """
     name = table.columns[time]
-    whole = [re.sub("(?i)n(ano)?(?=s(ec(ond)?s?)?$)", "", other) for other in table.columns]
+    whole = [re.sub("(?i)n(ano)?(?=s(ecs?|econds?)?$)", "", other) for other in table.columns]
     rest = [i for i, n in enumerate(whole) if n == name and i != time]
     read = table.numbers([time, *columns, *rest])
     stamps, nanoseconds = read[:, 0], read[:, 1 + len(columns) :]
