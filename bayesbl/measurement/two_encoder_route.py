@@ -257,8 +257,9 @@ class TwoEncoderMeasurer(Measurer):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):
                 yield Reason("ratio_differs", {"stated": stated, "seen": middle})
-        skew = 1e3 * float(np.median(found.draws["channel_skew_s"]))
-        if abs(skew) > 1.0:
+        draws = 1e3 * found.draws["channel_skew_s"]
+        skew = float(np.median(draws))
+        if abs(skew) > max(1.0, 3.0 * float(draws.std())):
             yield Reason("channels_skewed", {"skew_ms": skew})
         if _misfit_lasts(found):
             values = {"misfit_mrad": 1e3 * found.noise.drift_rad, "lost_mrad": 1e3 * lost}

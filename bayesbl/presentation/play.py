@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary, SnapshotSummary
@@ -165,8 +166,9 @@ def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
     yield from words.gap_cells(part["delta_rad"], places)
     yield "withheld" if play is None else words.significant(1e3 * play["median"], 3)
     yield words.significant(1e3 * part["lost_motion_rad"]["median"], 3)
-    yield words.significant(1e3 * part["channel_skew_s"]["median"], 2)
-    yield words.significant(part["gear_ratio"]["median"], 5)
+    yield words.bounds(part["channel_skew_s"], 1e3)
+    ratio = part["gear_ratio"]
+    yield number(ratio["median"], words.decimals(ratio))
     yield "no play told" if no_play_by_encoders(part) else part["diagnostics"]["outcome"]
 
 
