@@ -325,7 +325,7 @@ def _named(kind: str) -> tuple[str, ...]:
     """Its files, and what its output would be or replace."""
     inputs = ("before.csv", "after.csv", "bench.toml", "axis.csv", "study.py", "datasheet.toml")
     inputs = (*inputs, "ramp.csv", "ramp_later.csv", "joints.csv", "data/")
-    return (f"{kind}.toml", *inputs, "result/", "/dev/", "x" * 100, "[run] output")
+    return (f"{kind}.toml", *inputs, "result/", "/dev/", "fifo", "x" * 100, "[run] output")
 
 
 def _own(tables: Any, name: str) -> Any:
