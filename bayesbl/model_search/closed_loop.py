@@ -76,11 +76,7 @@ CONTENDERS = 4
 LOOP_COLUMNS = 10
 """Of the noise in the loop of one recording, the strongest."""
 
-MOST_FITS, MOST_FITS_IF_DEAR = 16, 6
-MOST_WORK_S = 15_000.0
-"""Sets that are fitted, and how many where they are dear: simulated time of all sets, times their
-unknowns. Three recordings of 18 s with 15 unknowns are 16 sets."""
-
+MOST_FITS = 16
 MOST_ROUNDS = 4
 
 
@@ -255,9 +251,6 @@ class _Search:
         labels = {c.label for c in self._candidates.values()}
         self._log_odds = next(iter(Priors().log_odds(labels).values()), 0.0)
         self.nominal = self._add(nominal)
-        each = (seen.signals.shape[1] / seen.sampling_hz for seen in nominal.fit.model.recordings)
-        affordable = int(MOST_WORK_S / (float(sum(each)) * nominal.fit.point.size))
-        self._most_fits = min(max(affordable, MOST_FITS_IF_DEAR), MOST_FITS)
 
     @property
     def best(self) -> FittedSet:
@@ -273,7 +266,7 @@ class _Search:
             if not best.explanation.candidates and self._is_far(self.best):
                 self._scan()
             self._shed()
-            if self._is_hopeless() or self._is_dear():
+            if self._is_hopeless():
                 return
             if self.best is not best:
                 continue
@@ -295,8 +288,6 @@ class _Search:
 
     def _scan(self) -> None:
         """Candidates that move the gap, from their whole range and the gap's."""
-        if self._is_dear():
-            return
         for found in from_afar(self.nominal.explanation, list(self._candidates.values())):
             self._add(polished(found))
             # Where another law is missing too, alone it is drawn away again.
@@ -361,10 +352,6 @@ class _Search:
         """Whether a few hypotheses more cannot hold nearly all, as none yet holds anything much."""
         least = min(own.misfit for own in self._sets.values())
         return least > (1.0 - HOPEFUL_SHARE) * self.nominal.excess
-
-    def _is_dear(self) -> bool:
-        """Whether more sets would take longer than anybody waits."""
-        return self._most_fits < MOST_FITS and len(self._sets) > self._most_fits
 
     def _is_far(self, own: FittedSet) -> bool:
         """Whether what a bench lacks may have drawn the gap away from where it is.
