@@ -179,15 +179,16 @@ def stamps_and_values(
 ) -> tuple[FloatArray, FloatArray]:
     """Numbers of a column of time, shape (n,), and of others, shape (n, c).
 
-    Nanoseconds that a second column holds are put to whole seconds: ROS writes ``stamp.sec`` and
-    ``stamp.nanosec``.
+    Nanoseconds that a second column holds are put to seconds that are whole: ROS writes
+    ``stamp.sec`` and ``stamp.nanosec``. Beside others they are the same time once more.
     """
     name = table.columns[time]
     whole = [re.sub("(?i)n(ano)?(?=s(ecs?|econds?)?$)", "", other) for other in table.columns]
     rest = [i for i, n in enumerate(whole) if n == name and i != time]
     read = table.numbers([time, *columns, *rest])
     stamps, nanoseconds = read[:, 0], read[:, 1 + len(columns) :]
-    if len(rest) == 1 and np.all((nanoseconds >= 0.0) & (nanoseconds < 1e9)):
+    are_parts = np.all((nanoseconds >= 0.0) & (nanoseconds < 1e9))
+    if len(rest) == 1 and are_parts and np.all(stamps == np.floor(stamps)):
         stamps = stamps - stamps[0] + 1e-9 * nanoseconds[:, 0]
     return stamps, read[:, 1 : 1 + len(columns)]
 

@@ -75,7 +75,7 @@ _THESE_YEARS = (631152000.0, 4102444800.0)
 _STARTS_OF_TICKS = (11644473600.0, 62135596800.0)
 """Seconds before 1970 from which Windows and .NET count their ticks of 100 ns."""
 
-_LONGEST_S = 7200.0
+_SHORTEST_S, _LONGEST_S = 0.5, 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SIDES_ALIKE = 2.5
 """Ratio of the largest torques each way, up to which they may be ramps to and fro."""
@@ -516,7 +516,7 @@ def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str
         starts = _STARTS_OF_TICKS if unit == "100 ns" else (0.0,)
         if any(_THESE_YEARS[0] <= begins - start <= _THESE_YEARS[1] for start in starts):
             return unit, f"its years, and a sampling rate of {rate:.4g} Hz"
-        if unit != "100 ns" and factor * step * steps.size <= _LONGEST_S:
+        if unit != "100 ns" and _SHORTEST_S <= factor * step * steps.size <= _LONGEST_S:
             usual[unit] = rate
     readings = [f"{rate:.4g} Hz in {unit}" for unit, rate in usual.items()]
     if len(usual) > 1:

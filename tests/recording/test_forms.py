@@ -13,6 +13,7 @@ import pytest
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import ready_for_fit
+from bayesbl.recording.columns import stamps_and_values
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
@@ -776,3 +777,30 @@ def test_positions_of_motor_and_load_are_told_apart(names: str, tmp_path: Path) 
     told = {column.channel: column.name for column in guess.columns}
     assert list(told.values()) == names.split(",")
     assert list(told) == ["time_s", "motor_position_rad", "load_position_rad"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nanoseconds", "whole"),
+    [("stamp.sec", "stamp.nanosec", True), ("time_s", "time_ns", False)],
+)
+def test_nanoseconds_are_added_to_whole_seconds_only(
+    seconds: str, nanoseconds: str, whole: bool, tmp_path: Path
+) -> None:
+    path, step_ns, count = tmp_path / "a.csv", 4_000_000, 240  # less than a second, if not whole
+    clock_ns = step_ns * np.arange(10 * count if whole else count)
+    rows_ = [
+        f"{ns // 10**9},{ns % 10**9},1500" if whole else f"{ns / 1e9},{ns},1500" for ns in clock_ns
+    ]
+    path.write_text(text(rows_, f"{seconds},{nanoseconds},motor_speed_rpm"))
+    stamps, _ = stamps_and_values(read_table(path), 0)
+    np.testing.assert_allclose(stamps, 1e-9 * clock_ns, atol=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 25.0, 40.0])
+def test_slow_samples_of_a_minute_are_in_seconds_and_not_a_moment_in_milliseconds(
+    rate_hz: float, tmp_path: Path
+) -> None:
+    path, stamps = tmp_path / "a.csv", np.arange(0.0, 60.0, 1.0 / rate_hz)
+    path.write_text(text([f"{t:.6g},1500" for t in stamps], "time,motor_speed_rpm"))
+    guess = {c.channel: c.unit for c in guess_columns(path, read_table(path)).columns}
+    assert guess["time_s"] == "s"
