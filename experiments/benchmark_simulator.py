@@ -112,7 +112,8 @@ def compare_with_scipy() -> None:
             speed = np.empty((1, SAMPLES))
             settling = settling_time_s(p, accuracy)[0]
             state = np.empty(STATES)
-            arguments = (p[0], settling, 1.0 / SAMPLING_HZ, accuracy)
+            times = np.arange(SAMPLES) / SAMPLING_HZ
+            arguments = (p[0], settling, 1.0 / SAMPLING_HZ, times, accuracy)
             _, cost = kernel.simulate(*arguments, speed, state)
             error = np.max(np.abs(speed[0] - exact))
             for label, rows in (("speed", 1), ("all channels", 3)):
@@ -167,7 +168,8 @@ def cost_of_effects() -> None:
         exact = simulate_speeds(p, SAMPLES, SAMPLING_HZ, accuracy_rpm=1e-4)
         settling = settling_time_s(p, 0.01)[0]
         state, out = np.empty(STATES), np.empty((3, SAMPLES))
-        _, cost = kernel.simulate(p[0], settling, 1.0 / SAMPLING_HZ, 0.01, out, state)
+        times = np.arange(SAMPLES) / SAMPLING_HZ
+        _, cost = kernel.simulate(p[0], settling, 1.0 / SAMPLING_HZ, times, 0.01, out, state)
         print(f"{name:34}{ms:9.2f}{cost:9d}{np.max(np.abs(speed - exact)):12.5f}")
 
 

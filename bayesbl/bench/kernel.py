@@ -167,8 +167,8 @@ LOCAL_SHARE = 0.004
 # Longest step in radians of the fastest oscillation: what the dense output still follows.
 LONGEST_PHASE = 1.0
 # Time between two ticks, in radians of the fastest oscillation, that one step of the classical
-# method takes: its error of phase, (ωh)⁵/120 a step, is below 1e-6 rad in a period.
-SHORT_PHASE = 0.05
+# method takes: its error of phase, (ωh)⁵/120 a step, is 5e-6 rad in a period.
+SHORT_PHASE = 0.1
 # Widths of a smoothed edge or sign beyond which it bends no more than a step follows.
 CLEAR = 20.0
 # Of a gap that varies with the load angle: below it the teeth would jam.
@@ -1077,7 +1077,7 @@ def event_share(s, dense, edge, kind, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-untyped-def]
+def emit(t, h, dense, row, first, start, moments, out, y, p, c):  # type: ignore[no-untyped-def]
     """Samples that fall into the step; returns the next sample's number.
 
     ``row``: one of position, speed, current, or ``EVERY`` of the rows in ``out``; ``out`` has the
@@ -1085,7 +1085,7 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
     """
     rows = out.shape[0]
     for index in range(first, out.shape[1]):
-        time = start + index * dt
+        time = start + moments[index]
         if time > t + h:
             return index
         s = (time - t) / h if h > 0.0 else 1.0
@@ -1117,18 +1117,18 @@ def emit(t, h, dense, row, first, start, dt, out, y, p, c):  # type: ignore[no-u
 
 
 @_jit
-def emit_average(t, h, dense, first, last, begin, dt, out, y, p, c):  # type: ignore[no-untyped-def]
+def emit_average(t, h, dense, first, last, begin, moments, out, y, p, c):  # type: ignore[no-untyped-def]
     """Samples of the average speed that begin, and that end, in the step; returns the next ones.
 
     Until its average ends, a sample's place holds minus the angle at which it began.
     """
     averaging = p[Slot.speed_averaging__time_s]
     row = min(SPEED, out.shape[0] - 1)
-    while first < out.shape[1] and begin - averaging + first * dt <= t + h:
-        out[row, first] = -shown_angle(t, h, begin - averaging + first * dt, dense, y, p, c)
+    while first < out.shape[1] and begin - averaging + moments[first] <= t + h:
+        out[row, first] = -shown_angle(t, h, begin - averaging + moments[first], dense, y, p, c)
         first += 1
-    while last < out.shape[1] and begin + last * dt <= t + h:
-        out[row, last] += shown_angle(t, h, begin + last * dt, dense, y, p, c)
+    while last < out.shape[1] and begin + moments[last] <= t + h:
+        out[row, last] += shown_angle(t, h, begin + moments[last], dense, y, p, c)
         out[row, last] *= RPM / averaging
         last += 1
     return first, last
@@ -1157,15 +1157,13 @@ def is_repeated(period, dt):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def emit_logged(since, until, p, row, first, start, dt, out, old, new):  # type: ignore[no-untyped-def]
+def emit_logged(since, until, p, row, first, start, moments, repeated, out, old, new):  # type: ignore[no-untyped-def]
     """Samples between two times at which a sampled drive logs; returns the next sample's number."""
-    period = p[Slot.sampled_control__period_s]
-    margin = AT_TICK * period
-    repeated = is_repeated(period, dt)
+    margin = AT_TICK * p[Slot.sampled_control__period_s]
     begin = start - p[FIRST_SKEW + row]
     place = row if out.shape[0] > 1 else 0
     for index in range(first, out.shape[1]):
-        time = begin + index * dt
+        time = begin + moments[index]
         if time >= until - margin:
             return index
         share = 0.0 if repeated else max(0.0, time - since) / (until - since)
@@ -1243,7 +1241,7 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
         scale[DAHL] = abs(p[Slot.shaft_hysteresis__torque_nm]) * c.per_ratio / torque
         if c.structured:
             rate = max(rate, scale_structure(motor_rate, speed, p, c, scale))
-        turning = c.fastest_reference
+        turning = 0.5 * c.fastest_reference
         if p[Slot.motor_torque_ripple__torque_nm] != 0.0:
             rate = max(rate, turning * abs(p[Slot.motor_torque_ripple__order]))
         if p[Slot.gear_transmission_error__angle_rad] != 0.0:
@@ -1294,13 +1292,16 @@ def is_stiffer(p):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, pieces):  # type: ignore[no-untyped-def]
+def integrate(  # type: ignore[no-untyped-def]
+    t, y, stop_time, stop_angle, start, dt, moments, out, p, c, accuracy_rpm, pieces
+):
     """Integrate ``y`` in place until a time or a load angle, sampling on the way.
 
-    Samples j of ``out`` lie at ``start + j·dt``, less each channel's skew; a speed that is averaged
-    ends there. ``pieces``: the motion that the reference follows; steps end where a piece does. A
-    sampled controller has a tick at ``start``; the state given is that after the last one. Returns
-    status, time reached, number of right-hand sides.
+    Samples j of ``out`` lie at ``start + moments[j]``, less each channel's skew; a speed that is
+    averaged ends there. ``dt``: the recorder's sampling period; ``pieces``: the motion that the
+    reference follows; steps end where a piece does. A sampled controller has a tick at ``start``;
+    the state given is that after the last one. Returns status, time reached, number of right-hand
+    sides.
     """
     piece = 0
     if len(pieces) > 0:
@@ -1422,18 +1423,18 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
 
         if averaged:
             next_average, next_sample[SPEED] = emit_average(
-                t, h, dense, next_average, next_sample[SPEED], start - p[FIRST_SKEW + SPEED], dt,
-                out, y, p, c,
+                t, h, dense, next_average, next_sample[SPEED], start - p[FIRST_SKEW + SPEED],
+                moments, out, y, p, c,
             )  # fmt: skip
         if logged:
             for row in (POSITION, CURRENT):
                 if out.shape[0] == 3 and (row == POSITION or lagged):
                     begin = start - p[FIRST_SKEW + row]
                     next_sample[row] = emit(
-                        t, h, dense, row, next_sample[row], begin, dt, out, y, p, c
+                        t, h, dense, row, next_sample[row], begin, moments, out, y, p, c
                     )
         elif not skewed:
-            next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, dt, out, y, p, c)
+            next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, moments, out, y, p, c)
         else:
             for row in range(3):
                 if row == SPEED and averaged:
@@ -1441,7 +1442,7 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                 if out.shape[0] == 3 or row == SPEED:
                     begin = start - p[FIRST_SKEW + row]
                     next_sample[row] = emit(
-                        t, h, dense, row, next_sample[row], begin, dt, out, y, p, c
+                        t, h, dense, row, next_sample[row], begin, moments, out, y, p, c
                     )
         t = stop_time if last else pause if ends else t + h
         for i in range(n):
@@ -1469,14 +1470,24 @@ def integrate(t, y, stop_time, stop_angle, start, dt, out, p, c, accuracy_rpm, p
                     due = math.inf
                 if logged and not averaged:
                     next_sample[SPEED] = emit_logged(
-                        t - period, t, p, SPEED, next_sample[SPEED], start, dt, out,
-                        old, y[TICK_SPEED] * RPM,
+                        t - period, t, p, SPEED, next_sample[SPEED], start, moments, repeated,
+                        out, old, y[TICK_SPEED] * RPM,
                     )  # fmt: skip
             if logged and out.shape[0] == 3 and not lagged and (repeated or ticks):
                 old = current
                 current = logged_torque(y, repeated, p, c) / p[Slot.torque_constant_nm_per_a]
                 next_sample[CURRENT] = emit_logged(
-                    changed, t, p, CURRENT, next_sample[CURRENT], start, dt, out, old, current
+                    changed,
+                    t,
+                    p,
+                    CURRENT,
+                    next_sample[CURRENT],
+                    start,
+                    moments,
+                    repeated,
+                    out,
+                    old,
+                    current,
                 )
                 changed = t
             for i in range(n, y.size):
@@ -1601,12 +1612,12 @@ def longest_lag(p):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-untyped-def]
+def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignore[no-untyped-def]
     """Steady rotation from the load angle ``start_angle_rad`` on, into ``out``.
 
     The run begins ``settle_s`` or more before, in the middle of a tooth flank (gravity torque
-    largest, so nearly constant), and is recorded once the load passes the start angle. ``state``
-    receives the state there. Returns status, right-hand sides.
+    largest, so nearly constant), and is recorded once the load passes the start angle, ``moments``
+    (n,) after that. ``state`` receives the state there. Returns status, right-hand sides.
     """
     c = constants(p, 0.0, math.inf)
     load_speed = c.reference * c.per_ratio
@@ -1629,7 +1640,7 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     first = y.copy()
     steady = np.empty((0, PIECE_COLUMNS))
     status, t, cost = integrate(
-        0.0, y, longest, start_angle, 0.0, dt, none, p, c, accuracy_rpm, steady
+        0.0, y, longest, start_angle, 0.0, dt, moments, none, p, c, accuracy_rpm, steady
     )
     if status != DONE:
         return status, cost
@@ -1646,7 +1657,7 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
         for i in range(y.size):  # to compile the assignment of an array takes seconds
             y[i] = first[i]
         status, _, more = integrate(
-            run_begin, y, t, math.inf * direction, t, dt, none, p,
+            run_begin, y, t, math.inf * direction, t, dt, moments, none, p,
             constants(p, ramp_start, t), accuracy_rpm, steady,
         )  # fmt: skip
         cost += more
@@ -1658,16 +1669,27 @@ def simulate(p, settle_s, dt, accuracy_rpm, out, state):  # type: ignore[no-unty
     lag = longest_lag(p)
     lead = min(p[FIRST_SKEW], p[FIRST_SKEW + 1], p[FIRST_SKEW + 2])
     # What is logged at a tick is sent at the next.
-    stop = t + (out.shape[1] - 1) * dt + max(0.0, -lead) + 1e-9
+    stop = t + moments[-1] + max(0.0, -lead) + 1e-9
     stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
     if lag > 0.0:
         # A channel that lags shows what was before the start: once more, now with the time known.
         status, _, more = integrate(
-            run_begin, first, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm, steady
+            run_begin,
+            first,
+            stop,
+            math.inf * direction,
+            t,
+            dt,
+            moments,
+            out,
+            p,
+            c,
+            accuracy_rpm,
+            steady,
         )
     else:
         status, _, more = integrate(
-            t, y, stop, math.inf * direction, t, dt, out, p, c, accuracy_rpm, steady
+            t, y, stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
         )
     return status, cost + more
 
@@ -1722,7 +1744,7 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def simulate_motion(p, pieces, dt, accuracy_rpm, start_flank, out):  # type: ignore[no-untyped-def]
+def simulate_motion(p, pieces, dt, moments, accuracy_rpm, start_flank, out):  # type: ignore[no-untyped-def]
     """A motion from the state it starts in, into ``out``; returns status, right-hand sides."""
     lag = max(0.0, longest_lag(p))
     lead = max(0.0, -p[FIRST_SKEW], -p[FIRST_SKEW + 1], -p[FIRST_SKEW + 2])
@@ -1737,7 +1759,9 @@ def simulate_motion(p, pieces, dt, accuracy_rpm, start_flank, out):  # type: ign
     begun = on_piece(constants(q, 0.0, 0.0), pieces, 0)
     y = np.empty(states_of(begun))
     c = constants(q, standing_state(-lag, p, begun, start_flank, y), 0.0)
-    stop = (out.shape[1] - 1) * dt + lead + 1e-9
+    stop = moments[-1] + lead + 1e-9
     stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
-    status, _, cost = integrate(-lag, y, stop, math.inf, 0.0, dt, out, p, c, accuracy_rpm, pieces)
+    status, _, cost = integrate(
+        -lag, y, stop, math.inf, 0.0, dt, moments, out, p, c, accuracy_rpm, pieces
+    )
     return status, cost

@@ -118,6 +118,7 @@ def simulate_speeds(
     samples: int,
     sampling_hz: float,
     *,
+    moments_s: FloatArray | None = None,
     accuracy_rpm: float | None = None,
     workers: int = 1,
     failures: str = "raise",
@@ -130,6 +131,8 @@ def simulate_speeds(
         Shape (m, SLOTS), one simulation a row (see ``kernel.Slot``).
     samples, sampling_hz
         Number n and rate of the samples; the first lies where the load passes the start angle.
+    moments_s
+        Times of the samples from there on, ascending, (n,); ``None`` for evenly at the rate.
     accuracy_rpm
         Largest error of the speed, rpm; ``None`` for ``ACCURACY`` of the reference speed.
     workers
@@ -147,7 +150,7 @@ def simulate_speeds(
         If a parameter makes no sense, or a simulation fails and ``failures`` is ``"raise"``.
     """
     out = np.empty((parameter_matrix.shape[0], 1, samples))
-    _fill(parameter_matrix, out, sampling_hz, accuracy_rpm, workers, failures)
+    _fill(parameter_matrix, out, sampling_hz, moments_s, accuracy_rpm, workers, failures)
     return out[:, 0, :]
 
 
@@ -156,6 +159,7 @@ def simulate_channels(
     samples: int,
     sampling_hz: float,
     *,
+    moments_s: FloatArray | None = None,
     accuracy_rpm: float | None = None,
     workers: int = 1,
     failures: str = "raise",
@@ -166,7 +170,7 @@ def simulate_channels(
     zero, not quantised), speed in rpm, current in A.
     """
     out = np.empty((parameter_matrix.shape[0], 3, samples))
-    _fill(parameter_matrix, out, sampling_hz, accuracy_rpm, workers, failures)
+    _fill(parameter_matrix, out, sampling_hz, moments_s, accuracy_rpm, workers, failures)
     return out
 
 
@@ -196,10 +200,17 @@ def simulate_motions(
     if motion.output_held:
         matrix = matrix.copy()
         matrix[:, Slot.load_inertia_kg_m2] = math.inf
+    moments = _even_s(out, sampling_hz)
 
     def run(row: int) -> int:
         found: int = kernel.simulate_motion(
-            matrix[row], motion.pieces, 1.0 / sampling_hz, accuracy[row], start_flank, out[row]
+            matrix[row],
+            motion.pieces,
+            1.0 / sampling_hz,
+            moments,
+            accuracy[row],
+            start_flank,
+            out[row],
         )[0]
         return found
 
@@ -242,6 +253,7 @@ def simulate_states(
         math.copysign(math.inf, parameters[Slot.reference_speed_rpm]),
         0.0,
         1.0 / sampling_hz,
+        _even_s(out, sampling_hz),
         out,
         parameters,
         c,
@@ -261,7 +273,7 @@ def start_states(parameter_matrix: FloatArray, *, accuracy_rpm: float | None = N
     waiting = max(map(kernel.waiting_torques, parameter_matrix), default=0)
     states = np.empty((parameter_matrix.shape[0], STATES + waiting))
     out = np.empty((parameter_matrix.shape[0], 1, 1))
-    _fill(parameter_matrix, out, 1.0, accuracy_rpm, 1, "raise", states)
+    _fill(parameter_matrix, out, 1.0, None, accuracy_rpm, 1, "raise", states)
     return states
 
 
@@ -269,11 +281,13 @@ def _fill(
     matrix: FloatArray,
     out: FloatArray,
     sampling_hz: float,
+    moments_s: FloatArray | None,
     accuracy_rpm: float | None,
     workers: int,
     failures: str,
     states: FloatArray | None = None,
 ) -> None:
+    moments = _even_s(out, sampling_hz) if moments_s is None else moments_s
     accuracy = _accuracy_rpm(accuracy_rpm, matrix[:, Slot.reference_speed_rpm])
     matrix = _sound(matrix, out, sampling_hz, accuracy)
     settling = settling_time_s(matrix, accuracy, failures)
@@ -284,11 +298,22 @@ def _fill(
         if math.isnan(settling[row]):
             return kernel.DIVERGED
         found: int = kernel.simulate(
-            matrix[row], settling[row], 1.0 / sampling_hz, accuracy[row], out[row], ends[row]
+            matrix[row],
+            settling[row],
+            1.0 / sampling_hz,
+            moments,
+            accuracy[row],
+            out[row],
+            ends[row],
         )[0]
         return found
 
     _run_rows(run, matrix, out, workers, failures)
+
+
+def _even_s(out: FloatArray, sampling_hz: float) -> FloatArray:
+    """Times of evenly spaced samples, (…, n) to (n,)."""
+    return np.asarray(np.arange(out.shape[-1]) * (1.0 / sampling_hz), dtype=np.float64)
 
 
 def _accuracy_rpm(asked_rpm: float | None, reference_rpm: FloatArray) -> FloatArray:

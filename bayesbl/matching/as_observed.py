@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
@@ -53,9 +54,30 @@ def simulated(
     if seen.motor_start_rad is not None:
         matrix = _begun_at(matrix, seen.motor_start_rad, workers)
     size = samples, seen.sampling_hz
+    moments, order = _within_a_rotation(matrix, samples, seen.sampling_hz)
     if len(seen.signals) == 1:
-        return simulate_speeds(matrix, *size, **rest)[:, None, :]
-    return simulate_channels(matrix, *size, **rest)[:, [SPEED, CURRENT]]
+        made = simulate_speeds(matrix, *size, moments_s=moments, **rest)[:, None, :]
+    else:
+        made = simulate_channels(matrix, *size, moments_s=moments, **rest)[:, [SPEED, CURRENT]]
+    return made if order is None else made[:, :, order]
+
+
+def _within_a_rotation(
+    matrix: FloatArray, samples: int, sampling_hz: float
+) -> tuple[FloatArray | None, NDArray[np.int64] | None]:
+    """Times of samples taken back into the first rotation, ascending, and where each is there.
+
+    ``None`` where the benches (m, SLOTS) do not repeat, or not together, or the samples end before.
+    """
+    turn_s = rotation_period_s(matrix)
+    times = np.arange(samples) / sampling_hz
+    if times[-1] <= turn_s[0] or np.any(turn_s != turn_s[0]) or not repeat_each_rotation(matrix):
+        return None, None
+    within = times % turn_s[0]
+    order = np.argsort(within, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(samples)
+    return within[order], place
 
 
 def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:

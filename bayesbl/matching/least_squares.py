@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,6 +58,7 @@ class SimulatedFit:
     curvature: FloatArray
     covariance: FloatArray
     steps: FloatArray
+    _jacobian: FloatArray | None = field(default=None, init=False)
 
     @property
     def chi_square(self) -> float:
@@ -88,9 +89,23 @@ class SimulatedFit:
     def derivatives(self) -> FloatArray:
         """Of the whitened signals by the coordinates at the point, J, shape (N, d).
 
-        Simulated anew: of all fits of a search they would fill the memory.
+        Those that the fit ended with; simulated anew where they were dropped.
         """
+        if self._jacobian is not None:
+            return self._jacobian
         return _jacobian(self.model, self.point, self.steps)[0]
+
+    def with_derivatives(self) -> SimulatedFit:
+        """The same, holding its derivatives."""
+        if self._jacobian is not None:
+            return self
+        return _fit(
+            self.model, self.point, self.residual, self.curvature, self.steps, self.derivatives()
+        )
+
+    def without_derivatives(self) -> SimulatedFit:
+        """The same in little memory."""
+        return replace(self)
 
     def peak(self) -> FloatArray:
         """Of the normal approximation, shape (d,): outside where a range's end stopped the fit."""
@@ -117,6 +132,8 @@ def fit_simulated(
     steps: FloatArray | None = None,
     *,
     rough: bool = False,
+    one_sided: bool = False,
+    known: FloatArray | None = None,
 ) -> SimulatedFit:
     """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
 
@@ -128,6 +145,11 @@ def fit_simulated(
         Of the derivatives by the first unknowns, from a fit without the others.
     rough
         Only as near as comparing it takes: by one-sided differences, those of the last round kept.
+    one_sided
+        The differences, at half the cost. Over steps of a few standard deviations they lose a
+        hundredth of one, which a search does not see.
+    known
+        Derivatives by the first unknowns at a point nearby, shape (N, k).
 
     Raises
     ------
@@ -147,14 +169,17 @@ def fit_simulated(
                 for u, x in zip(model.unknowns, point, strict=True)
             ),
         )
+    near = model.near(point, residual)
     value = _objective(model, point, residual)
+    based = point, residual, value
     damping = 1e-3
-    precision, normal = model.prior_precision(), model.normal_prior.precision
+    normal = model.normal_prior.precision
     least, share = CONVERGED, CONVERGED_SHARE
     if rough:
         least, share = ROUGHLY_CONVERGED, ROUGHLY_CONVERGED_SHARE
-    jacobian, steps = _jacobian(model, point, steps, one_sided=rough)
-    holds, value_there, rounds = False, value, 1
+    one_sided = one_sided or rough
+    jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided, known=known)
+    holds, value_there, rounds = known is not None, value, 1
     while True:
         gradient = jacobian.T @ residual + prior_pull(model, point)
         curvature = jacobian.T @ jacobian
@@ -163,7 +188,7 @@ def fit_simulated(
         while damping < 1e8:
             move = _bounded_step(point, gradient, shape, damping, model.low, model.high)
             trial = point + move
-            trial_residual = model.whitened(trial)[0]
+            trial_residual = near.whitened(trial)[0]
             trial_value = _objective(model, trial, trial_residual)
             if trial_value < value:
                 gained, promised = value - trial_value, _promised(gradient, shape, move)
@@ -174,17 +199,31 @@ def fit_simulated(
                 break
             damping *= 10.0
         was_new, holds = not holds, gained > KEPT_PROMISE * promised
-        if gained < max(least, share * (value - residual.size)) and (was_new or holds):
-            break
-        if not holds:
-            if rounds == MOST_ROUNDS:
+        enough = max(least, share * (value - residual.size))
+        if gained < enough and (was_new or holds):
+            if near is model:
                 break
-            jacobian, steps = _jacobian(model, point, steps, one_sided=rough)
+            exact = model.whitened(point)[0]
+            expected, value = value, _objective(model, point, exact)
+            if not math.isfinite(value):
+                # Only without its ticks can the loop be simulated here.
+                near, (point, residual, value) = model, based
+                continue
+            residual = exact
+            rounds += 1
+            if abs(value - expected) < enough or rounds >= MOST_ROUNDS:
+                break
+            near, based, holds = model.near(point, exact), (point, exact, value), True
+        if not holds:
+            if rounds >= MOST_ROUNDS:
+                break
+            jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
             value_there, rounds = value, rounds + 1
     if not rough and value_there - value > NEAR:
-        jacobian, steps = _jacobian(model, point, steps)
-        curvature = jacobian.T @ jacobian
-    return SimulatedFit(model, point, residual, curvature, _covariance(curvature, precision), steps)
+        jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
+        curvature, value_there = jacobian.T @ jacobian, value
+    kept = jacobian if value_there - value <= NEAR else None
+    return _fit(model, point, residual, curvature, steps, kept)
 
 
 def promised_within(
@@ -215,23 +254,34 @@ def fit_at(model: SimulatedSignals, point: FloatArray) -> SimulatedFit:
     """A point as it is, with the derivatives there."""
     residual = model.whitened(point)[0]
     jacobian, steps = _jacobian(model, point, _first_steps(model, point))
-    curvature = jacobian.T @ jacobian
-    covariance = _covariance(curvature, np.diag(model.prior_precision()))
-    return SimulatedFit(model, point, residual, curvature, covariance, steps)
+    return _fit(model, point, residual, jacobian.T @ jacobian, steps, jacobian)
 
 
 def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
     """The same point with residuals and derivatives of another model, say with new noise."""
     residual = model.whitened(fit.point)[0]
     jacobian, _ = _jacobian(model, fit.point, fit.steps)
-    curvature = jacobian.T @ jacobian
-    covariance = _covariance(curvature, model.prior_precision())
-    return replace(fit, model=model, residual=residual, curvature=curvature, covariance=covariance)
+    return _fit(model, fit.point, residual, jacobian.T @ jacobian, fit.steps, jacobian)
 
 
 def derivatives(model: SimulatedSignals, point: FloatArray, steps: FloatArray) -> FloatArray:
     """Of the whitened signals by the coordinates at a point, shape (N, d)."""
     return _jacobian(model, point, steps)[0]
+
+
+def _fit(
+    model: SimulatedSignals,
+    point: FloatArray,
+    residual: FloatArray,
+    curvature: FloatArray,
+    steps: FloatArray,
+    jacobian: FloatArray | None,
+) -> SimulatedFit:
+    """``jacobian``: at the point, as long as the fit is not changed."""
+    covariance = _covariance(curvature, model.prior_precision())
+    fit = SimulatedFit(model, point, residual, curvature, covariance, steps)
+    object.__setattr__(fit, "_jacobian", jacobian)
+    return fit
 
 
 def _covariance(curvature: FloatArray, precision: FloatArray) -> FloatArray:
@@ -293,7 +343,11 @@ def _first_steps(model: SimulatedSignals, point: FloatArray) -> FloatArray:
 
 
 def _jacobian(
-    model: SimulatedSignals, point: FloatArray, steps: FloatArray, one_sided: bool = False
+    model: SimulatedSignals,
+    point: FloatArray,
+    steps: FloatArray,
+    one_sided: bool = False,
+    known: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Differences of the whitened signals, and better steps for the next time.
 
@@ -307,10 +361,12 @@ def _jacobian(
     d = point.size
     of_ticks = np.array([u.name.startswith(OF_THE_TICKS) for u in model.unknowns])
     columns = np.empty((d, model.size)).T
-    pending = np.arange(d)
+    pending = np.arange(0 if known is None else known.shape[1], d)
+    if known is not None:
+        columns[:, : known.shape[1]] = known
     steps = steps.copy()
     sides = 1.0 if one_sided else 2.0
-    for attempt in range(4):
+    for attempt in range(4 if pending.size else 0):
         moved = np.repeat(point[None], 2 * pending.size, axis=0)
         ends = moved[: pending.size], moved[pending.size :]
         for row, i in enumerate(pending):

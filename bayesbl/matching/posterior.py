@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.signals import GAP, SimulatedSignals
+from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
@@ -63,7 +63,6 @@ OTHER_SHAPE = (
     "the surrogate does not have the shape of the posterior. Narrow the bench's tolerances, or "
     "find them from recordings (bayesbl identify)."
 )
-SAMPLED = "sampled_control__"
 FROM_TICK_TO_TICK = (
     "the period of the drive's controller is not known, and the signals change with it from tick "
     "to tick. State period_s and delay_periods of sampled_control under [[effects]] without sd, as "
@@ -191,8 +190,10 @@ def sample_direct(
     if withheld:
         return _unsimulated(local, fit, settings, design_seed)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
+    # How far that is from the sampled controllers' χ², the check below tells.
+    near = model.near(fit.point, fit.residual)
     chi_square, surrogate = regress(
-        model, points, points.mean(axis=0), _covariance(points), simulating
+        near, points, points.mean(axis=0), _covariance(points), simulating
     )
     failed = float(np.mean(~np.isfinite(chi_square)))
     best: _Weighted | None = None
@@ -220,10 +221,11 @@ def sample_direct(
             break
     assert best is not None
     why = OTHER_SHAPE
-    if best.effective < FEWEST_EFFECTIVE and _ticks_decide(model, surrogate, flat):
+    generator = np.random.default_rng(pick_seed)
+    picked = resampled(best.log_weights, best.draws.shape[1], generator)
+    if best.effective < FEWEST_EFFECTIVE and _ticks_decide(fit, generator):
         why = FROM_TICK_TO_TICK
     diagnostics = _judge(model, best.walked, best.draws, best.effective, best.failed, why)
-    picked = resampled(best.log_weights, best.draws.shape[1], np.random.default_rng(pick_seed))
     return DirectPosterior(
         fit,
         np.take_along_axis(best.draws, picked[..., None], axis=1),
@@ -411,22 +413,24 @@ def _covariance(points: FloatArray) -> FloatArray:
     return np.asarray(found + 1e-12 * np.diag(np.diag(found) + 1e-30))
 
 
-def _ticks_decide(model: SimulatedSignals, surrogate: Surrogate, draws: FloatArray) -> bool:
-    """Whether draws (m, d) would carry weight if the controller's ticks were known.
+def _ticks_decide(fit: SimulatedFit, generator: np.random.Generator) -> bool:
+    """Whether draws would carry weight if the controller's ticks were known.
 
-    Draws as they are beside the ticks of their mean, by the regression on what belongs to them.
+    Of the normal distribution about the optimum, the ticks as they are there.
     """
-    ticks = [k for k, u in enumerate(model.unknowns) if u.name.startswith(SAMPLED)]
-    if not ticks:
+    model = fit.model
+    free = [k for k, u in enumerate(model.unknowns) if not u.name.startswith(SAMPLED)]
+    if len(free) == len(model.unknowns):
         return False
-    covariance = _covariance(draws)
-    slopes = np.linalg.solve(covariance[np.ix_(ticks, ticks)], covariance[ticks])
-    known = draws[np.linspace(0, len(draws) - 1, CHECKED).astype(np.int64)]
-    known = np.clip(
-        known - (known[:, ticks] - draws[:, ticks].mean(axis=0)) @ slopes, model.low, model.high
-    )
-    weights = _log_weights(surrogate.chi_square(known), simulated_chi_square(model, known))
-    return effective_size(weights) * len(draws) / CHECKED >= FEWEST_EFFECTIVE
+    precision = np.linalg.inv(fit.covariance)[np.ix_(free, free)]
+    covariance = np.linalg.inv(precision)
+    draws = np.repeat(fit.point[None], CHECKED, axis=0)
+    box = model.low[free], model.high[free]
+    draws[:, free] = truncated_normal(fit.point[free], covariance, box, CHECKED, generator)
+    away = draws[:, free] - fit.point[free]
+    expected = fit.chi_square + np.einsum("ni,ij,nj->n", away, precision, away)
+    weights = _log_weights(expected, simulated_chi_square(model, draws))
+    return effective_size(weights) * DRAWS / CHECKED >= FEWEST_EFFECTIVE
 
 
 def _judge(

@@ -272,7 +272,8 @@ class _Search:
                 continue
             # What was added first may only have stood in for what came after it.
             for less in list(self._reduced(best)):
-                self._explore(less)
+                if len(self._sets) <= MOST_FITS:
+                    self._explore(less)
             if self.best is best or len(self._sets) > MOST_FITS:
                 break
         self._shed()
@@ -394,7 +395,8 @@ class _Search:
             return
         if is_known:
             self._explored.add(keys)
-        view, shapes = self._linearised(base.explanation, tuple(self._open(base.explanation)))
+        explanation = base.explanation.with_derivatives()
+        view, shapes = self._linearised(explanation, tuple(self._open(explanation)))
         offset = base.log_evidence - base.log_likelihood
         odds = 1.0 / (1.0 + math.exp(-self._log_odds))
         priors = Priors(probability={c.label: odds for c in self._candidates.values()})
@@ -423,7 +425,7 @@ class _Search:
                 own = sizes[begin : begin + shape.usual.size] * shape.usual
                 begin += shape.usual.size
                 starts.append((shape.candidate, promised(shape.candidate, shape.start, own)))
-            found = refit(base.explanation, starts, shift)
+            found = refit(explanation, starts, shift)
             if found is not None:
                 self._add(found)
 
@@ -455,6 +457,10 @@ class _Search:
         known = self._sets.get(keys)
         if known is None or own.log_evidence > known.log_evidence:
             self._sets[keys] = own
+        # Of all sets together the derivatives would fill the memory.
+        for other in self._sets.values():
+            if other is not self.best:
+                other.explanation = other.explanation.without_derivatives()
         return self._sets[keys]
 
     def _weighed(self, explanation: Explanation) -> FittedSet:

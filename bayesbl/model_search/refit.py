@@ -63,6 +63,14 @@ class Explanation:
         """What tells sets apart."""
         return frozenset(c.key for c in self.candidates)
 
+    def with_derivatives(self) -> Explanation:
+        """The same, its fit holding its derivatives."""
+        return replace(self, fit=self.fit.with_derivatives())
+
+    def without_derivatives(self) -> Explanation:
+        """The same in little memory."""
+        return replace(self, fit=self.fit.without_derivatives())
+
     def places(self, candidate: Candidate) -> list[int]:
         """Of a candidate's unknowns in a point."""
         keys = [(u.name, u.recording) for u in self.fit.model.unknowns]
@@ -95,7 +103,8 @@ def with_own_noise(explanation: Explanation) -> Explanation:
 def polished(explanation: Explanation) -> Explanation:
     """The same explanation, fitted to the end."""
     fit = explanation.fit
-    return replace(explanation, fit=fit_simulated(fit.model, fit.point, fit.steps))
+    ended = fit_simulated(fit.model, fit.point, fit.steps, one_sided=True)
+    return replace(explanation, fit=ended)
 
 
 def is_gross(explanation: Explanation) -> bool:
@@ -136,7 +145,8 @@ def refit(
     left = np.array([chi_square(model, trial) for trial in trials])
     candidates = (*base.candidates, *(c for c, _ in added))
     with suppress(BenchError):
-        fit = fit_simulated(model, trials[int(np.argmin(left))], base.fit.steps, rough=True)
+        best, steps = trials[int(np.argmin(left))], base.fit.steps
+        fit = fit_simulated(model, best, steps, rough=True, known=base.fit.derivatives())
         return Explanation(candidates, fit)
     return None
 
@@ -281,8 +291,8 @@ def _difference(
 
 
 def chi_square(model: SimulatedSignals, point: FloatArray) -> float:
-    """Of a point, infinite where it cannot be simulated."""
-    z = model.whitened(point)[0]
+    """Of a point, roughly and infinite where it cannot be simulated."""
+    z = model.for_differences(point).whitened(point)[0]
     value = float(z @ z)
     return value if math.isfinite(value) else math.inf
 
