@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from bayesbl.bench.effect_declaration import RigidLaw
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.recording.types import BoolArray, FloatArray
 
@@ -68,25 +69,6 @@ class Piece:
     def period_s(self) -> float:
         """Sampling period, s."""
         return float(self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
-
-
-@dataclass(frozen=True, slots=True)
-class TestedEffect:
-    """An effect that may be missing.
-
-    Attributes
-    ----------
-    name
-        Of the catalogue.
-    same_as
-        Effects that are the same law in this comparison, only named for another place.
-    contains
-        A simpler effect that this one holds as a special case, and replaces.
-    """
-
-    name: str
-    same_as: tuple[str, ...] = ()
-    contains: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +126,33 @@ class Candidate:
     def holds_another(self) -> bool:
         """Whether it is one law and a departure from it: two hypotheses in one."""
         return self.kind == "effect" and bool(self.excludes)
+
+
+def candidate_of(
+    law: RigidLaw,
+    name: str,
+    parameters: tuple[str, ...],
+    looks: tuple[Look, ...],
+    *,
+    label: str = "",
+    is_wave: bool = False,
+    own_phase: bool = False,
+) -> Candidate:
+    """The effect of this name, by its law; ``label`` where it has another than its name."""
+    return Candidate(
+        label or name,
+        "effect",
+        name,
+        parameters,
+        looks,
+        law.usual,
+        law.not_negative,
+        is_wave,
+        own_phase,
+        excludes=frozenset({law.contains} if law.contains else ()),
+        requires=frozenset({law.requires} if law.requires else ()),
+        same_as=law.same_as,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

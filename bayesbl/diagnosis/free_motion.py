@@ -12,24 +12,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import EffectParameter, Shape
+from bayesbl.bench.effect_declaration import EffectParameter, RigidLaw, Shape
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.learned import LearnedTorque
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import (
-    AffineModel,
-    Candidate,
-    Discrepancy,
-    Look,
-    Piece,
-    TestedEffect,
-)
+from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, candidate_of
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
 from bayesbl.diagnosis.inference import (
     MOST_EFFECTS,
@@ -39,7 +33,7 @@ from bayesbl.diagnosis.inference import (
     diagnose,
     learned_answer,
 )
-from bayesbl.diagnosis.rigid.inverse import TORQUE_TERMS
+from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, without_load_angle
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
@@ -87,13 +81,10 @@ _FIRST_SHARE = 0.03
 _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_per_s")
 
 
-def free_motion_effects(load_angle_known: bool) -> tuple[TestedEffect, ...]:
-    """Catalogue effects that free motion shows."""
-    return tuple(
-        TORQUE_TERMS[effect.name].candidate
-        for effect in EFFECTS
-        if effect.free_motion and (load_angle_known or "load_angle" not in effect.depends_on)
-    )
+FREE_MOTION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
+    {e.name: TORQUE_LAWS[e.name] for e in EFFECTS if e.free_motion}
+)
+"""Of effects that free motion shows."""
 
 
 Values = Mapping[str, float]
@@ -239,9 +230,9 @@ class FreeMotionView:
         candidates = []
         every = range(len(self.pieces))
         for name in self.effects:
-            term, effect = TORQUE_TERMS[name], effect_named(name)
-            parameters = (term.law.amplitude, *term.law.linear)
-            shape = term.law.scanned
+            law, effect = TORQUE_LAWS[name], effect_named(name)
+            parameters = (law.amplitude, *law.linear)
+            shape = law.scanned
             grid: tuple[float | None, ...] = (None,)
             if shape is not None:
                 grid = tuple(share * self._speed for share in SHAPES)
@@ -264,21 +255,7 @@ class FreeMotionView:
                     columns.append(np.column_stack(own))
                 weight = 1.0 if shape is None else 1.0 / len(SHAPES)
                 looks.append(Look(shapes, tuple(columns), weight))
-            excludes = frozenset({term.law.contains} if term.law.contains else ())
-            candidates.append(
-                Candidate(
-                    name,
-                    "effect",
-                    name,
-                    parameters,
-                    tuple(looks),
-                    term.law.usual,
-                    term.not_negative,
-                    excludes=excludes,
-                    requires=frozenset({term.law.requires} if term.law.requires else ()),
-                    same_as=term.law.same_as,
-                )
-            )
+            candidates.append(candidate_of(law, name, parameters, tuple(looks)))
         discrepancies = tuple(
             Discrepancy(series.kind, tuple(self._waves(i, at[i], series) for i in every))
             for series in self._series
@@ -338,7 +315,7 @@ class FreeMotionView:
             shared[WIDTH] = (start.get(WIDTH, first), low, high)
         for name in effects:
             for item in effect_named(name).parameters:
-                lower = 0.0 if TORQUE_TERMS[name].not_negative else -np.inf
+                lower = 0.0 if TORQUE_LAWS[name].not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
                 if isinstance(item, Shape):
                     lower, upper = (share * self._speed for share in SHAPE_RANGE)
@@ -486,12 +463,14 @@ def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
     if GRAVITY not in unknown:
         unknown_parameters(task, (*INERTIAS, GRAVITY))
     pieces = pieces_of(task, recordings, channel)
-    every = free_motion_effects(compared.load_angle_known and gravity)
+    every = FREE_MOTION_LAWS
+    if not (compared.load_angle_known and gravity):
+        every = without_load_angle(every)
     view = FreeMotionView(
         pieces,
         tuple(start_of(piece) for piece in pieces),
         bench,
-        tuple(effect.name for effect in wanted(config, bench, every)),
+        wanted(config, bench, every),
         unknown,
         compared.load_angle_known or not gravity,
     )

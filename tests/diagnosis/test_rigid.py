@@ -19,14 +19,9 @@ from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use, piece_residuals
-from bayesbl.diagnosis.free_motion import FreeMotionView, free_motion_effects
+from bayesbl.diagnosis.free_motion import FREE_MOTION_LAWS, FreeMotionView
 from bayesbl.diagnosis.inference import diagnose
-from bayesbl.diagnosis.rigid.inverse import (
-    POSITION_TERMS,
-    TORQUE_TERMS,
-    InverseView,
-    required_torque,
-)
+from bayesbl.diagnosis.rigid.inverse import POSITION_LAWS, TORQUE_LAWS, InverseView, required_torque
 from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
@@ -61,7 +56,7 @@ def inverse(
         tuple(part.known for part in found),
         tuple(part.window for part in found),
         believed,
-        POSITION_TERMS if load else TORQUE_TERMS,
+        POSITION_LAWS if load else TORQUE_LAWS,
         () if load else unknown,
         load=load,
         load_angle_known=True,
@@ -409,7 +404,7 @@ def free(recordings: Sequence[Recording]) -> Diagnosis:
         ),
         tuple(np.array([r.channels[MOTOR_POSITION][0], 0.0]) for r in recordings),
         PENDULUM,
-        tuple(effect.name for effect in free_motion_effects(True)),
+        tuple(FREE_MOTION_LAWS),
         ("motor_inertia_kg_m2",),
     )
     return diagnose(view.prepared(), PENDULUM, most=6, notes=lambda inference: ())

@@ -11,7 +11,7 @@ from bayesbl.config.bench import parse_bench
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
 from bayesbl.diagnosis.rigid.inverse import (
-    TORQUE_TERMS,
+    TORQUE_LAWS,
     InverseView,
     coherent_hz,
     resolved_hz,
@@ -89,7 +89,7 @@ def found(recordings: list[Recording]) -> Diagnosis:
             tuple(part.known for part in parts),
             tuple(part.window for part in parts),
             bench,
-            without_load_angle(TORQUE_TERMS),
+            without_load_angle(TORQUE_LAWS),
             phases_shared=True,
         )
 

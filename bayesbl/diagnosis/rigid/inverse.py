@@ -37,7 +37,7 @@ from bayesbl.diagnosis.comparison import (
     Discrepancy,
     Look,
     Piece,
-    TestedEffect,
+    candidate_of,
     least_squares,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
@@ -51,67 +51,48 @@ from bayesbl.recording.types import FloatArray
 SKEW = "channel_time_skew"
 
 
-@dataclass(frozen=True, slots=True)
-class Term:
-    """An effect in an inverse comparison.
-
-    Attributes
-    ----------
-    law
-        Its signal, shape (n,), is in N m at the motor or rad at the load.
-    periodic
-        The signal goes as sin(n θ_m + φ): amplitude and phase are solved as one.
-    """
-
-    candidate: TestedEffect
-    law: RigidLaw
-    periodic: bool
-    not_negative: bool
+def _laws(every: Iterable[tuple[Effect, RigidLaw | None]]) -> Mapping[str, RigidLaw]:
+    """Laws by the names of their effects; an amplitude that is never negative stays so here."""
+    found = {}
+    for effect, law in every:
+        if law is not None:
+            amplitude = effect.parameter(law.amplitude)
+            not_negative = law.not_negative or getattr(amplitude, "not_negative", False)
+            found[effect.name] = replace(law, not_negative=not_negative)
+    return MappingProxyType(found)
 
 
-def _term(effect: Effect, law: RigidLaw) -> Term:
-    not_negative = law.not_negative or any(
-        item.not_negative for item in effect.amplitudes if item.name == law.amplitude
-    )
-    candidate = TestedEffect(effect.name, law.same_as, law.contains)
-    return Term(candidate, law, effect.is_periodic, not_negative)
+TORQUE_LAWS = _laws((effect, effect.torque) for effect in EFFECTS)
+"""Of effects in the torque at the motor, N m."""
+
+POSITION_LAWS = _laws((effect, effect.position) for effect in EFFECTS)
+"""Of effects in the load's position for a given motor position, rad."""
 
 
-TORQUE_TERMS: Mapping[str, Term] = MappingProxyType(
-    {e.name: _term(e, e.torque) for e in EFFECTS if e.torque is not None}
-)
-"""Effects in the torque at the motor."""
-
-POSITION_TERMS: Mapping[str, Term] = MappingProxyType(
-    {e.name: _term(e, e.position) for e in EFFECTS if e.position is not None}
-)
-"""Effects in the load's position for a given motor position."""
+def without_load_angle(laws: Mapping[str, RigidLaw]) -> dict[str, RigidLaw]:
+    """The laws that do not ask where the load hangs."""
+    return {n: law for n, law in laws.items() if "load_angle" not in effect_named(n).depends_on}
 
 
-def without_load_angle(terms: Mapping[str, Term]) -> dict[str, Term]:
-    """The terms that do not ask where the load hangs."""
-    return {n: term for n, term in terms.items() if "load_angle" not in effect_named(n).depends_on}
-
-
-def within_turns(terms: Mapping[str, Term], turns: float) -> dict[str, Term]:
-    """The terms without those that repeat once a turn of the motor, and so too rarely."""
+def within_turns(laws: Mapping[str, RigidLaw], turns: float) -> dict[str, RigidLaw]:
+    """The laws without those that repeat once a turn of the motor, and so too rarely."""
     return {
-        name: term
-        for name, term in terms.items()
-        if not term.periodic or term.law.scanned == ORDER or turns >= FEWEST_CYCLES
+        name: law
+        for name, law in laws.items()
+        if not effect_named(name).is_periodic or law.scanned == ORDER or turns >= FEWEST_CYCLES
     }
 
 
-def uncomputable(terms: Mapping[str, Term], bench: Bench, load_angle_known: bool) -> list[str]:
-    """Names of terms for which the bench file or the angles do not give enough, sorted.
+def uncomputable(laws: Mapping[str, RigidLaw], bench: Bench, load_angle_known: bool) -> list[str]:
+    """Names of laws for which the bench file or the angles do not give enough, sorted.
 
     Without the load's angle gravity is unknown, and with it the torque that the gear passes on.
     """
     gravity_unknown = bench.value("gravity_torque_nm") > 0.0 and not load_angle_known
     return sorted(
         name
-        for name, term in terms.items()
-        if bench.assumed & set(term.law.bench_parameters)
+        for name, law in laws.items()
+        if bench.assumed & set(law.bench_parameters)
         or (gravity_unknown and "transmitted_torque" in effect_named(name).depends_on)
     )
 
@@ -172,8 +153,8 @@ class InverseView:
         For every piece, over its whole recording: motion, and known torques at the motor, N m.
     windows
         For every piece: what is compared of a signal over its recording.
-    terms
-        Effects that may take part.
+    laws
+        Of the effects that may take part.
     unknown
         Bench parameters that are fitted: inertias and the gravity torque.
     unit
@@ -203,7 +184,7 @@ class InverseView:
     known: tuple[FloatArray, ...]
     windows: tuple[Window, ...]
     bench: Bench
-    terms: Mapping[str, Term]
+    laws: Mapping[str, RigidLaw]
     unknown: tuple[str, ...] = ()
     unit: float = 1.0
     load: bool = False
@@ -248,14 +229,14 @@ class InverseView:
         return found
 
     def _signal(self, i: int, name: str, given: Mapping[str, float]) -> FloatArray:
-        law, bench = self.terms[name].law, self.columns_bench or self.bench
+        law, bench = self.laws[name], self.columns_bench or self.bench
         width = self.width if "direction" in effect_named(name).depends_on else 0.0
         key = (name, *given.items(), id(bench))
         return self._seen(i, key, lambda m: law.signal(m, bench, given), width)
 
     def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> FloatArray:
         """Sine and cosine of an effect's, of unit size, (n, 2)."""
-        amplitude = self.terms[name].law.amplitude
+        amplitude = self.laws[name].amplitude
         phases = ({amplitude: 1.0, PHASE: phase, **shapes} for phase in (0.0, 0.5 * math.pi))
         return np.column_stack([self._signal(i, name, given) for given in phases])
 
@@ -281,9 +262,9 @@ class InverseView:
         acceleration up there little but noise is known, yet along one order little of that is left.
         """
         own = [
-            (TORQUE_TERMS[e.name].law, e.complete())
+            (TORQUE_LAWS[e.name], e.complete())
             for e in self.bench.effects
-            if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
+            if e.name in TORQUE_LAWS and TORQUE_LAWS[e.name].scanned == ORDER
         ]
         total = self._seen(
             i,
@@ -295,7 +276,7 @@ class InverseView:
             ),
         )
         quiet = [line.middle for line in self.orders if self._is_quiet(i, line.middle)]
-        name = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
+        name = next((n for n, law in self.laws.items() if law.scanned == ORDER), None)
         if not quiet or name is None:
             return total
         matrix = np.hstack([self._waves(i, name, {ORDER: order}) for order in quiet])
@@ -380,34 +361,25 @@ class InverseView:
 
     def _candidates(self) -> Iterator[Candidate]:
         own_phase = not self.phases_shared
-        for name, term in self.terms.items():
-            law, amplitude = term.law, term.law.amplitude
-            make = partial(
-                Candidate,
-                kind="effect",
-                name=name,
-                usual=law.usual,
-                not_negative=term.not_negative,
-                excludes=frozenset({law.contains} if law.contains else ()),
-                requires=frozenset({law.requires} if law.requires else ()),
-                same_as=law.same_as,
-            )
+        for name, law in self.laws.items():
+            amplitude = law.amplitude
+            make = partial(candidate_of, law, name)
             wave = partial(make, parameters=(amplitude,), is_wave=True, own_phase=own_phase)
             if name == SKEW:
                 if self.slope:
-                    yield make(name, parameters=(amplitude,), looks=tuple(self._delays()))
+                    yield make((amplitude,), tuple(self._delays()))
             elif law.scanned == ORDER:
                 for line in self.orders:
                     make_waves = partial(self._waves, name=name)
                     columns = (partial(make_waves, shapes={ORDER: n}) for n in line.values)
                     looks = self._alternatives(ORDER, line, columns, above=True)
-                    yield wave(f"{name} {line.middle:.6g}", looks=looks)
-            elif term.periodic:
+                    yield wave(looks=looks, label=f"{name} {line.middle:.6g}")
+            elif effect_named(name).is_periodic:
                 look = Look({}, self._every(partial(self._waves, name=name, shapes={})))
-                yield wave(name, looks=(look,))
+                yield wave(looks=(look,))
             else:
                 parameters = (amplitude, *law.linear)
-                yield make(name, parameters=parameters, looks=tuple(self._looks(name, parameters)))
+                yield make(parameters, tuple(self._looks(name, parameters)))
         if not self.load:
             yield from self._wrong_values()
         for line in self.lines:
@@ -447,7 +419,7 @@ class InverseView:
         )
 
     def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
-        law = self.terms[name].law
+        law = self.laws[name]
         grid: tuple[float | None, ...] = self._values(name) or (None,)
         for value in grid:
             shape = {} if law.scanned is None or value is None else {law.scanned: value}
@@ -595,7 +567,7 @@ class InverseView:
     def prepared(self) -> InverseView:
         """With width, orders and the slope of a skew."""
         view = self.coarse()
-        if SKEW in view.terms:
+        if SKEW in view.laws:
             view = replace(view, slope=view._slopes())
         return view
 
@@ -608,7 +580,7 @@ class InverseView:
         }
         shapes = dict(self.shapes)
         for name in values:
-            if name in self.terms and self._values(name):
+            if name in self.laws and self._values(name):
                 shapes[name] = self._finer(inference, name, self._values(name))
         orders = tuple(self._finer_line(inference, line, ORDER) for line in self.orders)
         lines = tuple(self._finer_line(inference, line, "frequency_hz") for line in self.lines)
@@ -622,10 +594,10 @@ class InverseView:
         view = replace(self, shapes=shapes, orders=orders, lines=lines, columns_bench=bench)
         skew = next(iter(values[SKEW].values())).value if SKEW in values else 0.0
         view = replace(view, skew_s=skew, discrepancy=inference.discrepancy())._with_width()
-        return replace(view, slope=view._slopes()) if SKEW in self.terms else view
+        return replace(view, slope=view._slopes()) if SKEW in self.laws else view
 
     def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
-        law = self.terms[name].law
+        law = self.laws[name]
         if law.scanned == law.amplitude:
             best = max(inference.values(name)[law.amplitude].value, 1e-3 * grid[0])
         else:
@@ -650,7 +622,7 @@ class InverseView:
         return self.shapes.get(name, self._grid(name))
 
     def _grid(self, name: str) -> tuple[float, ...]:
-        law = self.terms[name].law
+        law = self.laws[name]
         if law.scanned is None or law.scanned == ORDER or name == SKEW:
             return ()
         unit = self.speed_rad_per_s if law.grid_unit == "speed" else self._travel_rad
@@ -676,15 +648,14 @@ class InverseView:
         """Nuisances, effects linear in one amplitude, waves of the orders found, each (n,)."""
         columns = dict(self._nuisances(i))
         where = self.pieces[i].name
-        for name, term in self.terms.items():
-            law = term.law
-            if name == SKEW or term.periodic or self.windows[i].above:
+        for name, law in self.laws.items():
+            if name == SKEW or effect_named(name).is_periodic or self.windows[i].above:
                 continue
             if law.scanned is None and not law.linear:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
         if not self.load and not self.windows[i].above:
             columns |= self._position_dependent(i)
-        wave = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
+        wave = next((n for n, law in self.laws.items() if law.scanned == ORDER), None)
         if wave is not None:
             for line in self.orders:
                 order = line.middle
@@ -747,7 +718,7 @@ class InverseView:
         )
 
     def _with_width(self) -> InverseView:
-        names = (*self.terms, *(e.name for e in self.bench.effects))
+        names = (*self.laws, *(e.name for e in self.bench.effects))
         if self.load or not any("direction" in effect_named(n).depends_on for n in names):
             return self
         unit = self.speed_rad_per_s
@@ -839,8 +810,8 @@ class InverseView:
             (skew,) = inference.values(label).values()
             surely = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
             return surely > 0.5 * float(time[1] - time[0])
-        whole = self._grid(label) if label in self.terms else ()
-        scanned = self.terms[label].law.scanned if whole else None
+        whole = self._grid(label) if label in self.laws else ()
+        scanned = self.laws[label].scanned if whole else None
         if scanned is None:
             return True
         value = inference.values(label)[scanned].value

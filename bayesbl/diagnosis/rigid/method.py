@@ -15,8 +15,8 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, Inference, diagnose
 from bayesbl.diagnosis.rigid.inverse import (
-    POSITION_TERMS,
-    TORQUE_TERMS,
+    POSITION_LAWS,
+    TORQUE_LAWS,
     InverseView,
     coherent_hz,
     resolved_hz,
@@ -114,13 +114,13 @@ def asked_of(task: Task) -> Asked:
     _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
     unit, unit_tolerance = _torque_per_unit(task, channel)
-    every = POSITION_TERMS if load else TORQUE_TERMS
+    every = POSITION_LAWS if load else TORQUE_LAWS
     if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
     every = within_turns(every, turns_of(recordings))
     left_out = uncomputable(every, bench, asked.load_angle_known)
-    terms = {name: term for name, term in every.items() if name not in left_out}
-    chosen = wanted(config, bench, [term.candidate for term in terms.values()])
+    laws = {name: law for name, law in every.items() if name not in left_out}
+    chosen = wanted(config, bench, laws)
 
     def view_below(cutoff_hz: float) -> InverseView:
         found = [
@@ -136,7 +136,7 @@ def asked_of(task: Task) -> Asked:
             tuple(item.known for item in found),
             tuple(item.window for item in found),
             bench,
-            {candidate.name: terms[candidate.name] for candidate in chosen},
+            {name: laws[name] for name in chosen},
             unknown,
             unit,
             load,
@@ -163,8 +163,7 @@ def asked_of(task: Task) -> Asked:
             f"{100.0 * unit_tolerance:.2g} %: all torques and inertias found are as uncertain, "
             "together."
         )
-    names = tuple(candidate.name for candidate in chosen)
-    return Asked(view, names, tuple(notes), unit_tolerance / math.sqrt(3.0))
+    return Asked(view, chosen, tuple(notes), unit_tolerance / math.sqrt(3.0))
 
 
 class Inverse:

@@ -29,7 +29,7 @@ from scipy.stats import chi2
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER
-from bayesbl.diagnosis.comparison import Piece, TestedEffect
+from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
@@ -583,11 +583,7 @@ def z_between(first: LawFit, other: LawFit) -> float:
 
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
 GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
-CANDIDATES = (
-    TestedEffect(RIPPLE),
-    TestedEffect(ECCENTRICITY),
-    *map(TestedEffect, LOOP_EFFECTS),
-)
+CANDIDATES = (RIPPLE, ECCENTRICITY, *LOOP_EFFECTS)
 CONSTANT = ("motor_coulomb_friction", "load_coulomb_friction", "load_viscous_friction")
 """Effects of a bench that are no line at one speed, or are known to the loop."""
 
@@ -688,7 +684,7 @@ def loop_setting(task: Task) -> Setting:
                 "one with a tolerance of " + ", ".join(LOOP_PARAMETERS),
             )
     priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
-    names = tuple(candidate.name for candidate in wanted(config, bench, CANDIDATES))
+    names = wanted(config, bench, dict.fromkeys(CANDIDATES))
     notes = (*notes_of(recordings), HIDDEN, *_soft_shaft(values))
     return Setting(tuple(used), tuple(held_out), values, Free(priors), names, notes)
 
