@@ -6,6 +6,7 @@ of probabilities; what :mod:`bayesbl.diagnosis.inference` makes of it knows noth
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from bayesbl.bench.effect_declaration import RigidLaw
+from bayesbl.bench.learned import LearnedTorque, Variable
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.recording.types import BoolArray, FloatArray
 
@@ -156,13 +158,80 @@ def candidate_of(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A torque over a variable, its amplitudes falling as 1/k.
+
+    Attributes
+    ----------
+    means
+        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
+        is an effect's.
+    reach
+        Of the variable, as recorded.
+    """
+
+    variable: Variable
+    period: float
+    reverses: bool
+    orders: int
+    means: FloatArray
+    reach: tuple[float, float]
+
+    @classmethod
+    def over(
+        cls,
+        variable: Variable,
+        period: float,
+        *,
+        reverses: bool,
+        orders: int,
+        reach: tuple[float, float],
+    ) -> Series:
+        """With the means over this reach of its variable."""
+        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
+        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
+        return replace(made, means=made.waves(x).mean(axis=0))
+
+    @property
+    def kind(self) -> str:
+        """What it is a torque over."""
+        return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
+
+    def waves(self, x: FloatArray) -> FloatArray:
+        """Cosines, then sines, less their means, (n, 2 orders)."""
+        k = np.arange(1, self.orders + 1)
+        phase = 2.0 * math.pi * x[:, None] * k / self.period
+        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
+
+    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTorque:
+        """With coefficients of the waves, (2 orders,), and their standard deviations."""
+        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
+        waves = coefficients * decay
+        sd: tuple[float, ...] = ()
+        if sds is not None:
+            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
+            sd = (constant, *(sds * decay).tolist())
+        return LearnedTorque(
+            "motor",
+            self.variable,
+            self.period,
+            -float(coefficients @ self.means),
+            tuple(waves[: self.orders].tolist()),
+            tuple(waves[self.orders :].tolist()),
+            self.reverses,
+            sd,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Discrepancy:
     """Columns of what nothing explains, for every piece (n, m), each times its prior's amplitude;
-    of no recording but its own where ``own``."""
+    of no recording but its own where ``own``; ``series``: the torque that they are, if any."""
 
     kind: str
     columns: tuple[FloatArray, ...]
     own: bool = False
+    series: Series | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +240,8 @@ class AffineModel:
 
     ``nuisances``: columns that are fitted anyway, by name; what belongs to a recording has its name
     behind ``@``. ``nuisance_sds``: of those of which something is known beforehand, around what
-    the base has.
+    the base has. ``without``: predictions of a fit without any effect, (n,), where the base and the
+    nuisances alone are none.
     """
 
     pieces: tuple[Piece, ...]
@@ -180,6 +250,7 @@ class AffineModel:
     candidates: tuple[Candidate, ...]
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
+    without: tuple[FloatArray, ...] = ()
 
     @property
     def used(self) -> list[int]:

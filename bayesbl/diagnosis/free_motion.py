@@ -9,7 +9,7 @@ at the load are the same law.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from types import MappingProxyType
@@ -23,20 +23,15 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.learned import LearnedTorque
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, candidate_of
-from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
-from bayesbl.diagnosis.inference import (
-    MOST_EFFECTS,
-    Coefficients,
-    Inference,
-    Series,
-    diagnose,
-    learned_answer,
-)
+from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, Series, candidate_of
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.inference import Inference
 from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, without_load_angle
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
+    Asked,
+    RigidMethod,
     believed_sds,
     compared_channel,
     even_recordings,
@@ -46,7 +41,6 @@ from bayesbl.diagnosis.rigid.preparation import (
 )
 from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
 from bayesbl.errors import BenchError, RecordingError
-from bayesbl.progress import StageProgress
 from bayesbl.recording.types import MOTOR_POSITION, FloatArray
 from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -142,16 +136,6 @@ class FreeMotionView:
         if names == self.fitted:
             return self
         return replace(self, fitted=names, values=self.fit(names, self.values))
-
-    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
-        """Predictions without any effect."""
-        return self.without
-
-    def learned(
-        self, inference: Inference, fitted: Coefficients, group: int
-    ) -> LearnedAnswer | None:
-        """The torque that a group holds."""
-        return learned_answer(self._series[group], inference, fitted, group)
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
@@ -257,8 +241,10 @@ class FreeMotionView:
                 looks.append(Look(shapes, tuple(columns), weight))
             candidates.append(candidate_of(law, name, parameters, tuple(looks)))
         discrepancies = tuple(
-            Discrepancy(series.kind, tuple(self._waves(i, at[i], series) for i in every))
-            for series in self._series
+            Discrepancy(
+                series.kind, tuple(self._waves(i, at[i], series) for i in every), series=series
+            )
+            for series in self._series()
         )
         return AffineModel(
             self.pieces,
@@ -267,10 +253,10 @@ class FreeMotionView:
             tuple(candidates),
             discrepancies,
             believed_sds(self.bench, self.unknown),
+            self.without,
         )
 
-    @cached_property
-    def _series(self) -> list[Series]:
+    def _series(self) -> Iterator[Series]:
         """Torques that nothing explains: over the load's angle and the speed."""
         ratio = self.bench.value("gear_ratio")
         states = [
@@ -282,12 +268,10 @@ class FreeMotionView:
         speed = np.concatenate([s[MOTOR_SPEED] for s in states])
         over = partial(Series.over, orders=ORDERS)
         ends = [(float(x.min()), float(x.max())) for x in (angle, speed)]
-        made = []
         for reverses in (False, True):
             way, fastest = 2.0 * float(np.ptp(angle)), 4.0 * float(np.abs(speed).max())
-            made.append(over("load_angle", way, reach=ends[0], reverses=reverses))
-            made.append(over("motor_speed", fastest, reach=ends[1], reverses=reverses))
-        return made
+            yield over("load_angle", way, reach=ends[0], reverses=reverses)
+            yield over("motor_speed", fastest, reach=ends[1], reverses=reverses)
 
     def _waves(self, i: int, at: FloatArray, series: Series) -> FloatArray:
         """Change of a trajectory by each coefficient of a torque, (n, 2 orders)."""
@@ -438,7 +422,7 @@ def start_of(piece: Piece) -> FloatArray:
 CHANNELS = (MOTOR_POSITION, SPEED_CHANNEL)
 
 
-def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
+def asked_of(task: Task) -> Asked:
     """The view that a configuration asks for, and what these recordings cannot show.
 
     Raises
@@ -466,11 +450,12 @@ def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
     every = FREE_MOTION_LAWS
     if not (compared.load_angle_known and gravity):
         every = without_load_angle(every)
+    effects = wanted(config, bench, every)
     view = FreeMotionView(
         pieces,
         tuple(start_of(piece) for piece in pieces),
         bench,
-        wanted(config, bench, every),
+        effects,
         unknown,
         compared.load_angle_known or not gravity,
     )
@@ -491,30 +476,7 @@ def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
     ]
     if channel == SPEED_CHANNEL:
         notes.append("Speed alone: the start angle is known only through what gravity does.")
-    return view, notes
+    return Asked(view, effects, tuple(notes))
 
 
-class FreeMotion:
-    """The method of diagnosis."""
-
-    name = "free_motion"
-
-    def describe(self, task: Task) -> str:
-        """Channel and candidates."""
-        view, _ = view_of(task)
-        channel = view.pieces[0].channel
-        return f"{self.name}, {channel}; candidates {', '.join(view.effects)}"
-
-    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer."""
-        view, notes = view_of(task)
-        return diagnose(
-            view.prepared(),
-            task.bench,
-            most=task.config.candidates.max_effects or MOST_EFFECTS,
-            notes=lambda inference: notes,
-            progress=progress,
-        )
-
-
-METHOD = FreeMotion()
+METHOD = RigidMethod("free_motion", asked_of)

@@ -7,7 +7,7 @@ everything in it leaves it, then as the average over the posterior does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -17,12 +17,12 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned import LearnedTorque, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
     Look,
+    Piece,
     bounded_least_squares,
     least_squares,
 )
@@ -147,22 +147,21 @@ class View(Protocol):
     """Recordings and a bench, linearised."""
 
     @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """What is compared."""
+
+    @property
     def model(self) -> AffineModel:
         """Around the present fit."""
+
+    def prepared(self) -> View:
+        """Around a first fit."""
 
     def refined(self, inference: Inference) -> View:
         """Around the fit that an inference gives, with finer shapes."""
 
     def settled(self, labels: Sequence[str]) -> View:
         """Around the fit with these candidates and no other; itself where that is linear."""
-
-    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
-        """Predictions of every piece without any effect, (n,)."""
-
-    def learned(
-        self, inference: Inference, fitted: Coefficients, group: int
-    ) -> LearnedAnswer | None:
-        """What a group of the discrepancy holds, if it can be told as a torque."""
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
@@ -546,6 +545,8 @@ class Inference:
     def nominal(self) -> tuple[FloatArray, ...]:
         """Of every piece (n,): base and nuisances alone, by least squares on the shown ones."""
         model = self.model
+        if model.without:
+            return model.without
         shown = [k for k, i in enumerate(model.used) if model.pieces[i].shown]
         matrix = np.vstack([self._nuisances[k] for k in shown])
         target = np.concatenate([self._target[k] for k in shown])
@@ -630,7 +631,7 @@ def diagnose(
     bench: Bench,
     *,
     most: int,
-    notes: Callable[[Inference], Sequence[str]],
+    notes: Sequence[str] = (),
     scale_sd: float = 0.0,
     progress: StageProgress | None = None,
 ) -> Diagnosis:
@@ -638,6 +639,8 @@ def diagnose(
 
     Parameters
     ----------
+    view
+        Not yet prepared.
     bench
         The one believed, for the tolerances of parameters that were fitted.
     most
@@ -645,7 +648,7 @@ def diagnose(
     scale_sd
         Relative standard deviation of a factor that all torques and inertias have in common.
     """
-    view, inference = inferred(view, progress)
+    view, inference = inferred(view.prepared(), progress)
     told, remaining = _told(view, inference, most)
     group = _learned_group(inference)
     view, at = view.settled([label for label, _ in told]), inference
@@ -653,7 +656,7 @@ def diagnose(
         at = Inference(view.model, inference.noises)
     told, fitted = _fitted(at, told, [] if group is None else [group])
     labels = [label for label, _ in told]
-    learned = None if group is None else view.learned(at, fitted, group)
+    learned = None if group is None else learned_answer(at, fitted, group)
     kinds = {label: inference.labels[label].kind for label in labels}
     estimates = {
         name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
@@ -663,7 +666,7 @@ def diagnose(
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
         (size,) = at.of_projection(fitted, label).values()
         estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
-    before, after = view.nominal(at), at.predicted(fitted)
+    before, after = at.nominal(), at.predicted(fitted)
     denied = tuple(impossible(estimates))
     if denied:
         remaining = []
@@ -693,7 +696,7 @@ def diagnose(
         errors,
         lines,
         table,
-        (*denied, *notes(inference)),
+        (*denied, *notes, *_gravity_notes(inference)),
         bench_parameters=estimates,
         signals=_signals(inference.model, before, after),
         learned=learned,
@@ -702,6 +705,18 @@ def diagnose(
         return answer
     sizes = {e.name: {k: v.value for k, v in e.parameters.items()} for e in effects}
     return replace(answer, augmented_bench=view.augmented(sizes, answer))
+
+
+def _gravity_notes(inference: Inference) -> Iterator[str]:
+    """Of gravity that the bench lacks."""
+    if "gravity" in inference.posterior.named:
+        ((name, size),) = inference.values("gravity").items()
+        yield (
+            "What is left goes with the load's angle as gravity does, though the bench has "
+            f"{name} = 0: {size.value:.3g} N m at the load were fitted, with their "
+            "direction. A balancer that the bench lacks may look the same. Give gravity in the "
+            "bench file, if it is that."
+        )
 
 
 def _closes(model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]) -> bool:
@@ -861,76 +876,11 @@ def _signals(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """A torque over a variable, its amplitudes falling as 1/k.
-
-    Attributes
-    ----------
-    means
-        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
-        is an effect's.
-    reach
-        Of the variable, as recorded.
-    """
-
-    variable: Variable
-    period: float
-    reverses: bool
-    orders: int
-    means: FloatArray
-    reach: tuple[float, float]
-
-    @classmethod
-    def over(
-        cls,
-        variable: Variable,
-        period: float,
-        *,
-        reverses: bool,
-        orders: int,
-        reach: tuple[float, float],
-    ) -> Series:
-        """With the means over this reach of its variable."""
-        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
-        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
-        return replace(made, means=made.waves(x).mean(axis=0))
-
-    @property
-    def kind(self) -> str:
-        """What it is a torque over."""
-        return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
-
-    def waves(self, x: FloatArray) -> FloatArray:
-        """Cosines, then sines, less their means, (n, 2 orders)."""
-        k = np.arange(1, self.orders + 1)
-        phase = 2.0 * math.pi * x[:, None] * k / self.period
-        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
-
-    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTorque:
-        """With coefficients of the waves, (2 orders,), and their standard deviations."""
-        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
-        waves = coefficients * decay
-        sd: tuple[float, ...] = ()
-        if sds is not None:
-            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
-            sd = (constant, *(sds * decay).tolist())
-        return LearnedTorque(
-            "motor",
-            self.variable,
-            self.period,
-            -float(coefficients @ self.means),
-            tuple(waves[: self.orders].tolist()),
-            tuple(waves[self.orders :].tolist()),
-            self.reverses,
-            sd,
-        )
-
-
-def learned_answer(
-    series: Series, inference: Inference, fitted: Coefficients, group: int
-) -> LearnedAnswer:
-    """A group of the discrepancy as a torque over its variable."""
+def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> LearnedAnswer | None:
+    """A group of the discrepancy as a torque over its variable; ``None`` where it is none."""
+    series = inference.model.discrepancies[group].series
+    if series is None:
+        return None
     draws = inference.discrepancy_draws[:, inference.groups[group]]
     value = fitted.discrepancy[group]
     term = series.torque(value, draws.std(axis=0))

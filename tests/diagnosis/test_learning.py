@@ -63,7 +63,7 @@ def groups(
 
 
 def answer_with(view: InverseView) -> Diagnosis:
-    return diagnose(view.prepared(), view.bench, most=6, notes=lambda inference: ())
+    return diagnose(view, view.bench, most=6)
 
 
 def trials(seed: int, size: float, over: Hypothesis):

@@ -12,7 +12,7 @@ from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.inference import Inference, diagnose
+from bayesbl.diagnosis.inference import diagnose
 from bayesbl.diagnosis.rigid.inverse import (
     SKEW,
     TORQUE_LAWS,
@@ -48,10 +48,7 @@ def comparison(
         for part in compared(recording, MOTOR_TORQUE, use, cutoff_hz)
     ]
     return InverseView(
-        tuple(part.piece for part in found),
-        tuple(part.motion for part in found),
-        tuple(part.known for part in found),
-        tuple(part.window for part in found),
+        tuple(found),
         bench,
         within_turns(without_load_angle(TORQUE_LAWS), 0.1),
         ("motor_inertia_kg_m2",),
@@ -59,7 +56,7 @@ def comparison(
 
 
 def answer(made: InverseView) -> Diagnosis:
-    return diagnose(made.prepared(), made.bench, most=6, notes=lambda inference: ())
+    return diagnose(made, made.bench, most=6)
 
 
 def sizes(found: Diagnosis) -> dict[str, float]:
@@ -195,14 +192,8 @@ def test_gravity_is_seen_where_it_acts_and_a_wrong_inertia_is_not_gravity(
 
 def wrong(made: InverseView) -> tuple[Diagnosis, bool]:
     """The answer, and whether gravity is told that the bench lacks."""
-    told = []
-
-    def notes(inference: Inference) -> tuple[str, ...]:
-        told.extend(inference.posterior.named)
-        return ()
-
-    found = diagnose(made.prepared(), made.bench, most=6, notes=notes)
-    return found, "gravity" in told
+    found = answer(made)
+    return found, any("as gravity does" in note for note in found.notes)
 
 
 def test_what_the_bench_states_is_what_the_disagreement_starts_from() -> None:

@@ -51,10 +51,7 @@ def inverse(
         for part in compared(r, channel, [use], CUTOFF_HZ)
     ]
     return InverseView(
-        tuple(part.piece for part in found),
-        tuple(part.motion for part in found),
-        tuple(part.known for part in found),
-        tuple(part.window for part in found),
+        tuple(found),
         believed,
         POSITION_LAWS if load else TORQUE_LAWS,
         () if load else unknown,
@@ -65,7 +62,7 @@ def inverse(
 
 
 def answer(view: InverseView, most: int = 6) -> Diagnosis:
-    return diagnose(view.prepared(), view.bench, most=most, notes=lambda inference: ())
+    return diagnose(view, view.bench, most=most)
 
 
 def named(found: Diagnosis) -> set[str]:
@@ -407,7 +404,7 @@ def free(recordings: Sequence[Recording]) -> Diagnosis:
         tuple(FREE_MOTION_LAWS),
         ("motor_inertia_kg_m2",),
     )
-    return diagnose(view.prepared(), PENDULUM, most=6, notes=lambda inference: ())
+    return diagnose(view, PENDULUM, most=6)
 
 
 def test_a_pendulum_without_friction_keeps_its_energy() -> None:
@@ -453,12 +450,14 @@ def test_samples_that_are_excluded_change_nothing() -> None:
     answers = []
     for junk in (0.0, 30.0):
         view = inverse([recording(n, 30 + i, coulomb=0.5) for i, n in enumerate("abc")], bench())
-        pieces = []
-        for piece in view.pieces:
+        parts = []
+        for part in view.parts:
+            piece = part.piece
             excluded = np.zeros(piece.measured.size, dtype=bool)
             excluded[30:40] = True
             measured = np.where(excluded, junk, piece.measured)
-            pieces.append(replace(piece, measured=measured, excluded=excluded))
-        found = answer(replace(view, pieces=tuple(pieces)))
+            piece = replace(piece, measured=measured, excluded=excluded)
+            parts.append(replace(part, piece=piece))
+        found = answer(replace(view, parts=tuple(parts)))
         answers.append((found.effects, found.disagreement.overall))
     assert answers[0] == answers[1]

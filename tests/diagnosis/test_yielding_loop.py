@@ -84,10 +84,7 @@ def found(recordings: list[Recording]) -> Diagnosis:
     def below(cutoff_hz: float) -> InverseView:
         parts = [p for r in recordings for p in compared(r, MOTOR_TORQUE, ("used",), cutoff_hz)]
         return InverseView(
-            tuple(part.piece for part in parts),
-            tuple(part.motion for part in parts),
-            tuple(part.known for part in parts),
-            tuple(part.window for part in parts),
+            tuple(parts),
             bench,
             without_load_angle(TORQUE_LAWS),
             phases_shared=True,
@@ -95,7 +92,7 @@ def found(recordings: list[Recording]) -> Diagnosis:
 
     resolved = resolved_hz([r.channels[MOTOR_POSITION] for r in recordings], 1.0 / HZ)
     made = below(coherent_hz(below(min(resolved, 0.4 * HZ))) or resolved)
-    return diagnose(made.prepared(), bench, most=6, notes=lambda inference: ())
+    return diagnose(made, bench, most=6)
 
 
 MOVES = [

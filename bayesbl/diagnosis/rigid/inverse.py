@@ -37,11 +37,12 @@ from bayesbl.diagnosis.comparison import (
     Discrepancy,
     Look,
     Piece,
+    Series,
     candidate_of,
     least_squares,
 )
-from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
-from bayesbl.diagnosis.inference import Coefficients, Inference, Series, learned_answer
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.inference import Inference
 from bayesbl.diagnosis.rigid.motion import END_PERIODS, Motion, Window, noise_of
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, Line, OrderedRest, peaks
 from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
@@ -143,16 +144,23 @@ WRONG_VALUE = 0.3
 """Usual share of a wrong value of the data sheet in what is compared."""
 
 
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A piece; over its whole recording its motion and what is known of the torque at the motor,
+    N m, (n,); and what is compared of a signal over that."""
+
+    piece: Piece
+    motion: Motion
+    known: FloatArray
+    window: Window
+
+
 @dataclass(frozen=True)
 class InverseView:
     """Motion of every piece against what was measured of torque, current or load position.
 
     Attributes
     ----------
-    motions, known
-        For every piece, over its whole recording: motion, and known torques at the motor, N m.
-    windows
-        For every piece: what is compared of a signal over its recording.
     laws
         Of the effects that may take part.
     unknown
@@ -179,10 +187,7 @@ class InverseView:
         is known so far; signals that were computed.
     """
 
-    pieces: tuple[Piece, ...]
-    motions: tuple[Motion, ...]
-    known: tuple[FloatArray, ...]
-    windows: tuple[Window, ...]
+    parts: tuple[Compared, ...]
     bench: Bench
     laws: Mapping[str, RigidLaw]
     unknown: tuple[str, ...] = ()
@@ -204,9 +209,19 @@ class InverseView:
     # Signals
 
     @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Without their motion."""
+        return tuple(part.piece for part in self.parts)
+
+    @cached_property
     def used(self) -> list[int]:
         """Pieces that are fitted."""
         return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+
+    @cached_property
+    def below(self) -> list[int]:
+        """Of these, those behind the low pass."""
+        return [i for i in self.used if self.pieces[i].shown]
 
     @cached_property
     def _moved(self) -> list[Motion]:
@@ -214,7 +229,9 @@ class InverseView:
         key = ("motions", self.skew_s)
         if key not in self.cache:
             late = -self.skew_s if self.load else self.skew_s
-            self.cache[key] = [m.shifted(late) if late else m for m in self.motions]
+            self.cache[key] = [
+                part.motion.shifted(late) if late else part.motion for part in self.parts
+            ]
         return [replace(m, friction_width=self.width) for m in self.cache[key]]
 
     def _seen(
@@ -223,7 +240,7 @@ class InverseView:
         """A signal along a motion, in the unit of the channel, as compared; computed once."""
         whole = (i, key, self.skew_s, width)
         if whole not in self.cache:
-            signal = self.windows[i](make(self._moved[i]))
+            signal = self.parts[i].window(make(self._moved[i]))
             self.cache[whole] = signal / (1.0 if self.load else self.unit)
         found: FloatArray = self.cache[whole]
         return found
@@ -250,7 +267,7 @@ class InverseView:
 
         def torque(motion: Motion) -> FloatArray:
             bench = self.bench.with_parameters(**known)
-            return np.asarray(required_torque(motion, bench) + self.known[i])
+            return np.asarray(required_torque(motion, bench) + self.parts[i].known)
 
         return self._seen(i, "base", torque, self.width if rubs else 0.0)
 
@@ -285,10 +302,10 @@ class InverseView:
 
     def _is_quiet(self, i: int, order: float) -> bool:
         """Whether J (n ω)² σ, by noise σ of the position, is a small part of the torque's noise."""
-        ratio, piece, window = self.bench.value("gear_ratio"), self.pieces[i], self.windows[i]
+        ratio, piece, window = self.bench.value("gear_ratio"), self.pieces[i], self.parts[i].window
         inertia = self.bench.value("motor_inertia_kg_m2")
         inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
-        frequency = order * np.abs(piece.kept(self.motions[i].speed[window.rows]))
+        frequency = order * np.abs(piece.kept(self.parts[i].motion.speed[window.rows]))
         shown = frequency[frequency > 2.0 * math.pi * window.low_pass.cutoff_hz]
         if not shown.size:
             return True
@@ -300,7 +317,7 @@ class InverseView:
         where = self.pieces[i].name
         if self.load:
             return {f"offset@{where}": self._seen(i, "one", lambda m: np.ones_like(m.angle))}
-        if self.windows[i].above:
+        if self.parts[i].window.above:
             return {}
         made = {name: self._parameter(i, name) for name in self.unknown}
         if self.gravity_free:
@@ -331,7 +348,7 @@ class InverseView:
         """Around the skew and the width."""
         base = []
         for i in range(len(self.pieces)):
-            if self.windows[i].above:
+            if self.parts[i].window.above:
                 base.append(self._base_above(i))
                 continue
             at = self.base(i)
@@ -341,7 +358,7 @@ class InverseView:
             tuple(base),
             tuple(self._nuisances(i) for i in range(len(self.pieces))),
             tuple(self._candidates()),
-            tuple(d for d, _ in self._series) + self._drift() + self._twist(),
+            (*self._torques(), self._drift(), *self._twist()),
             believed_sds(self.bench, self.unknown),
         )
 
@@ -350,7 +367,7 @@ class InverseView:
     ) -> tuple[FloatArray, ...]:
         """Columns of every piece; zero above the cut-off, where little but waves is known."""
         made = [
-            None if self.windows[i].above and not above else make(i)
+            None if self.parts[i].window.above and not above else make(i)
             for i in range(len(self.pieces))
         ]
         width = next(part.shape[1] for part in made if part is not None)
@@ -398,7 +415,7 @@ class InverseView:
         """A skew of some sampling periods is usual, longer ones ever rarer: normals whose mixture
         falls off as 1/τ², as a Cauchy distribution does."""
         columns = self._every(lambda i: self.slope[i][:, None])
-        period = self.windows[0].low_pass.period_s
+        period = self.parts[0].window.low_pass.period_s
         total = sum(1.0 / times for times in DELAYS)
         for times in DELAYS:
             yield Look({}, columns, 1.0 / times / total, times * period)
@@ -460,24 +477,23 @@ class InverseView:
 
     def _hum(self, i: int, hertz: float) -> FloatArray:
         """Sine and cosine of a line in time, as compared, (n, 2)."""
-        time = self.motions[i].time_s
+        time = self.parts[i].motion.time_s
         waves = (wave(2.0 * math.pi * hertz * time) for wave in (np.sin, np.cos))
-        return np.column_stack([self.windows[i](wave) for wave in waves])
+        return np.column_stack([self.parts[i].window(wave) for wave in waves])
 
     # What nothing explains
 
-    @cached_property
-    def _series(self) -> list[tuple[Discrepancy, Series]]:
-        made = []
+    def _torques(self) -> Iterator[Discrepancy]:
+        """Over each variable; of the load's position no torque, so none that could be told."""
         for variable, period, reverses in self._kinds():
             ratio = self.bench.value("gear_ratio")
 
             def over(i: int, variable: Variable = variable, ratio: float = ratio) -> FloatArray:
                 x = variable_of(variable, self._moved[i], ratio)
-                kept = self.pieces[i].kept(x[self.windows[i].rows])
+                kept = self.pieces[i].kept(x[self.parts[i].window.rows])
                 return np.asarray(kept)
 
-            every = np.concatenate([over(i) for i in self.used if not self.windows[i].above])
+            every = np.concatenate([over(i) for i in self.below])
             low, high = float(every.min()), float(every.max())
             series = Series.over(
                 variable,
@@ -494,14 +510,14 @@ class InverseView:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 if series.reverses:
                     waves = waves * direction(motion)[:, None]
-                window, unit = self.windows[i], 1.0 if self.load else self.unit
+                window, unit = self.parts[i].window, 1.0 if self.load else self.unit
                 return np.column_stack([window(wave) / unit for wave in waves.T])
 
-            made.append((Discrepancy(series.kind, self._every(columns)), series))
-        return made
+            told = None if self.load else series
+            yield Discrepancy(series.kind, self._every(columns), series=told)
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
-        motions = [self.motions[i] for i in self.used]
+        motions = [self.parts[i].motion for i in self.used]
         longest = max(float(np.ptp(m.angle)) for m in motions)
         turn = 2.0 * math.pi
         for reverses in (False, True):
@@ -518,7 +534,7 @@ class InverseView:
     def _load_period(self) -> float:
         """Twice the way of the load, rad; where that is longer, what repeats with it does over its
         turn."""
-        angles = np.concatenate([self.motions[i].angle for i in self.used])
+        angles = np.concatenate([self.parts[i].motion.angle for i in self.used])
         way, turn = float(np.ptp(angles)) / self.bench.value("gear_ratio"), 2.0 * math.pi
         return turn if way >= 2.0 * turn else 2.0 * way
 
@@ -529,7 +545,7 @@ class InverseView:
         """
 
         def columns(i: int) -> FloatArray:
-            motion, window = self._moved[i], self.windows[i]
+            motion, window = self._moved[i], self.parts[i].window
             return np.column_stack([window(motion.acceleration), window(direction(motion))])
 
         if not self.load:
@@ -539,12 +555,12 @@ class InverseView:
         scale = np.sqrt(np.where(squares > 0.0, squares, 1.0))
         return (Discrepancy("load_position_over_torque", tuple(part / scale for part in every)),)
 
-    def _drift(self) -> tuple[Discrepancy, ...]:
+    def _drift(self) -> Discrepancy:
         """A torque that drifts in each recording."""
         names = tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
 
         def columns(i: int) -> FloatArray:
-            motion, name = self.motions[i], self.pieces[i].name
+            motion, name = self.parts[i].motion, self.pieces[i].name
             x = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
             k = np.arange(1, DRIFT_ORDERS + 1)
             waves = np.cos(math.pi * x[:, None] * k) / k
@@ -552,11 +568,11 @@ class InverseView:
             if name in names:
                 at = DRIFT_ORDERS * names.index(name)
                 made[:, at : at + DRIFT_ORDERS] = np.column_stack(
-                    [self.windows[i](wave) for wave in waves.T]
+                    [self.parts[i].window(wave) for wave in waves.T]
                 )
             return made
 
-        return (Discrepancy("time", self._every(columns), own=True),)
+        return Discrepancy("time", self._every(columns), own=True)
 
     # Towards the fit
 
@@ -632,16 +648,15 @@ class InverseView:
     def speed_rad_per_s(self) -> float:
         """RMS speed of the motor over what is fitted."""
         speeds = [
-            self.pieces[i].kept(self.motions[i].speed[self.windows[i].rows])
-            for i in self.used
-            if not self.windows[i].above
+            self.pieces[i].kept(self.parts[i].motion.speed[self.parts[i].window.rows])
+            for i in self.below
         ]
         return math.sqrt(float(np.mean(np.concatenate(speeds) ** 2)))
 
     @cached_property
     def _travel_rad(self) -> float:
         """Way of the load over what is fitted."""
-        way = max(float(np.ptp(self.motions[i].angle)) for i in self.used)
+        way = max(float(np.ptp(self.parts[i].motion.angle)) for i in self.used)
         return way / self.bench.value("gear_ratio")
 
     def _linear_columns(self, i: int) -> dict[str, FloatArray]:
@@ -649,11 +664,11 @@ class InverseView:
         columns = dict(self._nuisances(i))
         where = self.pieces[i].name
         for name, law in self.laws.items():
-            if name == SKEW or effect_named(name).is_periodic or self.windows[i].above:
+            if name == SKEW or effect_named(name).is_periodic or self.parts[i].window.above:
                 continue
             if law.scanned is None and not law.linear:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
-        if not self.load and not self.windows[i].above:
+        if not self.load and not self.parts[i].window.above:
             columns |= self._position_dependent(i)
         wave = next((n for n, law in self.laws.items() if law.scanned == ORDER), None)
         if wave is not None:
@@ -680,7 +695,7 @@ class InverseView:
 
     def _linear_fit(self) -> tuple[list[int], dict[str, float]]:
         """Used pieces below the cut-off, and coefficients of all that is linear, fitted on them."""
-        chosen = [i for i in self.used if not self.windows[i].above]
+        chosen = self.below
         tables = [self._linear_columns(i) for i in chosen]
         names = list(dict.fromkeys(name for table in tables for name in table))
         blocks, targets = [], []
@@ -713,8 +728,7 @@ class InverseView:
         made = self.fitted()
         return sum(
             float(np.sum(self.pieces[i].kept(self.pieces[i].measured - made[i]) ** 2))
-            for i in self.used
-            if not self.windows[i].above
+            for i in self.below
         )
 
     def _with_width(self) -> InverseView:
@@ -730,11 +744,11 @@ class InverseView:
     def _slopes(self) -> tuple[FloatArray, ...]:
         """Change of the prediction by a second of skew, with all that is linear as it fits."""
         _, values = self._linear_fit()
-        step = 1e-2 / self.windows[0].low_pass.cutoff_hz
+        step = 1e-2 / self.parts[0].window.low_pass.cutoff_hz
         ahead, behind = (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
         made = []
         for i, piece in enumerate(self.pieces):
-            if self.windows[i].above:
+            if self.parts[i].window.above:
                 made.append(np.zeros(piece.measured.size))
                 continue
             two = (view._linear_prediction(i, values) for view in (ahead, behind))
@@ -747,7 +761,8 @@ class InverseView:
         below = replace(self, orders=()).fitted()
         made = []
         for i in self.used:
-            piece, motion, window = self.pieces[i], self.motions[i], self.windows[i]
+            part = self.parts[i]
+            piece, motion, window = part.piece, part.motion, part.window
             rest = piece.measured - (self._base_above(i) if window.above else below[i])
             made.append(
                 OrderedRest(
@@ -792,12 +807,11 @@ class InverseView:
         """Whether the axis itself accelerates at one frequency alone: a torque there is inertia,
         friction or a spring before it is a line in time."""
         left = whole = 0.0
-        for i in self.used:
-            if not self.windows[i].above:
-                own = self.pieces[i].kept(self._parameter(i, INERTIAS[0]))
-                waves = self.pieces[i].kept(self._hum(i, hertz))
-                left += float(np.sum((own - waves @ least_squares(waves, own)) ** 2))
-                whole += float(own @ own)
+        for i in self.below:
+            own = self.pieces[i].kept(self._parameter(i, INERTIAS[0]))
+            waves = self.pieces[i].kept(self._hum(i, hertz))
+            left += float(np.sum((own - waves @ least_squares(waves, own)) ** 2))
+            whole += float(own @ own)
         return left < 0.1 * whole
 
     # What is told
@@ -806,7 +820,7 @@ class InverseView:
         """Not a skew that may be below half a sample, which is what a controller holds between
         samples; nor a shape at an end of its range, which is another law in disguise."""
         if label == SKEW:
-            time = self.motions[0].time_s
+            time = self.parts[0].motion.time_s
             (skew,) = inference.values(label).values()
             surely = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
             return surely > 0.5 * float(time[1] - time[0])
@@ -820,18 +834,6 @@ class InverseView:
     def settled(self, labels: Sequence[str]) -> InverseView:
         """Itself: it is linear but for shapes, which are as the posterior has them."""
         return self
-
-    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
-        """Predictions without any effect."""
-        return inference.nominal()
-
-    def learned(
-        self, inference: Inference, fitted: Coefficients, group: int
-    ) -> LearnedAnswer | None:
-        """A group as a torque over its variable."""
-        if self.load or group >= len(self._series):
-            return None
-        return learned_answer(self._series[group][1], inference, fitted, group)
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
@@ -916,7 +918,7 @@ def coherent_hz(resolved: InverseView) -> float | None:
             left.append(_power(rest))
     frequency, total = np.concatenate(frequencies), np.concatenate(measured)
     rest = np.concatenate(left)
-    top = view.windows[0].low_pass.cutoff_hz
+    top = view.parts[0].window.low_pass.cutoff_hz
     ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
     while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
         if 2.0 * rest[band].sum() < total[band].sum():

@@ -1,16 +1,20 @@
-"""What the comparisons of a rigid bench ask of it and of the recordings."""
+"""What the comparisons of a rigid bench ask of it and of the recordings, and their answer."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
+from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
 from bayesbl.diagnosis.task import Task, piece_of, refused, rows_of, sound
 from bayesbl.errors import RecordingError
+from bayesbl.progress import StageProgress
 from bayesbl.recording.evenly import even
 from bayesbl.recording.types import Recording
 
@@ -111,3 +115,43 @@ def believed_sds(bench: Bench, names: Sequence[str]) -> dict[str, float]:
         for name in names
         if bench.value(name) != 0.0
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a configuration asks for.
+
+    ``candidates``: effects that may be named. ``notes``: what these recordings cannot show.
+    ``scale_sd``: relative standard deviation of a factor that all torques have in common.
+    """
+
+    view: View
+    candidates: tuple[str, ...]
+    notes: tuple[str, ...]
+    scale_sd: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RigidMethod:
+    """A method of diagnosis by the model search; ``asked``: from a task to its view."""
+
+    name: str
+    asked: Callable[[Task], Asked]
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        asked = self.asked(task)
+        channel = asked.view.pieces[0].channel
+        return f"{self.name}, {channel}; candidates {', '.join(asked.candidates)}"
+
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        asked = self.asked(task)
+        return diagnose(
+            asked.view,
+            task.bench,
+            most=task.config.candidates.max_effects or MOST_EFFECTS,
+            notes=asked.notes,
+            scale_sd=asked.scale_sd,
+            progress=progress,
+        )
