@@ -58,14 +58,11 @@ class Piece:
         """Values of the samples that count, (n, …) to (k, …)."""
         return values if self.excluded is None else values[~self.excluded]
 
-    def half(self, second: bool) -> Piece:
-        """The first or the second half."""
-        middle = self.time_s.size // 2
-        rows = slice(middle, None) if second else slice(None, middle)
+    def part(self, rows: slice, use: Use) -> Piece:
+        """Some samples of it, with a use of their own."""
         excluded = None if self.excluded is None else self.excluded[rows]
-        return replace(
-            self, time_s=self.time_s[rows], measured=self.measured[rows], excluded=excluded
-        )
+        time_s, measured = self.time_s[rows], self.measured[rows]
+        return replace(self, time_s=time_s, measured=measured, excluded=excluded, use=use)
 
     @property
     def period_s(self) -> float:
@@ -262,6 +259,11 @@ class AffineModel:
         """Names of those that are fitted."""
         return tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
 
+    @property
+    def shown(self) -> list[int]:
+        """Of these, those whose disagreement is told."""
+        return [i for i in self.used if self.pieces[i].shown]
+
     @cached_property
     def nuisance_names(self) -> tuple[str, ...]:
         """Of the used pieces."""
@@ -274,6 +276,18 @@ class AffineModel:
             if name in self.nuisances[i]:
                 columns[:, k] = self.nuisances[i][name]
         return columns
+
+    @cached_property
+    def by_nuisances(self) -> FloatArray:
+        """Nuisances that fit the shown pieces best beside nothing else, (d,)."""
+        kept = [(self.pieces[i].kept, i) for i in self.shown]
+        matrix = np.vstack([of(self.nuisance_columns(i)) for of, i in kept])
+        target = [of(self.pieces[i].measured - self.base[i]) for of, i in kept]
+        return least_squares(matrix, np.concatenate(target))
+
+    def at(self, i: int, nuisances: FloatArray) -> FloatArray:
+        """Prediction of a piece with these nuisances, (d,), and nothing else, (n,)."""
+        return np.asarray(self.base[i] + self.nuisance_columns(i) @ nuisances)
 
     def candidate_columns(self, candidate: Candidate, look: Look, i: int) -> FloatArray:
         """Those of a piece, with a pair for every used recording where phases are their own."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -37,7 +37,12 @@ from bayesbl.diagnosis.diagnosis import (
     PieceSignals,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
+from bayesbl.diagnosis.disagreement import (
+    Disagreement,
+    DisagreementTable,
+    disagreement_table,
+    piece_residuals,
+)
 from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
@@ -82,24 +87,13 @@ TORQUES = ("N m", "kg")
 """Beginnings of the units of what is in proportion to a torque: coefficients and inertias too."""
 
 
-def with_shared_scale(effect: NamedEffect, scale_sd: float) -> NamedEffect:
-    """An effect with its torques as uncertain as the factor.
+def with_shared_scale(
+    estimates: Mapping[str, Estimate], units: Mapping[str, str], scale_sd: float
+) -> dict[str, Estimate]:
+    """Estimates by name, those of torques as uncertain as the factor.
 
     ``scale_sd``: relative standard deviation of the factor, zero if it is known.
     """
-    units = {p.name: p.unit for p in effect_named(effect.name).parameters}
-    return replace(effect, parameters=_widened(effect.parameters, units, scale_sd))
-
-
-def scaled_parameters(estimates: Mapping[str, Estimate], scale_sd: float) -> Mapping[str, Estimate]:
-    """Parameters of the bench by name, the same way."""
-    units = {name: PARAMETER_INFO[name].unit for name in estimates}
-    return _widened(estimates, units, scale_sd)
-
-
-def _widened(
-    estimates: Mapping[str, Estimate], units: Mapping[str, str], scale_sd: float
-) -> Mapping[str, Estimate]:
     return {
         name: replace(found, sd=math.hypot(found.sd, scale_sd * found.value))
         if units[name].startswith(TORQUES)
@@ -183,11 +177,12 @@ class _Placed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
-    """Of the nuisances (d,), of every term in the catalogue's units, of every group."""
+    """Of the nuisances (d,); of terms, in the catalogue's units, and of groups, by their places
+    where they are not none."""
 
     nuisances: FloatArray
-    sizes: list[FloatArray]
-    discrepancy: list[FloatArray]
+    sizes: Mapping[int, FloatArray] = field(default_factory=dict)
+    discrepancy: Mapping[int, FloatArray] = field(default_factory=dict)
 
 
 class Inference:
@@ -220,7 +215,6 @@ class Inference:
         self._nuisances = [
             p.kept(model.nuisance_columns(i)) for p, i in zip(pieces, used, strict=True)
         ]
-        level = self._level()
         self.terms: list[_Placed] = []
         blocks: list[list[FloatArray]] = []
         for candidate in model.candidates:
@@ -232,7 +226,7 @@ class Inference:
                 size = np.sqrt(np.max([(part**2).mean(axis=0) for part in raw], axis=0))
                 if not size.any():
                     continue  # these recordings do not show it
-                usual = candidate.usual * level / np.where(size > 0.0, size, 1.0)
+                usual = candidate.usual * self._level / np.where(size > 0.0, size, 1.0)
                 unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
                 self.terms.append(_Placed(candidate, look, unit))
                 blocks.append([part * unit for part in raw])
@@ -262,21 +256,19 @@ class Inference:
         )
         self._search(blocks)
 
+    @cached_property
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
-        parts = [
-            (self._target[k], self._nuisances[k])
-            for k, i in enumerate(self.model.used)
-            if self.model.pieces[i].shown
+        model = self.model
+        left = [
+            model.pieces[i].kept(model.pieces[i].measured - model.at(i, model.by_nuisances))
+            for i in model.shown
         ]
-        target = np.concatenate([t for t, _ in parts])
-        matrix = np.vstack([n for _, n in parts])
-        left = target - matrix @ least_squares(matrix, target) if matrix.shape[1] else target
-        return max(math.sqrt(float(np.mean(left**2))), _TINY)
+        return max(math.sqrt(float(np.mean(np.concatenate(left) ** 2))), _TINY)
 
     def _noise_beside_everything(self, blocks: list[list[FloatArray]]) -> list[ResidualNoise]:
         """From what all candidates and the discrepancy together leave, by ridge regression."""
-        level = self._level()
+        level = self._level
         n = np.vstack(self._nuisances)
         scale = np.sqrt((n**2).mean(axis=0))
         parts = [n / np.where(scale > 0.0, scale, 1.0)]
@@ -323,7 +315,7 @@ class Inference:
             for placed, block in zip(self.terms, blocks, strict=True)
         ]
         kinds = [d.kind for d in self.model.discrepancies]
-        usual = DISCREPANCY_SHARE * self._level() / self._shown_size
+        usual = DISCREPANCY_SHARE * self._level / self._shown_size
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
         sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
@@ -419,8 +411,14 @@ class Inference:
         """Of everything, over the posterior."""
         return Coefficients(
             self.nuisance_draws.mean(axis=0),
-            [self._mean_size(k) for k in range(len(self.terms))],
-            [self.discrepancy_draws[:, group].mean(axis=0) for group in self.groups],
+            {
+                k: weight @ mean * self.terms[k].unit
+                for k, (weight, mean, _) in self.posterior.sizes.items()
+            },
+            {
+                g: self.discrepancy_draws[:, group].mean(axis=0)
+                for g, group in enumerate(self.groups)
+            },
         )
 
     def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
@@ -430,53 +428,34 @@ class Inference:
         discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
         count alike: where a bench is worst is a part of what it has to predict.
         """
-        view = self.posterior.linearised
+        view, free = self.posterior.linearised, math.inf
         chosen = [self._likeliest(label) for label in labels]
-        sds = np.concatenate(
-            [
-                [self.model.nuisance_sds.get(n, np.inf) for n in self.model.nuisance_names],
-                *(np.full(self.terms[k].unit.size, np.inf) for k in chosen),
-                *(
-                    np.full(
-                        self.groups[g].stop - self.groups[g].start, self.posterior.discrepancy_sd(g)
-                    )
-                    for g in groups
-                ),
-            ]
-        )
-        matrix = np.hstack(
-            [
-                view.jacobian,
-                *(view.terms[k].columns for k in chosen),
-                *(view.discrepancy[:, self.groups[g]] for g in groups),
-            ]
-        )
-        held = np.isfinite(sds)
-        prior = np.zeros((int(held.sum()), sds.size))
-        prior[np.arange(len(prior)), np.flatnonzero(held)] = 1.0 / np.maximum(sds[held], 1e-300)
-        low = np.full(sds.size, -np.inf)
-        at = view.jacobian.shape[1]
+        anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.nuisance_names]
+        blocks: list[tuple[FloatArray, float | Sequence[float], float]] = [
+            (view.jacobian, anyway, -free)
+        ]
         for k in chosen:
-            if view.terms[k].positive:
-                low[at] = 0.0
-            at += self.terms[k].unit.size
+            term = view.terms[k]
+            blocks.append((term.columns, free, 0.0 if term.positive else -free))
+        for g in groups:
+            columns = view.discrepancy[:, self.groups[g]]
+            blocks.append((columns, self.posterior.discrepancy_sd(g), -free))
+        widths = [columns.shape[1] for columns, _, _ in blocks]
+        matrix = np.hstack([columns for columns, _, _ in blocks])
+        sds = np.hstack(
+            [np.broadcast_to(sd, w) for (_, sd, _), w in zip(blocks, widths, strict=True)]
+        )
+        low = np.repeat([least for _, _, least in blocks], widths)
+        held = np.isfinite(sds)
+        prior = np.diag(1.0 / np.maximum(sds, 1e-300))[held]
         values = bounded_least_squares(
             np.vstack([(matrix.T * self._burst).T, prior]),
             np.concatenate([view.residual * self._burst, np.zeros(len(prior))]),
             low,
         )
-        sizes = [np.zeros(placed.unit.size) for placed in self.terms]
-        at = view.jacobian.shape[1]
-        nuisances = values[:at]
-        for k in chosen:
-            unit = self.terms[k].unit
-            sizes[k] = values[at : at + unit.size] * unit
-            at += unit.size
-        discrepancy = [np.zeros(group.stop - group.start) for group in self.groups]
-        for g in groups:
-            discrepancy[g] = values[at : at + discrepancy[g].size]
-            at += discrepancy[g].size
-        return Coefficients(nuisances, sizes, discrepancy)
+        nuisances, *parts = np.split(values, np.cumsum(widths)[:-1])
+        sizes = {k: part * self.terms[k].unit for k, part in zip(chosen, parts, strict=False)}
+        return Coefficients(nuisances, sizes, dict(zip(groups, parts[len(chosen) :], strict=True)))
 
     def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
         """Linear parameters of a candidate."""
@@ -506,23 +485,17 @@ class Inference:
         sizes = self.posterior.sizes
         return max(places, key=lambda k: sizes[k][0].sum() if k in sizes else 0.0)
 
-    def _mean_size(self, k: int) -> FloatArray:
-        """Of a term, in the catalogue's units."""
-        if k not in self.posterior.sizes:
-            return np.zeros(self.terms[k].unit.size)
-        weight, mean, _ = self.posterior.sizes[k]
-        return np.asarray(weight @ mean * self.terms[k].unit)
-
     def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
         """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
         return tuple(self._predicted(i, coefficients) for i in range(len(self.model.pieces)))
 
     def _predicted(self, i: int, found: Coefficients) -> FloatArray:
         model, piece = self.model, self.model.pieces[i]
-        total = model.base[i] + model.nuisance_columns(i) @ found.nuisances
+        total = model.at(i, found.nuisances)
         own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
         waves: list[tuple[float, FloatArray]] = []
-        for placed, size in zip(self.terms, found.sizes, strict=True):
+        for k, size in found.sizes.items():
+            placed = self.terms[k]
             if not size.any():
                 continue
             if placed.candidate.own_phase and piece.name not in model.recordings:
@@ -530,7 +503,8 @@ class Inference:
                 waves.append((pair_size, placed.look.columns[i]))
             else:
                 total = total + model.candidate_columns(placed.candidate, placed.look, i) @ size
-        for discrepancy, size in zip(model.discrepancies, found.discrepancy, strict=True):
+        for g, size in found.discrepancy.items():
+            discrepancy = model.discrepancies[g]
             if not (discrepancy.own and piece.use != "used"):
                 total = total + discrepancy.columns[i] @ size
         if own or waves:
@@ -543,28 +517,12 @@ class Inference:
         return np.asarray(total)
 
     def nominal(self) -> tuple[FloatArray, ...]:
-        """Of every piece (n,): base and nuisances alone, by least squares on the shown ones."""
-        model = self.model
-        if model.without:
-            return model.without
-        shown = [k for k, i in enumerate(model.used) if model.pieces[i].shown]
-        matrix = np.vstack([self._nuisances[k] for k in shown])
-        target = np.concatenate([self._target[k] for k in shown])
-        values = least_squares(matrix, target) if matrix.shape[1] else np.zeros(0)
-        made = []
-        for i, piece in enumerate(model.pieces):
-            total = model.base[i] + model.nuisance_columns(i) @ values
-            own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
-            if own:
-                columns = np.column_stack(own)
-                rest = piece.kept(piece.measured - total)
-                total = total + columns @ least_squares(piece.kept(columns), rest)
-            made.append(np.asarray(total))
-        return tuple(made)
+        """Of every piece (n,): without any effect."""
+        return self.model.without or self.predicted(Coefficients(self.model.by_nuisances))
 
     def discrepancy(self) -> tuple[FloatArray, ...]:
         """Of every piece what nothing explains, averaged, (n,)."""
-        known = list(zip(self.model.discrepancies, self.average.discrepancy, strict=True))
+        known = [(self.model.discrepancies[g], h) for g, h in self.average.discrepancy.items()]
         return tuple(
             np.asarray(sum((d.columns[i] @ size for d, size in known), np.zeros(p.measured.size)))
             for i, p in enumerate(self.model.pieces)
@@ -670,17 +628,19 @@ def diagnose(
     denied = tuple(impossible(estimates))
     if denied:
         remaining = []
-    if denied or not _closes(at.model, before, after):
-        told, estimates, learned, after = [], {}, None, before
+    table, signals = compared_signals(view.pieces, before, after)
+    if denied or not _closes(table.overall["used"]):
+        told, estimates, learned = [], {}, None
+        table, signals = compared_signals(view.pieces, before, before)
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
-    estimates = dict(scaled_parameters(estimates, scale_sd))
+    units = {name: PARAMETER_INFO[name].unit for name in estimates}
+    estimates = with_shared_scale(estimates, units, scale_sd)
     named.sort(key=lambda pair: -_squares_without(at, labels, pair[0]))
     effects = [
         _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
         for label, alike in named
     ]
     errors = parameter_errors(bench, estimates)
-    table = disagreement_table(_residuals(inference.model, before, after), in_units_of_noise=False)
     lines = tuple(_line(inference, *item) for item in remaining)
     left = table.overall["used"]
     is_much = left.after > EXCESS * left.noise_floor
@@ -698,7 +658,7 @@ def diagnose(
         table,
         (*denied, *notes, *_gravity_notes(inference)),
         bench_parameters=estimates,
-        signals=_signals(inference.model, before, after),
+        signals=signals,
         learned=learned,
     )
     if learned is None:
@@ -719,11 +679,9 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
         )
 
 
-def _closes(model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]) -> bool:
+def _closes(used: Disagreement) -> bool:
     """Whether what is told explains anything to speak of: it would be an accident of a fit that is
     far from what was recorded."""
-    left = disagreement_table(_residuals(model, before, after), in_units_of_noise=False)
-    used = left.overall["used"]
     return used.after < CLOSED * used.before or used.after < EXCESS * used.noise_floor
 
 
@@ -816,8 +774,9 @@ def _effect(
     size = parameters[candidate.parameters[0]]
     sure = inference.probability((label, *alike))
     z = abs(size.value) / max(size.sd, _TINY)
-    effect = NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
-    return with_shared_scale(effect, scale_sd)
+    units = {p.name: p.unit for p in effect_named(candidate.name).parameters}
+    parameters = with_shared_scale(parameters, units, scale_sd)
+    return NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
 
 
 def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
@@ -844,36 +803,21 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
     )
 
 
-def _residuals(
-    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
-) -> list[PieceResiduals]:
-    return [
-        piece_residuals(
-            piece.name,
-            piece.channel,
-            piece.use,
-            piece.kept(piece.measured - first),
-            piece.kept(piece.measured - last),
-            white=piece.white,
-        )
-        for piece, first, last in zip(model.pieces, before, after, strict=True)
-        if piece.shown
-    ]
-
-
-def _signals(
-    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
-) -> tuple[PieceSignals, ...]:
-    return tuple(
-        PieceSignals(
-            piece.name,
-            piece.channel,
-            piece.use,
-            *map(piece.kept, (piece.time_s, piece.measured, *made)),
-        )
-        for piece, *made in zip(model.pieces, before, after, strict=True)
-        if piece.shown
-    )
+def compared_signals(
+    pieces: Sequence[Piece], before: Sequence[FloatArray], after: Sequence[FloatArray]
+) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
+    """The shown pieces beside their predictions without and with what was named, each (n,)."""
+    signals, residuals = [], []
+    for piece, *made in zip(pieces, before, after, strict=True):
+        if piece.shown:
+            kept = map(piece.kept, (piece.time_s, piece.measured, *made))
+            seen = PieceSignals(piece.name, piece.channel, piece.use, *kept)
+            left = (seen.measured - seen.before, seen.measured - seen.after)
+            residuals.append(
+                piece_residuals(piece.name, piece.channel, piece.use, *left, white=piece.white)
+            )
+            signals.append(seen)
+    return disagreement_table(residuals, in_units_of_noise=False), tuple(signals)
 
 
 def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> LearnedAnswer | None:
@@ -890,5 +834,4 @@ def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> Le
     x = np.linspace(low, high, CURVE_POINTS)
     waves = series.waves(x)
     curve = LearnedCurve(x, waves @ value, (waves @ draws.T).std(axis=1))
-    size = curve.value if term.reverses else curve.value - curve.value.mean()
-    return LearnedAnswer(term, float(np.abs(size).max()), (), curve)
+    return LearnedAnswer(term, (), curve)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from bayesbl.bench.bench import Bench, Drive
 from bayesbl.bench.effect_declaration import RigidLaw
@@ -17,6 +18,11 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 MOST_EXCLUDED = 0.5
 """Largest share of a piece that may be left out: what remains should still be a recording."""
+
+USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
+    {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
+)
+"""How an entry of ``[[recordings]]`` is used: whole, or in two parts."""
 
 OTHER_METHODS = {
     "two_mass": '"two_mass", or [comparison] method = "inverse" or "free_motion"',
@@ -79,6 +85,12 @@ def require_enough(recording: Recording, channel: str, excluded: BoolArray | Non
             expected=f"at most {100.0 * MOST_EXCLUDED:g} %; use the part with fewer lost samples, "
             "or a higher [comparison] cutoff_hz, which reaches less far",
         )
+
+
+def parts_of(uses: Sequence[Use], middle: int) -> list[tuple[Use, slice]]:
+    """The samples of each use: all, or those before a middle and those from there on."""
+    rows = [slice(None)] if len(uses) == 1 else [slice(None, middle), slice(middle, None)]
+    return list(zip(uses, rows, strict=True))
 
 
 def rows_of(recording: Recording, rows: slice) -> Recording:

@@ -376,10 +376,8 @@ def answer_of(learned: Learned, closed: float, remains: bool) -> LearnedAnswer:
             "away, so no gap is given. Add what is known of the joint to the bench, and diagnose "
             "again."
         )
-    size = values if term.reverses else values - values.mean()
     return LearnedAnswer(
         term,
-        float(np.abs(size).max()),
         learned.alike,
         LearnedCurve(x, values, sd),
         learned.gap_share,

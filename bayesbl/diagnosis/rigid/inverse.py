@@ -664,11 +664,11 @@ class InverseView:
         columns = dict(self._nuisances(i))
         where = self.pieces[i].name
         for name, law in self.laws.items():
-            if name == SKEW or effect_named(name).is_periodic or self.parts[i].window.above:
+            if name == SKEW or effect_named(name).is_periodic:
                 continue
             if law.scanned is None and not law.linear:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
-        if not self.load and not self.parts[i].window.above:
+        if not self.load:
             columns |= self._position_dependent(i)
         wave = next((n for n, law in self.laws.items() if law.scanned == ORDER), None)
         if wave is not None:
@@ -693,43 +693,27 @@ class InverseView:
                 found[key] = self._seen(i, key, law, self.width)
         return found
 
-    def _linear_fit(self) -> tuple[list[int], dict[str, float]]:
-        """Used pieces below the cut-off, and coefficients of all that is linear, fitted on them."""
-        chosen = self.below
-        tables = [self._linear_columns(i) for i in chosen]
-        names = list(dict.fromkeys(name for table in tables for name in table))
-        blocks, targets = [], []
-        for i, table in zip(chosen, tables, strict=True):
-            piece = self.pieces[i]
-            nothing = np.zeros(piece.measured.size)
-            columns = [table.get(name, nothing) for name in names]
-            blocks.append(piece.kept(np.column_stack([*columns, nothing])))
-            known = self.discrepancy[i] if self.discrepancy else 0.0
-            targets.append(piece.kept(piece.measured - self.base(i) - known))
-        values = least_squares(np.vstack(blocks), np.concatenate(targets))[:-1]
-        return chosen, dict(zip(names, values.tolist(), strict=True))
+    def _linear(self, places: Sequence[int]) -> AffineModel:
+        """Pieces below the cut-off with all that is linear as what is fitted anyway."""
+        pieces = [self.pieces[i] for i in places]
+        if self.discrepancy:
+            pieces = [
+                replace(piece, measured=piece.measured - self.discrepancy[i])
+                for piece, i in zip(pieces, places, strict=True)
+            ]
+        base = (self.base(i) for i in places)
+        columns = (self._linear_columns(i) for i in places)
+        return AffineModel(tuple(pieces), tuple(base), tuple(columns), ())
 
-    def _linear_prediction(self, i: int, values: Mapping[str, float]) -> FloatArray:
-        columns = self._linear_columns(i)
-        parts = (values[name] * column for name, column in columns.items() if name in values)
-        return np.asarray(self.base(i) + sum(parts))
-
-    def fitted(self) -> tuple[FloatArray, ...]:
-        """Prediction of every used piece below the cut-off by all that is linear, (n,); of others
-        an empty one."""
-        chosen, values = self._linear_fit()
-        return tuple(
-            self._linear_prediction(i, values) if i in chosen else np.zeros(0)
-            for i in range(len(self.pieces))
-        )
+    def fitted(self) -> dict[int, FloatArray]:
+        """Prediction of every fitted piece below the cut-off by all that is linear, (n,)."""
+        model = self._linear(self.below)
+        return {i: model.at(k, model.by_nuisances) for k, i in enumerate(self.below)}
 
     def least_left(self) -> float:
         """Sum of squares that these leave."""
-        made = self.fitted()
-        return sum(
-            float(np.sum(self.pieces[i].kept(self.pieces[i].measured - made[i]) ** 2))
-            for i in self.below
-        )
+        made = ((self.pieces[i], prediction) for i, prediction in self.fitted().items())
+        return sum(float(np.sum(piece.kept(piece.measured - at) ** 2)) for piece, at in made)
 
     def _with_width(self) -> InverseView:
         names = (*self.laws, *(e.name for e in self.bench.effects))
@@ -743,17 +727,15 @@ class InverseView:
 
     def _slopes(self) -> tuple[FloatArray, ...]:
         """Change of the prediction by a second of skew, with all that is linear as it fits."""
-        _, values = self._linear_fit()
+        fit = self._linear(self.below).by_nuisances
         step = 1e-2 / self.parts[0].window.low_pass.cutoff_hz
-        ahead, behind = (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
-        made = []
-        for i, piece in enumerate(self.pieces):
-            if self.parts[i].window.above:
-                made.append(np.zeros(piece.measured.size))
-                continue
-            two = (view._linear_prediction(i, values) for view in (ahead, behind))
-            first, other = two
-            made.append((first - other) / (2.0 * step))
+        shown = [i for i, piece in enumerate(self.pieces) if piece.shown]
+        ahead, behind = (
+            replace(self, skew_s=self.skew_s + s)._linear(shown) for s in (step, -step)
+        )
+        made = [np.zeros(piece.measured.size) for piece in self.pieces]
+        for k, i in enumerate(shown):
+            made[i] = (ahead.at(k, fit) - behind.at(k, fit)) / (2.0 * step)
         return tuple(made)
 
     def _rests(self) -> list[OrderedRest]:
@@ -907,15 +889,13 @@ def coherent_hz(resolved: InverseView) -> float | None:
         The view behind the highest cut-off that resolves the motion.
     """
     view = resolved.coarse()
-    predicted = view.fitted()
     frequencies, measured, left = [], [], []
-    for i in view.used:
+    for i, prediction in view.fitted().items():
         piece = view.pieces[i]
-        if piece.shown:
-            rest = piece.measured - predicted[i]
-            frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
-            measured.append(_power(piece.measured))
-            left.append(_power(rest))
+        rest = piece.measured - prediction
+        frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
+        measured.append(_power(piece.measured))
+        left.append(_power(rest))
     frequency, total = np.concatenate(frequencies), np.concatenate(measured)
     rest = np.concatenate(left)
     top = view.parts[0].window.low_pass.cutoff_hz

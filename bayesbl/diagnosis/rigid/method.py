@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from types import MappingProxyType
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -48,7 +46,15 @@ from bayesbl.diagnosis.rigid.preparation import (
     require_rigid,
     unknown_parameters,
 )
-from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
+from bayesbl.diagnosis.task import (
+    USES_OF,
+    Task,
+    notes_of,
+    parts_of,
+    refused,
+    require_enough,
+    wanted,
+)
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.evenly import widened
@@ -70,11 +76,6 @@ MOTION_ALONE = (
 )
 
 TORQUE_CONSTANT = "torque_constant_nm_per_a"
-
-USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
-    {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
-)
-"""How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
 
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
@@ -268,11 +269,8 @@ def compared(
         whole = Piece(
             recording.name, channel, uses[0], time, seen, excluded, shown, white if shown else None
         )
-        shares = [(whole, view)]
-        if len(uses) == 2:
-            shares = [(whole.half(second), view.half(second)) for second in (False, True)]
-        for use, (piece, part) in zip(uses, shares, strict=True):
-            found.append(Compared(replace(piece, use=use), motion, known, part))
+        for use, rows in parts_of(uses, time.size // 2):
+            found.append(Compared(whole.part(rows, use), motion, known, view.part(rows)))
     return found
 
 

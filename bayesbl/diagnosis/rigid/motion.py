@@ -240,12 +240,10 @@ class Window:
         passed = self.low_pass(seen)
         return (seen - passed if self.above else passed)[self.rows]
 
-    def half(self, second: bool) -> Window:
-        """The first or the second half of what is compared."""
-        first, end, step = self.rows.start, self.rows.stop, self.rows.step
-        middle = first + step * (len(range(first, end, step)) // 2)
-        rows = slice(middle, end, step) if second else slice(first, middle, step)
-        return replace(self, rows=rows)
+    def part(self, rows: slice) -> Window:
+        """Some of the samples that are compared."""
+        chosen = range(self.rows.start, self.rows.stop, self.rows.step)[rows]
+        return replace(self, rows=slice(chosen.start, chosen.stop, chosen.step))
 
 
 def sharper(cutoff_hz: float, period_s: float) -> float:

@@ -10,9 +10,8 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
-from bayesbl.diagnosis.task import Task, piece_of, refused, rows_of, sound
+from bayesbl.diagnosis.task import USES_OF, Task, parts_of, piece_of, refused, rows_of, sound
 from bayesbl.errors import RecordingError
 from bayesbl.progress import StageProgress
 from bayesbl.recording.evenly import even
@@ -69,14 +68,10 @@ def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tupl
     """Pieces to fit on and to predict; what comes to rest is split where half its way is done."""
     found = []
     for entry, recording in zip(task.config.recordings, recordings, strict=True):
-        if entry.use != "split":
-            use: Use = "used" if entry.use == "fit" else "held_out"
-            found.append(piece_of(recording, channel, use))
-            continue
         way = np.cumsum(np.abs(np.diff(recording.channels[channel])))
         middle = int(np.searchsorted(way, 0.5 * way[-1]))
-        found.append(piece_of(rows_of(recording, slice(middle)), channel, "used"))
-        found.append(piece_of(rows_of(recording, slice(middle, None)), channel, "held_out"))
+        for use, rows in parts_of(USES_OF[entry.use], middle):
+            found.append(piece_of(rows_of(recording, rows), channel, use))
     return tuple(found)
 
 

@@ -40,13 +40,13 @@ from bayesbl.diagnosis.diagnosis import (
     probability_of,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
-from bayesbl.diagnosis.inference import MOST_EFFECTS, parameter_errors
+from bayesbl.diagnosis.disagreement import DisagreementTable, Use
+from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals, parameter_errors
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
-from bayesbl.diagnosis.task import Task, notes_of, piece_of, refused, wanted
+from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, piece_of, refused, wanted
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import INDISTINGUISHABLE_Z
 from bayesbl.progress import StageProgress
@@ -163,6 +163,10 @@ class Turning:
     def highest_order(self) -> float:
         """That the sampling shows."""
         return min(HIGHEST_ORDER, WIDEST / self.piece.period_s / self.turns_per_s)
+
+    def part(self, rows: slice, use: Use) -> Turning:
+        """Some samples of it, with a use of their own."""
+        return replace(self, piece=self.piece.part(rows, use), angle=self.angle[rows], made={})
 
     def shows(self, order: float) -> bool:
         """Whether an order turns often enough, and not too fast for the sampling."""
@@ -599,14 +603,23 @@ HIDDEN = (
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Pieces to fit on and to predict, what of the loop is free, what may be named, and notes."""
+    """Pieces, what of the loop is free, what may be named, and notes."""
 
-    used: tuple[Turning, ...]
-    held_out: tuple[Turning, ...]
+    turning: tuple[Turning, ...]
     values: dict[str, float]
     free: Free
     candidates: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def used(self) -> tuple[Turning, ...]:
+        """Pieces to fit on."""
+        return tuple(item for item in self.turning if item.piece.use == "used")
+
+    @property
+    def every(self) -> tuple[Turning, ...]:
+        """These, and then those to predict."""
+        return tuple(sorted(self.turning, key=lambda item: item.piece.use != "used"))
 
 
 def loop_setting(task: Task) -> Setting:
@@ -648,7 +661,7 @@ def loop_setting(task: Task) -> Setting:
             expected="a bench without them",
         )
     task.require_channels_of([MOTOR_SPEED])
-    used, held_out = [], []
+    turning = []
     recordings = even_recordings(task, [(MOTOR_SPEED,)] * len(task.recordings), (MOTOR_SPEED,))
     values = loop_values(bench)
     response = partial(speed_of_torque, values)
@@ -666,13 +679,8 @@ def loop_setting(task: Task) -> Setting:
         whole = piece_of(recording, MOTOR_SPEED, "used")
         angle = recording.channels.get(MOTOR_POSITION)
         made = Turning(whole, turned(whole) if angle is None else angle, response, load_order)
-        if entry.use == "split":
-            used.append(_half(made, False))
-            held_out.append(_half(made, True))
-        elif entry.use == "fit":
-            used.append(made)
-        else:
-            held_out.append(_as_held_out(made))
+        for use, rows in parts_of(USES_OF[entry.use], made.angle.size // 2):
+            turning.append(made.part(rows, use))
     unknown = config.unknowns.bench_parameters
     for name in unknown:
         if name not in LOOP_PARAMETERS or not bench.tolerances.get(name):
@@ -686,7 +694,7 @@ def loop_setting(task: Task) -> Setting:
     priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
     names = wanted(config, bench, dict.fromkeys(CANDIDATES))
     notes = (*notes_of(recordings), HIDDEN, *_soft_shaft(values))
-    return Setting(tuple(used), tuple(held_out), values, Free(priors), names, notes)
+    return Setting(tuple(turning), values, Free(priors), names, notes)
 
 
 def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
@@ -699,17 +707,6 @@ def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
             f"a shaft to it only the motor's own moves, and torques are {motor:.2g} times what is "
             'said here: compare with drive = "two_mass" if the joint has a gear.'
         )
-
-
-def _half(item: Turning, second: bool) -> Turning:
-    middle = item.angle.size // 2
-    angle = item.angle[middle:] if second else item.angle[:middle]
-    half = replace(item, piece=item.piece.half(second), angle=angle, made={})
-    return _as_held_out(half) if second else half
-
-
-def _as_held_out(item: Turning) -> Turning:
-    return replace(item, piece=replace(item.piece, use="held_out"))
 
 
 LAWS: Mapping[Law, str] = {"torque": RIPPLE, "angle": ECCENTRICITY}
@@ -731,9 +728,10 @@ class RigidLoop:
     def describe(self, task: Task) -> str:
         """How many pieces, and what may be named."""
         found = loop_setting(task)
+        used, held_out = len(found.used), len(found.turning) - len(found.used)
         return (
-            f"forward, the speed alone of a rigid drive, {len(found.used)} to fit on, "
-            f"{len(found.held_out)} held out; candidates {', '.join(found.candidates)}"
+            f"forward, the speed alone of a rigid drive, {used} to fit on, {held_out} held out; "
+            f"candidates {', '.join(found.candidates)}"
         )
 
     def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
@@ -796,16 +794,16 @@ class _Answer:
         named, remaining = self._named(lines, fit, notes)
         effects, errors = self._of_loop(fit, added)
         effects = (*named, *effects)
-        pieces, signals = self._compared(fit)
+        table, signals = self._compared(fit)
         return Diagnosis(
             verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
             effects,
             errors,
             tuple(remaining),
-            disagreement_table(pieces, in_units_of_noise=False),
+            table,
             tuple(notes),
             bench_parameters=_fitted(fit, setting.free.priors) if fit else {},
-            signals=tuple(signals),
+            signals=signals,
             order_sizes=tuple(self._sizes(fit)),
         )
 
@@ -828,11 +826,8 @@ class _Answer:
             error = angle * np.real(turn / abs(turn) * np.exp(1j * item.angle))
             return replace(item, angle=item.angle - error, made={})
 
-        setting = replace(
-            self.setting,
-            used=tuple(map(without_error, self.setting.used)),
-            held_out=tuple(map(without_error, self.setting.held_out)),
-        )
+        turning = tuple(map(without_error, self.setting.turning))
+        setting = replace(self.setting, turning=turning)
         alarm = self.task.config.candidates.false_alarm
         return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
 
@@ -971,7 +966,7 @@ class _Answer:
     def _sizes(self, fit: LawFit | None) -> Iterator[OrderSize]:
         """Every line as the torque that would make it."""
         values = self.setting.values if fit is None else fit.values
-        for item in (*self.setting.used, *self.setting.held_out):
+        for item in self.setting.every:
             lines = lines_of([item], [line.order for line in self.found])
             for place, line in enumerate(self.found):
                 if not math.isfinite(lines.size[0, place]):
@@ -992,32 +987,20 @@ class _Answer:
                     made,
                 )
 
-    def _compared(self, fit: LawFit | None) -> tuple[list[PieceResiduals], list[PieceSignals]]:
-        """Residuals and signals of every piece, with a mean alone and with all laws."""
-        laws = {} if fit is None else fit.laws
-        orders = [self.found[place].order for place in laws]
-        pieces, signals = [], []
-        for item in (*self.setting.used, *self.setting.held_out):
+    def _compared(self, fit: LawFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
+        """Every piece, with a mean alone and with all laws."""
+        every = self.setting.every
+        places = () if fit is None else tuple(fit.laws)
+        orders = [self.found[place].order for place in places]
+
+        def by_laws(item: Turning) -> FloatArray:
             speed = np.array([item.speed_rad_per_s])
-            sizes = [
-                float(fit.predicted(place, self.found[place].order, speed)[0])
-                for place in laws
-                if fit is not None
-            ]
-            before = item.predicted((), np.zeros(0))
-            after = item.predicted(orders, np.array(sizes))
-            piece = item.piece
-            kept = [piece.kept(v) for v in (piece.time_s, piece.measured, before, after)]
-            time, measured, first, last = kept
-            pieces.append(
-                piece_residuals(
-                    piece.name, MOTOR_SPEED, piece.use, measured - first, measured - last
-                )
-            )
-            signals.append(
-                PieceSignals(piece.name, MOTOR_SPEED, piece.use, time, measured, first, last)
-            )
-        return pieces, signals
+            pairs = zip(places, orders, strict=True)
+            sizes = [float(fit.predicted(*pair, speed)[0]) for pair in pairs if fit is not None]
+            return item.predicted(orders, np.array(sizes))
+
+        without = [item.predicted((), np.zeros(0)) for item in every]
+        return compared_signals([item.piece for item in every], without, [*map(by_laws, every)])
 
 
 def _periodic_in_time(
