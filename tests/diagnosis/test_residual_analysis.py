@@ -11,8 +11,7 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from bayesbl.diagnosis.residual_groups import residuals_dataset
-from bayesbl.diagnosis.residuals.analysis import analyse_residuals
-from bayesbl.diagnosis.residuals.attribution import offset_dependence
+from bayesbl.diagnosis.residuals.analysis import analyse_residuals, offset_dependence
 from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg, comb, noise_floor
 from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.diagnosis.summary import plain

@@ -14,7 +14,7 @@ from bayesbl.diagnosis.residuals.analysis import (
     RecordingResiduals,
     ResidualAnalysis,
 )
-from bayesbl.diagnosis.residuals.attribution import Line
+from bayesbl.diagnosis.residuals.lines import Line
 from bayesbl.units import unit_of
 
 What = Literal[
