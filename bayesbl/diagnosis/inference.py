@@ -337,10 +337,6 @@ class Inference:
 
     # What is asked of it
 
-    def of(self, label: str) -> list[_Placed]:
-        """Terms of a candidate."""
-        return [placed for placed in self.terms if placed.candidate.label == label]
-
     @cached_property
     def labels(self) -> Mapping[str, Candidate]:
         """Candidates that show."""
@@ -429,7 +425,7 @@ class Inference:
         count alike: where a bench is worst is a part of what it has to predict.
         """
         view, free = self.posterior.linearised, math.inf
-        chosen = [self._likeliest(label) for label in labels]
+        chosen = [self.likeliest(label) for label in labels]
         anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.nuisance_names]
         blocks: list[tuple[FloatArray, float | Sequence[float], float]] = [
             (view.jacobian, anyway, -free)
@@ -460,7 +456,7 @@ class Inference:
     def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
         """Linear parameters of a candidate."""
         candidate = self.labels[label]
-        size = fitted.sizes[self._likeliest(label)]
+        size = fitted.sizes[self.likeliest(label)]
         if not candidate.is_wave:
             return dict(zip(candidate.parameters, size.tolist(), strict=True))
         pairs = size.reshape(-1, 2)
@@ -471,15 +467,11 @@ class Inference:
 
     def is_none(self, fitted: Coefficients, label: str) -> bool:
         """Whether a candidate whose sign is known would rather have the other one."""
-        place = self._likeliest(label)
+        place = self.likeliest(label)
         size, unit = fitted.sizes[place], self.terms[place].unit
         return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
 
-    def likeliest(self, label: str) -> _Placed:
-        """The look of a candidate that is most probable."""
-        return self.terms[self._likeliest(label)]
-
-    def _likeliest(self, label: str) -> int:
+    def likeliest(self, label: str) -> int:
         """The term of a candidate that is most probable."""
         places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
         sizes = self.posterior.sizes

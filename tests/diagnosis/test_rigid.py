@@ -55,7 +55,6 @@ def inverse(
         believed,
         POSITION_LAWS if load else TORQUE_LAWS,
         () if load else unknown,
-        load=load,
         load_angle_known=True,
         phases_shared=phases_shared,
     )

@@ -296,13 +296,8 @@ def _start_angle(explanation: Explanation, seen: Observed) -> float:
     return float(seen.known.get(START_ANGLE, 0.0))
 
 
-def halves(seen: Observed) -> tuple[Observed, Observed]:
-    """A recording cut in two at a whole sample; both halves have its name."""
-    middle = seen.samples // 2
-    return _rows(seen, slice(None, middle)), _rows(seen, slice(middle, None))
-
-
-def _rows(seen: Observed, rows: slice) -> Observed:
+def part_of(seen: Observed, rows: slice) -> Observed:
+    """Some samples of a recording, under its name."""
     excluded, angle = seen.excluded, seen.motor_angle_rad
     return replace(
         seen,

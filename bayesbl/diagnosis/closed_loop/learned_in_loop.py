@@ -280,11 +280,8 @@ def _with_term(
     model: SimulatedSignals, hypothesis: Hypothesis, orders: int, unknowns: Sequence[Unknown]
 ) -> SimulatedSignals:
     """The comparison with a term of so many orders, all zero, and these unknowns more."""
-    return replace(
-        model,
-        bench=model.bench.with_learned(hypothesis.term(np.zeros(2 * orders + 1))),
-        unknowns=(*model.unknowns, *unknowns),
-    )
+    term = hypothesis.term(np.zeros(2 * orders + 1))
+    return model.beside(model.bench.with_learned(term), unknowns)
 
 
 def _fitted(base: Explanation, trial: Trial) -> Explanation | None:

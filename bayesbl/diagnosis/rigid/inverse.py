@@ -47,9 +47,10 @@ from bayesbl.diagnosis.rigid.motion import END_PERIODS, Motion, Window, noise_of
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, Line, OrderedRest, peaks
 from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
 from bayesbl.model_search.constants import NAMED_AT
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import LOAD_POSITION, MOTOR_CURRENT, FloatArray
 
 SKEW = "channel_time_skew"
+TORQUE_CONSTANT = "torque_constant_nm_per_a"
 
 
 def _laws(every: Iterable[tuple[Effect, RigidLaw | None]]) -> Mapping[str, RigidLaw]:
@@ -165,12 +166,6 @@ class InverseView:
         Of the effects that may take part.
     unknown
         Bench parameters that are fitted: inertias and the gravity torque.
-    unit
-        N m or rad in one unit of the channel: K_t where current is compared.
-    load
-        The load's position is compared; its zero is fitted for each recording.
-    gravity_free
-        Gravity's size and direction are fitted in each recording.
     load_angle_known, phases_shared
         The motor position tells the load's angle, so gravity's direction; it is absolute, so one
         phase holds for all recordings. Without either, sine and cosine are free per recording.
@@ -191,9 +186,6 @@ class InverseView:
     bench: Bench
     laws: Mapping[str, RigidLaw]
     unknown: tuple[str, ...] = ()
-    unit: float = 1.0
-    load: bool = False
-    gravity_free: bool = False
     load_angle_known: bool = False
     phases_shared: bool = False
     skew_s: float = 0.0
@@ -212,6 +204,22 @@ class InverseView:
     def pieces(self) -> tuple[Piece, ...]:
         """Without their motion."""
         return tuple(part.piece for part in self.parts)
+
+    @cached_property
+    def load(self) -> bool:
+        """Whether the load's position is compared; its zero is fitted for each recording."""
+        return self.pieces[0].channel == LOAD_POSITION
+
+    @cached_property
+    def unit(self) -> float:
+        """N m or rad in one unit of the channel: K_t where current is compared."""
+        current = self.pieces[0].channel == MOTOR_CURRENT
+        return self.bench.value(TORQUE_CONSTANT) if current else 1.0
+
+    @cached_property
+    def gravity_free(self) -> bool:
+        """Whether gravity's size and direction are fitted in each recording."""
+        return not self.load_angle_known and self.bench.value(GRAVITY) > 0.0
 
     @cached_property
     def used(self) -> list[int]:
@@ -241,7 +249,7 @@ class InverseView:
         whole = (i, key, self.skew_s, width)
         if whole not in self.cache:
             signal = self.parts[i].window(make(self._moved[i]))
-            self.cache[whole] = signal / (1.0 if self.load else self.unit)
+            self.cache[whole] = signal / self.unit
         found: FloatArray = self.cache[whole]
         return found
 
@@ -510,8 +518,8 @@ class InverseView:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 if series.reverses:
                     waves = waves * direction(motion)[:, None]
-                window, unit = self.parts[i].window, 1.0 if self.load else self.unit
-                return np.column_stack([window(wave) / unit for wave in waves.T])
+                window = self.parts[i].window
+                return np.column_stack([window(wave) / self.unit for wave in waves.T])
 
             told = None if self.load else series
             yield Discrepancy(series.kind, self._every(columns), series=told)
@@ -630,7 +638,9 @@ class InverseView:
             mine = candidate.looks[0].shapes.get(shape) == line.values[0]
             if mine and inference.posterior.inclusion[label] > 0.5:
                 sd = inference.values(label)[shape].sd
-                return line.finer(inference.likeliest(label).look.shapes[shape], sd)
+                return line.finer(
+                    inference.terms[inference.likeliest(label)].look.shapes[shape], sd
+                )
         return line
 
     def _values(self, name: str) -> tuple[float, ...]:

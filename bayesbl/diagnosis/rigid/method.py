@@ -12,6 +12,7 @@ from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.diagnosis.rigid.inverse import (
     POSITION_LAWS,
+    TORQUE_CONSTANT,
     TORQUE_LAWS,
     Compared,
     InverseView,
@@ -75,8 +76,6 @@ MOTION_ALONE = (
     "(free_motion)."
 )
 
-TORQUE_CONSTANT = "torque_constant_nm_per_a"
-
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
 
@@ -98,7 +97,7 @@ def asked_of(task: Task) -> Asked:
     recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
     _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
-    unit, unit_tolerance = _torque_per_unit(task, channel)
+    unit_tolerance = _tolerance_of_unit(task, channel)
     every = POSITION_LAWS if load else TORQUE_LAWS
     if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
@@ -120,9 +119,6 @@ def asked_of(task: Task) -> Asked:
             bench,
             {name: laws[name] for name in chosen},
             unknown,
-            unit,
-            load,
-            not load and not asked.load_angle_known and bench.value(GRAVITY) > 0.0,
             asked.load_angle_known,
             asked.motor_angle_known,
         )
@@ -147,11 +143,11 @@ def asked_of(task: Task) -> Asked:
     return Asked(view, chosen, tuple(notes), unit_tolerance / math.sqrt(3.0))
 
 
-def _torque_per_unit(task: Task, channel: str) -> tuple[float, float]:
-    """Torque of one unit of the channel, N m, and its relative tolerance."""
+def _tolerance_of_unit(task: Task, channel: str) -> float:
+    """Relative tolerance of the torque of one unit of the channel."""
     bench = task.bench
     if channel != MOTOR_CURRENT:
-        return 1.0, 0.0
+        return 0.0
     if TORQUE_CONSTANT in bench.assumed:
         raise ConfigError(
             "Current can be compared only through the torque constant.",
@@ -160,8 +156,7 @@ def _torque_per_unit(task: Task, channel: str) -> tuple[float, float]:
             found="no torque_constant_nm_per_a",
             expected="torque_constant_nm_per_a = {value = …}",
         )
-    constant = bench.value(TORQUE_CONSTANT)
-    return constant, bench.tolerances.get(TORQUE_CONSTANT, 0.0) / constant
+    return bench.tolerances.get(TORQUE_CONSTANT, 0.0) / bench.value(TORQUE_CONSTANT)
 
 
 def _cutoff_hz(
