@@ -141,7 +141,7 @@ def learn(
     tried = len(found) * len(ORDERS)
     every = []
     for hypothesis, groups in found:
-        trials = tried_orders(hypothesis, groups, precision, tried)
+        trials = sorted(_trials(hypothesis, groups, precision, tried), key=lambda t: -t.gain)
         every += [min(alike(trials, false_alarm), key=lambda t: t.orders)] if trials else []
     sure = [trial for trial in every if trial.is_sure(false_alarm)]
     return sorted(sure, key=lambda trial: -trial.gain)
@@ -153,16 +153,10 @@ def alike(trials: Sequence[Trial], false_alarm: float) -> list[Trial]:
     return [trial for trial in trials if trials[0].gain - trial.gain < enough]
 
 
-def tried_orders(
-    hypothesis: Hypothesis, groups: Sequence[Group], precision: FloatArray, tried: int
-) -> list[Trial]:
-    """A hypothesis with each number of orders, what predicts best first; ``tried``: how many."""
-    return sorted(_trials(hypothesis, groups, precision, tried), key=lambda trial: -trial.gain)
-
-
 def _trials(
     hypothesis: Hypothesis, groups: Sequence[Group], precision: FloatArray, tried: int
 ) -> Iterator[Trial]:
+    """A hypothesis with each number of orders; ``tried``: how many with all hypotheses."""
     for orders in sorted({min(orders, hypothesis.most) for orders in ORDERS}):
         free = _free(groups, hypothesis, orders)
         if not free:

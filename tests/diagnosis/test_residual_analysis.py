@@ -276,10 +276,10 @@ def test_too_short_or_unfinished_predictions_are_refused():
     seen, made = recording(1)
     short = dataclasses.replace(seen, signals=seen.signals[:, :1000])
     with pytest.raises(RecordingError, match="at least two"):
-        analyse_residuals([short], [made[:, :1000]])
+        analyse_residuals([short], [made[:, :1000]], [0.0])
     made[0, 5] = np.nan
     with pytest.raises(RecordingError, match="does not fit"):
-        analyse_residuals([seen], [made])
+        analyse_residuals([seen], [made], [0.0])
 
 
 @pytest.fixture(scope="module")

@@ -168,7 +168,7 @@ class ResidualAnalysis:
 def analyse_residuals(
     recordings: Sequence[Observed],
     simulated: Sequence[FloatArray],
-    start_angles_rad: Sequence[float] | None = None,
+    start_angles_rad: Sequence[float],
     *,
     false_discovery_rate: float = FALSE_DISCOVERY_RATE,
 ) -> ResidualAnalysis:
@@ -181,7 +181,7 @@ def analyse_residuals(
     simulated
         Prediction for each, shape (c, n) as its ``signals``.
     start_angles_rad
-        Load angle at each recording's first sample; if not given, maps count from there.
+        Load angle at each recording's first sample.
     false_discovery_rate
         Over all lines: Benjamini and Hochberg for each channel of each recording, and there apart
         for motor orders, load orders and what lies between them, each at its equal share of the
@@ -194,11 +194,10 @@ def analyse_residuals(
         If a recording holds less than two load rotations, or a prediction is not finite or not of
         the recording's shape.
     """
-    starts = start_angles_rad if start_angles_rad is not None else [0.0] * len(recordings)
     tests = 3 * sum(len(seen.signals) for seen in recordings)
     analysis = [
         _recording(seen, made, start, false_discovery_rate / tests)
-        for seen, made, start in zip(recordings, simulated, starts, strict=True)
+        for seen, made, start in zip(recordings, simulated, start_angles_rad, strict=True)
     ]
     return ResidualAnalysis(_attributed(analysis), _offsets(analysis), false_discovery_rate)
 

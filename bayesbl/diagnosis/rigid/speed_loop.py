@@ -205,20 +205,23 @@ class Turning:
 
         Shapes (m,) and (k,).
         """
-        matrix, measured = self.waves(orders), self.piece.kept(self.piece.measured)
-        found = np.linalg.lstsq(matrix, measured, rcond=1e-10)[0]
+        found, matrix = self._waves_fitted(orders)
         lines = np.full(len(orders), complex(math.nan, math.nan))
         shown = np.array([self.shows(order) for order in orders], bool)
         pairs = found[: 2 * int(shown.sum())]
         lines[shown] = pairs[0::2] - 1j * pairs[1::2]
-        return lines, measured - matrix @ found
+        return lines, self.piece.kept(self.piece.measured) - matrix @ found
+
+    def _waves_fitted(self, orders: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of the waves, (p,), and the waves, (k, p)."""
+        matrix = self.waves(orders)
+        found = np.linalg.lstsq(matrix, self.piece.kept(self.piece.measured), rcond=1e-10)[0]
+        return np.asarray(found), matrix
 
     def predicted(self, orders: Sequence[float], sizes: FloatArray) -> FloatArray:
         """The speed with lines of these sizes, rpm, shape (n,); phases and the rest as they fit."""
         shown = [order for order in orders if self.shows(order)]
-        found = np.linalg.lstsq(
-            self.waves(shown), self.piece.kept(self.piece.measured), rcond=1e-10
-        )[0]
+        found, _ = self._waves_fitted(shown)
         for k, order in enumerate(shown):
             pair = found[2 * k : 2 * k + 2]
             pair *= sizes[list(orders).index(order)] / max(float(np.hypot(*pair)), 1e-300)
@@ -448,7 +451,12 @@ def fit_laws(
         for place, law in laws.items()
         for part in (("torque", "angle", "phase") if law == "both" else (law,))
     ]
-    first = {key: _first_size(lines, believed, *key) for key in keys}
+    every = np.ones(lines.speeds.size, bool)
+    one: dict[str, tuple[float, float, float]] = {"torque": (1, 0, 0), "angle": (0, 1, 0)}
+    first = {
+        (place, part): _alone(lines, believed, place, one[part], every) if part in one else 1.0
+        for place, part in keys
+    }
 
     def unpacked(x: FloatArray) -> tuple[dict[str, float], dict[int, tuple[float, float, float]]]:
         values = dict(believed)
@@ -505,14 +513,6 @@ def fit_laws(
     names: list[object] = [*loops, *keys]
     deviations = dict(zip(names, (spread * scale).tolist(), strict=True))
     return replace(made, deviations=deviations, cost=2.0 * float(found.cost))
-
-
-def _first_size(lines: Lines, believed: Mapping[str, float], place: int, part: str) -> float:
-    """By weighted least squares with the loop as believed."""
-    if part == "phase":
-        return 1.0
-    unit = (1.0, 0.0, 0.0) if part == "torque" else (0.0, 1.0, 0.0)
-    return _alone(lines, believed, place, unit, np.ones(lines.speeds.size, bool))
 
 
 def _alone(
