@@ -7,7 +7,7 @@ of probabilities; what :mod:`bayesbl.diagnosis.inference` makes of it knows noth
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -280,10 +280,16 @@ class AffineModel:
     @cached_property
     def by_nuisances(self) -> FloatArray:
         """Nuisances that fit the shown pieces best beside nothing else, (d,)."""
-        kept = [(self.pieces[i].kept, i) for i in self.shown]
-        matrix = np.vstack([of(self.nuisance_columns(i)) for of, i in kept])
-        target = [of(self.pieces[i].measured - self.base[i]) for of, i in kept]
-        return least_squares(matrix, np.concatenate(target))
+        columns = self.rows(self.nuisance_columns, self.shown)
+        return least_squares(columns, self.rows(self.beside_base, self.shown))
+
+    def rows(self, of: Callable[[int], FloatArray], places: Sequence[int]) -> FloatArray:
+        """What there is of these pieces, (n, …) each, at the samples that count, in one array."""
+        return np.concatenate([self.pieces[i].kept(of(i)) for i in places])
+
+    def beside_base(self, i: int) -> FloatArray:
+        """What was measured of a piece less the base, (n,)."""
+        return np.asarray(self.pieces[i].measured - self.base[i])
 
     def at(self, i: int, nuisances: FloatArray) -> FloatArray:
         """Prediction of a piece with these nuisances, (d,), and nothing else, (n,)."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -195,8 +196,8 @@ class Inference:
     noises
         Of every used piece.
     sizes
-        What the samples of each used piece are counted in, the channel's unit, (n,): one size for
-        all that are shown, one for those that hold lines alone, of the noise where its spectrum is
+        What the samples of used pieces are counted in, the channel's unit, (N,): one size for all
+        that are shown, one for those that hold lines alone, of the noise where its spectrum is
         strongest, and more where it is larger than on average. There p'Σp ≤ s² p'p for every
         prediction p, so that no evidence is counted that is not there. Whitened, or each in its
         own, recordings would be fitted where they are least noisy, which of a real joint is where
@@ -208,75 +209,59 @@ class Inference:
     def __init__(self, model: AffineModel, noises: Sequence[ResidualNoise] | None = None) -> None:
         self.model = model
         used = model.used
-        pieces = [model.pieces[i] for i in used]
-        self._target = [
-            p.kept(p.measured - model.base[i]) for p, i in zip(pieces, used, strict=True)
-        ]
-        self._nuisances = [
-            p.kept(model.nuisance_columns(i)) for p, i in zip(pieces, used, strict=True)
-        ]
+        rows = partial(model.rows, places=used)
+        self._target = rows(model.beside_base)
+        self._nuisances = rows(model.nuisance_columns)
+        lengths = [model.pieces[i].kept(model.pieces[i].time_s).size for i in used]
+        self._ends = np.cumsum(lengths)[:-1]
         self.terms: list[_Placed] = []
-        blocks: list[list[FloatArray]] = []
+        blocks: list[FloatArray] = []
         for candidate in model.candidates:
             for look in candidate.looks:
-                raw = [
-                    p.kept(model.candidate_columns(candidate, look, i))
-                    for p, i in zip(pieces, used, strict=True)
-                ]
-                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in raw], axis=0))
+                block = rows(partial(model.candidate_columns, candidate, look))
+                parts = np.split(block, self._ends)
+                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in parts], axis=0))
                 if not size.any():
                     continue  # these recordings do not show it
                 usual = candidate.usual * self._level / np.where(size > 0.0, size, 1.0)
                 unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
                 self.terms.append(_Placed(candidate, look, unit))
-                blocks.append([part * unit for part in raw])
-        self._discrepancy = [
-            [p.kept(d.columns[i]) for d in model.discrepancies]
-            for p, i in zip(pieces, used, strict=True)
-        ]
-        self.groups: list[slice] = []
-        at = 0
-        for d in model.discrepancies:
-            self.groups.append(slice(at, at + d.columns[used[0]].shape[1]))
-            at = self.groups[-1].stop
+                blocks.append(block * unit)
+        every = [d.columns for d in model.discrepancies]
+        self._discrepancy = rows(lambda i: np.hstack([columns[i] for columns in every]))
+        ends = np.cumsum([0, *(columns[used[0]].shape[1] for columns in every)]).tolist()
+        self.groups = [slice(*pair) for pair in pairwise(ends)]
         if noises is None:
             noises = self._noise_beside_everything(blocks)
         self.noises = tuple(noises)
-        shown = [self.model.pieces[i].shown for i in self.model.used]
+        shown = [model.pieces[i].shown for i in used]
         pairs = list(zip(noises, shown, strict=True))
-        below = max(noise.strongest for noise, is_shown in pairs if is_shown)
-        above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
-        self._shown_size = max(below, _TINY)
-        even = [self._shown_size if is_shown else max(above, _TINY) for is_shown in shown]
-        self.sizes = [
-            np.maximum(noise.local, size) for noise, size in zip(noises, even, strict=True)
-        ]
-        self._burst = np.concatenate(
-            [own / size for own, size in zip(self.sizes, even, strict=True)]
-        )
+        strongest = {
+            alike: max(_TINY, *(noise.strongest for noise, s in pairs if s == alike))
+            for alike in set(shown)
+        }
+        self._shown_size = strongest[True]
+        even = np.repeat([strongest[alike] for alike in shown], lengths)
+        self.sizes = np.maximum(np.concatenate([noise.local for noise in noises]), even)
+        self._burst = self.sizes / even
         self._search(blocks)
 
     @cached_property
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
         model = self.model
-        left = [
-            model.pieces[i].kept(model.pieces[i].measured - model.at(i, model.by_nuisances))
-            for i in model.shown
-        ]
-        return max(math.sqrt(float(np.mean(np.concatenate(left) ** 2))), _TINY)
+        prediction = partial(model.at, nuisances=model.by_nuisances)
+        left = model.rows(lambda i: model.pieces[i].measured - prediction(i), model.shown)
+        return max(math.sqrt(float(np.mean(left**2))), _TINY)
 
-    def _noise_beside_everything(self, blocks: list[list[FloatArray]]) -> list[ResidualNoise]:
+    def _noise_beside_everything(self, blocks: list[FloatArray]) -> list[ResidualNoise]:
         """From what all candidates and the discrepancy together leave, by ridge regression."""
         level = self._level
-        n = np.vstack(self._nuisances)
+        n, h, target = self._nuisances, self._discrepancy, self._target
         scale = np.sqrt((n**2).mean(axis=0))
-        parts = [n / np.where(scale > 0.0, scale, 1.0)]
-        parts += [np.vstack(block) for block in blocks]
-        h = np.vstack([np.hstack(own) for own in self._discrepancy])
         rms = np.sqrt((h**2).mean(axis=0).max(initial=0.0))
-        parts.append(h * (0.3 * level / rms if rms > 0.0 else 0.0))
-        matrix, target = np.hstack(parts), np.concatenate(self._target)
+        h = h * (0.3 * level / rms if rms > 0.0 else 0.0)
+        matrix = np.hstack([n / np.where(scale > 0.0, scale, 1.0), *blocks, h])
         gram, right = matrix.T @ matrix, matrix.T @ target
         free = np.concatenate([np.full(n.shape[1], 1e-12), np.ones(matrix.shape[1] - n.shape[1])])
         variance = (0.1 * level) ** 2
@@ -285,27 +270,19 @@ class Inference:
             left = target - matrix @ (inverse @ right)
             freedom = max(target.size - float(np.sum(inverse * gram)), 0.1 * target.size)
             variance = float(left @ left) / freedom
-        ends = np.cumsum([t.size for t in self._target])[:-1]
-        return [ResidualNoise.of(part) for part in np.split(left, ends)]
+        return [ResidualNoise.of(part) for part in np.split(left, self._ends)]
 
-    def _search(self, blocks: list[list[FloatArray]]) -> None:
-        def rows(parts: Sequence[FloatArray]) -> FloatArray:
-            pairs = zip(parts, self.sizes, strict=True)
-            return np.concatenate([(p.T / size).T for p, size in pairs])
+    def _search(self, blocks: list[FloatArray]) -> None:
+        def counted(rows: FloatArray) -> FloatArray:
+            return np.asarray((rows.T / self.sizes).T)
 
-        jacobian = rows(self._nuisances)
-        d = jacobian.shape[1]
-        discrepancy = rows(
-            [
-                np.hstack([*own, part[:, :0]])
-                for own, part in zip(self._discrepancy, self._nuisances, strict=True)
-            ]
-        )
+        jacobian, discrepancy = counted(self._nuisances), counted(self._discrepancy)
+        residual, d = counted(self._target), jacobian.shape[1]
         one_more = EXPECTED_HYPOTHESES / max(1, len({p.candidate.label for p in self.terms}))
         terms = [
             Term(
                 placed.candidate.label,
-                rows(block),
+                counted(block),
                 placed.candidate.not_negative and placed.unit.size == 1,
                 prior_weight=placed.look.weight
                 * (one_more if placed.candidate.holds_another else 1.0),
@@ -319,7 +296,6 @@ class Inference:
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
         sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
-        residual = rows(self._target)
         linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
         self.posterior = search(linearised, Priors(), MOST_TERMS)
         generator = np.random.default_rng(0)
@@ -727,8 +703,8 @@ def _squares_without(inference: Inference, labels: Sequence[str], label: str) ->
     """Sum of squares that all but one of what is told leaves of what is shown."""
     model = inference.model
     every = inference.predicted(inference.projection([n for n in labels if n != label]))
-    shown = ((model.pieces[i], every[i]) for i in model.used if model.pieces[i].shown)
-    return sum(float(np.sum(p.kept(p.measured - made) ** 2)) for p, made in shown)
+    left = model.rows(lambda i: model.pieces[i].measured - every[i], model.shown)
+    return float(np.sum(left**2))
 
 
 def _share(inference: Inference, label: str) -> float:

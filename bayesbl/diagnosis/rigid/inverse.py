@@ -222,6 +222,11 @@ class InverseView:
         return not self.load_angle_known and self.bench.value(GRAVITY) > 0.0
 
     @cached_property
+    def _ripple(self) -> str | None:
+        """The effect of any order of the motor."""
+        return next((name for name, law in self.laws.items() if law.scanned == ORDER), None)
+
+    @cached_property
     def used(self) -> list[int]:
         """Pieces that are fitted."""
         return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
@@ -256,7 +261,7 @@ class InverseView:
     def _signal(self, i: int, name: str, given: Mapping[str, float]) -> FloatArray:
         law, bench = self.laws[name], self.columns_bench or self.bench
         width = self.width if "direction" in effect_named(name).depends_on else 0.0
-        key = (name, *given.items(), id(bench))
+        key = (name, *given.items(), *(bench.value(fitted) for fitted in (*INERTIAS, GRAVITY)))
         return self._seen(i, key, lambda m: law.signal(m, bench, given), width)
 
     def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> FloatArray:
@@ -301,10 +306,9 @@ class InverseView:
             ),
         )
         quiet = [line.middle for line in self.orders if self._is_quiet(i, line.middle)]
-        name = next((n for n, law in self.laws.items() if law.scanned == ORDER), None)
-        if not quiet or name is None:
+        if not quiet or self._ripple is None:
             return total
-        matrix = np.hstack([self._waves(i, name, {ORDER: order}) for order in quiet])
+        matrix = np.hstack([self._waves(i, self._ripple, {ORDER: order}) for order in quiet])
         kept = self.pieces[i].kept
         return np.asarray(total + matrix @ least_squares(kept(matrix), kept(self.base(i))))
 
@@ -680,11 +684,10 @@ class InverseView:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
         if not self.load:
             columns |= self._position_dependent(i)
-        wave = next((n for n, law in self.laws.items() if law.scanned == ORDER), None)
-        if wave is not None:
+        if self._ripple is not None:
             for line in self.orders:
                 order = line.middle
-                sine, cosine = self._waves(i, wave, {ORDER: order}).T
+                sine, cosine = self._waves(i, self._ripple, {ORDER: order}).T
                 columns |= {f"sine {order}@{where}": sine, f"cosine {order}@{where}": cosine}
         return columns
 

@@ -16,7 +16,7 @@ that are nearly independent, so that no answer depends on how densely a recordin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -124,11 +124,8 @@ class Motion:
         def at(values: Any) -> Any:
             return make_interp_spline(self.time_s, values, k=degree)(when)
 
-        return self._each(at)
-
-    def _each(self, change: Callable[[Any], Any]) -> Motion:
-        names = ("angle", "speed", "acceleration", "sway")
-        return replace(self, **{name: change(getattr(self, name)) for name in names})
+        moved = {n: at(getattr(self, n)) for n in ("angle", "speed", "acceleration", "sway")}
+        return replace(self, **moved)
 
 
 def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
