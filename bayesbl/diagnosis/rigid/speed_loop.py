@@ -394,14 +394,16 @@ class LawFit:
 
     Attributes
     ----------
-    laws
-        Order's place to its law.
+    lines, laws, believed, free
+        What was fitted: lines, order's place to its law, the loop as the bench has it, and what of
+        that is free.
     values
         Of the loop, as fitted.
     sizes
         Order's place to its torque, N m, its angle, rad, and the phase between them.
-    chi_squared, freedom
-        Of the lines, in the noise's own measure, and the number of those beyond what is fitted.
+    scatter, freedom
+        Of the lines around their laws, in noise, 1 where noise explains it; and the number of those
+        beyond what is fitted.
     deviations
         Standard deviations: of a logarithm for a parameter, else in its unit; for an order under
         ``(place, "torque")`` and ``(place, "angle")``.
@@ -409,26 +411,28 @@ class LawFit:
         χ² with what the priors add.
     """
 
+    lines: Lines
     laws: Mapping[int, Law]
-    values: Mapping[str, float]
+    believed: Values
+    free: Free
+    values: Values
     sizes: Mapping[int, tuple[float, float, float]]
-    chi_squared: float
+    scatter: float
     freedom: int
     deviations: Mapping[object, float]
     cost: float
 
-    @property
-    def scatter(self) -> float:
-        """Of lines around their laws, in noise; 1 where noise explains it."""
-        return math.sqrt(max(1.0, self.chi_squared / max(1, self.freedom)))
-
-    def predicted(self, place: int, order: float, speeds: FloatArray) -> FloatArray:
+    def predicted(self, place: int, speeds: FloatArray) -> FloatArray:
         """Size of a line at these speeds, rpm, shape (r,)."""
-        return line_size(self.values, order, speeds, *self.sizes[place])
+        return line_size(self.values, self.lines.orders[place], speeds, *self.sizes[place])
+
+    def again(self, laws: Mapping[int, Law], free: Free | None = None) -> LawFit:
+        """Fitted with other laws of some orders, and with as much of the loop free if not said."""
+        return fit_laws(self.lines, {**self.laws, **laws}, self.believed, free or self.free)
 
 
 def line_size(
-    values: Mapping[str, float],
+    values: Values,
     order: float,
     speeds: FloatArray,
     torque: float,
@@ -441,9 +445,7 @@ def line_size(
     return np.asarray(np.abs(speed_of_torque(values, frequency) * driving))
 
 
-def fit_laws(
-    lines: Lines, laws: Mapping[int, Law], believed: Mapping[str, float], free: Free
-) -> LawFit:
+def fit_laws(lines: Lines, laws: Mapping[int, Law], believed: Values, free: Free) -> LawFit:
     """Fit sizes, and what of the loop is free."""
     loops = [*free.priors, *free.added]
     keys = [
@@ -503,21 +505,22 @@ def fit_laws(
     values, sizes = unpacked(found.x)
     rows = sum(int(seen.sum()) for seen in shown.values())
     chi_squared = float(np.sum(found.fun[len(loops) :] ** 2))
-    unbounded = int(np.count_nonzero(np.isinf(priors)))
-    made = LawFit(laws, values, sizes, chi_squared, rows - len(keys) - unbounded, {}, 0.0)
+    freedom = rows - len(keys) - int(np.count_nonzero(np.isinf(priors)))
     # Lines scatter around their laws by more than noise where the laws are not quite right.
+    scatter = math.sqrt(max(1.0, chi_squared / max(1, freedom)))
     jacobian = found.jac.copy()
-    jacobian[len(loops) :] /= made.scatter
+    jacobian[len(loops) :] /= scatter
     spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)))
     scale = [free.added.get(name, 1.0) for name in loops] + [abs(first[key]) for key in keys]
     names: list[object] = [*loops, *keys]
     deviations = dict(zip(names, (spread * scale).tolist(), strict=True))
-    return replace(made, deviations=deviations, cost=2.0 * float(found.cost))
+    cost = 2.0 * float(found.cost)
+    return LawFit(lines, laws, believed, free, values, sizes, scatter, freedom, deviations, cost)
 
 
 def _alone(
     lines: Lines,
-    values: Mapping[str, float],
+    values: Values,
     place: int,
     unit: tuple[float, float, float],
     chosen: FloatArray,
@@ -529,9 +532,7 @@ def _alone(
     return float(np.sum(weight * made * lines.size[seen, place]) / np.sum(weight * made**2))
 
 
-def chosen_laws(
-    lines: Lines, single: Sequence[Law], believed: Mapping[str, float], free: Free
-) -> LawFit:
+def chosen_laws(lines: Lines, single: Sequence[Law], believed: Values, free: Free) -> LawFit:
     """The law of each order that fits all lines best together."""
     laws: dict[int, Law] = dict.fromkeys(range(len(lines.orders)), single[0])
     best = fit_laws(lines, laws, believed, free)
@@ -539,44 +540,39 @@ def chosen_laws(
         before = dict(best.laws)
         for place in before:
             for law in single:
-                other = fit_laws(lines, {**best.laws, place: law}, believed, free)
-                best = min(best, other, key=lambda fit: fit.cost)
+                best = min(best, best.again({place: law}), key=lambda fit: fit.cost)
         if best.laws == before:
             break
     return best
 
 
-def with_both(
-    lines: Lines, fit: LawFit, place: int, believed: Mapping[str, float], free: Free
-) -> LawFit:
+def with_both(fit: LawFit, place: int) -> LawFit:
     """A fit in which one order's line is of a torque and an angle, if it must be; else of one."""
-    singles = [
-        fit_laws(lines, {**fit.laws, place: law}, believed, free) for law in ("torque", "angle")
-    ]
-    best = min(singles, key=lambda single: single.cost)
-    if np.unique(np.round(lines.speeds)).size < FEWEST_FOR_BOTH:
+    best = min(fit.again({place: "torque"}), fit.again({place: "angle"}), key=lambda f: f.cost)
+    if np.unique(np.round(fit.lines.speeds)).size < FEWEST_FOR_BOTH:
         return best
-    both = fit_laws(lines, {**fit.laws, place: "both"}, believed, free)
+    both = fit.again({place: "both"})
     return both if z_between(both, best) >= INDISTINGUISHABLE_Z else best
 
 
-def generalises(lines: Lines, fit: LawFit, place: int) -> bool:
+def generalises(fit: LawFit, place: int) -> bool:
     """Whether an order's law predicts its line at each speed from the others.
 
     Of at least two speeds; of two laws together the ratio is kept.
     """
+    lines, sizes = fit.lines, fit.lines.size[:, place]
     speeds = np.round(lines.speeds / (1e-2 * np.abs(lines.speeds).max()))
-    seen = np.isfinite(lines.size[:, place])
+    seen = np.isfinite(sizes)
     left = whole = 0.0
     for speed in np.unique(speeds[seen]):
         others = (speeds != speed) & seen
         if not others.any():
             return False
-        scale = _alone(lines, fit.values, place, fit.sizes[place], others)
         here = (speeds == speed) & seen
-        made = scale * fit.predicted(place, lines.orders[place], lines.speeds[here])
-        left += float(np.sum((lines.size[here, place] - made) ** 2))
-        whole += float(np.sum(lines.size[here, place] ** 2))
+        scale = _alone(lines, fit.values, place, fit.sizes[place], others)
+        made = scale * fit.predicted(place, lines.speeds[here])
+        left += float(np.sum((sizes[here] - made) ** 2))
+        whole += float(np.sum(sizes[here] ** 2))
     return left < EXPLAINED * whole
 
 
@@ -775,20 +771,19 @@ class _Answer:
         if self.found and laws and _one_speed(lines.speeds):
             notes.append(ONE_SPEED)
         elif self.found and laws:
-            values, free = setting.values, setting.free
             first = [k for k, line in enumerate(self.found) if line.order == 1.0 and len(laws) > 1]
-            fit = chosen_laws(lines, laws, values, free)
+            fit = chosen_laws(lines, laws, setting.values, setting.free)
             for place in first:
-                fit = with_both(lines, fit, place, values, free)
+                fit = with_both(fit, place)
             # What follows no law must not bend the loop of what does.
-            kept = {k: law for k, law in fit.laws.items() if generalises(lines, fit, k)}
-            fit = fit_laws(lines, kept, values, free) if kept else None
+            kept = {k: law for k, law in fit.laws.items() if generalises(fit, k)}
+            fit = replace(fit, laws=kept).again({}) if kept else None
             if fit is not None:
-                fit, free, added = self._with_loop(lines, fit)
+                fit, added = self._with_loop(fit)
                 for place in set(first) & fit.laws.keys():
-                    fit = with_both(lines, fit, place, values, free)
+                    fit = with_both(fit, place)
                 most = self.task.config.candidates.max_effects or MOST_EFFECTS
-                fit = _strongest(lines, fit, max(0, most - len(added)))
+                fit = _strongest(fit, max(0, most - len(added)))
         if fit is not None and (again := self._by_true_angle(fit)) is not None:
             return again.diagnosis()
         named, remaining = self._named(lines, fit, notes)
@@ -831,19 +826,18 @@ class _Answer:
         alarm = self.task.config.candidates.false_alarm
         return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
 
-    def _with_loop(self, lines: Lines, fit: LawFit) -> tuple[LawFit, Free, list[_Added]]:
-        """The fit with what else the loop must have, and what of it is then free."""
+    def _with_loop(self, fit: LawFit) -> tuple[LawFit, list[_Added]]:
+        """The fit with what else the loop must have free, and that."""
         effects = [name for name in LOOP_EFFECTS if name in self.setting.candidates]
         wrong = [name for name in ("motor_inertia_kg_m2", *GAINS) if self.setting.values[name]]
         found: list[_Added] = []
-        free = self.setting.free
-        fastest = float(np.abs(lines.speeds).max()) * max(lines.orders)
+        fastest = float(np.abs(fit.lines.speeds).max()) * max(fit.lines.orders)
         units = {
             name: self.setting.values[GAINS[0]] if "friction" in name else 1.0 / fastest
             for name in effects
         }
         while True:
-            trials = {}
+            trials, free = {}, fit.free
             for name in [*effects, *wrong]:
                 if name in free.added or name in free.priors:
                     continue
@@ -851,21 +845,21 @@ class _Answer:
                     more = replace(free, added={**free.added, name: units[name]})
                 else:
                     more = replace(free, priors={**free.priors, name: math.inf})
-                made = fit_laws(lines, fit.laws, self.setting.values, more)
+                made = fit.again({}, more)
                 if made.freedom > 0:
-                    trials[name] = more, made
-            gains = {name: z_between(made, fit) for name, (_, made) in trials.items()}
+                    trials[name] = made
+            gains = {name: z_between(made, fit) for name, made in trials.items()}
             good = [name for name in trials if gains[name] >= INDISTINGUISHABLE_Z]
             if not good:
-                return fit, free, found
-            top = trials[max(good, key=lambda name: gains[name])][1]
+                return fit, found
+            top = trials[max(good, key=lambda name: gains[name])]
             first, *rivals = [
-                name for name in good if z_between(top, trials[name][1]) < INDISTINGUISHABLE_Z
+                name for name in good if z_between(top, trials[name]) < INDISTINGUISHABLE_Z
             ]
             found.append(_Added(first, tuple(rivals), gains[first]))
-            free, fit = trials[first]
-            if not set(wrong) - free.priors.keys():
-                return fit, free, found  # only ratios of inertia and gains show
+            fit = trials[first]
+            if not set(wrong) - fit.free.priors.keys():
+                return fit, found  # only ratios of inertia and gains show
 
     def _named(
         self, lines: Lines, fit: LawFit | None, notes: list[str]
@@ -879,7 +873,7 @@ class _Answer:
                 remaining.append(self._unexplained(lines, place))
                 continue
             first = line.order == 1.0
-            rivals = self._rivals(lines, fit, place)
+            rivals = self._rivals(fit, place)
             if law == "angle" and not (first or rivals):
                 angle = fit.sizes[place][1]
                 notes.append(
@@ -911,7 +905,7 @@ class _Answer:
         evidence = 0.5 * min(z**2, line.score) - math.log(line.trials)
         return NamedEffect(name, parameters, probability_of(evidence), z, rivals)
 
-    def _rivals(self, lines: Lines, fit: LawFit, place: int) -> tuple[str, ...]:
+    def _rivals(self, fit: LawFit, place: int) -> tuple[str, ...]:
         """The other law, if it fits as well."""
         law = fit.laws[place]
         if law == "both":
@@ -920,7 +914,7 @@ class _Answer:
         name = LAWS[other]
         if name not in self.setting.candidates:
             return ()
-        made = fit_laws(lines, {**fit.laws, place: other}, self.setting.values, self.setting.free)
+        made = fit.again({place: other}, self.setting.free)
         return (name,) if z_between(fit, made) < INDISTINGUISHABLE_Z else ()
 
     def _unexplained(self, lines: Lines, place: int) -> Unexplained:
@@ -975,7 +969,7 @@ class _Answer:
                 one = float(line_size(values, line.order, lines.speeds, 1.0, 0.0, 0.0)[0])
                 made = math.nan
                 if fit is not None and law is not None:
-                    made = float(fit.predicted(place, line.order, lines.speeds)[0]) / one
+                    made = float(fit.predicted(place, lines.speeds)[0]) / one
                 yield OrderSize(
                     line.order,
                     law or "none",
@@ -990,17 +984,16 @@ class _Answer:
     def _compared(self, fit: LawFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
         """Every piece, with a mean alone and with all laws."""
         every = self.setting.every
-        places = () if fit is None else tuple(fit.laws)
-        orders = [self.found[place].order for place in places]
-
-        def by_laws(item: Turning) -> FloatArray:
-            speed = np.array([item.speed_rad_per_s])
-            pairs = zip(places, orders, strict=True)
-            sizes = [float(fit.predicted(*pair, speed)[0]) for pair in pairs if fit is not None]
-            return item.predicted(orders, np.array(sizes))
-
-        without = [item.predicted((), np.zeros(0)) for item in every]
-        return compared_signals([item.piece for item in every], without, [*map(by_laws, every)])
+        before = [item.predicted((), np.zeros(0)) for item in every]
+        after = before
+        if fit is not None:
+            orders = [self.found[place].order for place in fit.laws]
+            speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
+            sizes = np.reshape(
+                [fit.predicted(place, speeds) for place in fit.laws], (-1, len(every))
+            )
+            after = [item.predicted(orders, own) for item, own in zip(every, sizes.T, strict=True)]
+        return compared_signals([item.piece for item in every], before, after)
 
 
 def _periodic_in_time(
@@ -1041,9 +1034,9 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
     return Lines(tuple(orders), speeds, np.array(sizes), np.array(deviations))
 
 
-def _strongest(lines: Lines, fit: LawFit, most: int) -> LawFit:
+def _strongest(fit: LawFit, most: int) -> LawFit:
     """The laws of the largest lines; the others are left to be described."""
-    kept = sorted(fit.laws, key=lambda place: -float(np.nanmax(lines.size[:, place])))[:most]
+    kept = sorted(fit.laws, key=lambda place: -float(np.nanmax(fit.lines.size[:, place])))[:most]
     return replace(fit, laws={place: fit.laws[place] for place in sorted(kept)})
 
 
