@@ -91,8 +91,6 @@ class FreeMotionView:
 
     Attributes
     ----------
-    starts
-        Angle and speed near each start, shape (2,), rad and rad/s.
     effects
         That may take part.
     unknown
@@ -104,7 +102,6 @@ class FreeMotionView:
     """
 
     pieces: tuple[Piece, ...]
-    starts: tuple[FloatArray, ...]
     bench: Bench
     effects: tuple[str, ...]
     unknown: tuple[str, ...] = ()
@@ -154,7 +151,7 @@ class FreeMotionView:
         shared = self._shared(effects, start)
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
         names = [*shared, *(f"{key}@{i}" for i in used for key in ("angle", "speed"))]
-        own = np.concatenate([self.starts[i] for i in used])
+        own = np.concatenate([start_of(self.pieces[i]) for i in used])
         first = [
             *(value for value, _, _ in shared.values()),
             *(start.get(n, v) for n, v in zip(names[len(shared) :], own, strict=True)),
@@ -351,7 +348,7 @@ class FreeMotionView:
 
         found = least_squares(
             lambda x: self._misfit(i, effects, at(x)),
-            self.starts[i],
+            start_of(self.pieces[i]),
             diff_step=1e-4,
             x_scale=[0.1, 1.0],
         )
@@ -453,7 +450,6 @@ def asked_of(task: Task) -> Asked:
     effects = wanted(config, bench, every)
     view = FreeMotionView(
         pieces,
-        tuple(start_of(piece) for piece in pieces),
         bench,
         effects,
         unknown,

@@ -398,7 +398,6 @@ def free(recordings: Sequence[Recording]) -> Diagnosis:
             )
             for r in recordings
         ),
-        tuple(np.array([r.channels[MOTOR_POSITION][0], 0.0]) for r in recordings),
         PENDULUM,
         tuple(FREE_MOTION_LAWS),
         ("motor_inertia_kg_m2",),

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from scipy import fft
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation
 
@@ -161,8 +162,7 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
         )
     speed = measured / RPM_PER_RAD_PER_S
     smooth = low_pass(speed)
-    steps = 0.5 * (smooth[1:] + smooth[:-1]) * period
-    angle = np.concatenate(([0.0], np.cumsum(steps)))
+    angle = np.asarray(cumulative_trapezoid(smooth, dx=period, initial=0.0))
     acceleration = low_pass.derivative(speed)
     return Motion(recording.time_s, angle, smooth, acceleration, _sway(angle, low_pass), "speed")
 

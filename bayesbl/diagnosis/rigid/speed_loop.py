@@ -22,6 +22,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import gammaln, logsumexp
@@ -340,13 +341,6 @@ def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatA
     """Standard deviation of the real part of the line at each order, shape (m,)."""
     grid, _, level = item.spectrum(left)
     return np.asarray(np.sqrt(2.0 * np.interp(orders, grid, level)) / left.size)
-
-
-def turned(piece: Piece) -> FloatArray:
-    """The motor's angle by its speed, from 0, shape (n,)."""
-    speed = piece.measured / RPM_PER_RAD_PER_S
-    steps = 0.5 * (speed[1:] + speed[:-1]) * piece.period_s
-    return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 Law = Literal["torque", "angle", "both"]
@@ -674,7 +668,10 @@ def loop_setting(task: Task) -> Setting:
             )
         whole = piece_of(recording, MOTOR_SPEED, "used")
         angle = recording.channels.get(MOTOR_POSITION)
-        made = Turning(whole, turned(whole) if angle is None else angle, response, load_order)
+        if angle is None:
+            speed = whole.measured / RPM_PER_RAD_PER_S
+            angle = cumulative_trapezoid(speed, dx=whole.period_s, initial=0.0)
+        made = Turning(whole, angle, response, load_order)
         for use, rows in parts_of(USES_OF[entry.use], made.angle.size // 2):
             turning.append(made.part(rows, use))
     unknown = config.unknowns.bench_parameters
