@@ -51,11 +51,6 @@ class Split:
     other: float
     noise: float
 
-    @property
-    def total(self) -> float:
-        """Mean square of recording − simulation over the whole rotations."""
-        return self.offset + self.load_angle + self.other + self.noise
-
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
