@@ -24,10 +24,10 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
-from bayesbl.bench.effect_declaration import ORDER, PHASE
+from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw
 from bayesbl.cli import FAILED, WITHHELD, WRONG, status
 from bayesbl.config.bench import dump_bench, reference_bench
-from bayesbl.diagnosis.rigid.inverse import SKEW, TORQUE_TERMS, Term, required_torque
+from bayesbl.diagnosis.rigid.inverse import SKEW, TORQUE_LAWS, required_torque
 from bayesbl.diagnosis.rigid.motion import Motion
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -97,7 +97,7 @@ class Machine:
 def rigid(rng: np.random.Generator) -> list[list[str]]:
     """Recordings of an axis with some effects, its bench file without them; two diagnoses."""
     machine = drawn_machine(rng)
-    hidden = rng.choice(sorted(TORQUE_TERMS), rng.integers(0, 6), replace=False)
+    hidden = rng.choice(sorted(TORQUE_LAWS), rng.integers(0, 6), replace=False)
     strengths = {str(name): math.exp(rng.uniform(math.log(0.01), math.log(2.0))) for name in hidden}
     shapes = {name: drawn_shape(rng) for name in strengths}
     moved = MOTIONS[int(rng.integers(len(MOTIONS)))]
@@ -222,8 +222,8 @@ def write_rigid(
     torque = required_torque(motion, bench)
     scale = float(np.sqrt(np.mean(torque**2))) or 1e-3
     for effect, strength in strengths.items():
-        law = TORQUE_TERMS[effect].law
-        signal = law.signal(motion, bench, unit_of(TORQUE_TERMS[effect], motion, shapes[effect]))
+        law = TORQUE_LAWS[effect]
+        signal = law.signal(motion, bench, unit_of(law, motion, shapes[effect]))
         size = float(np.sqrt(np.mean(signal**2)))
         torque = torque + (strength * scale / size * signal if size > 0.0 else 0.0)
         if effect == SKEW:
@@ -244,14 +244,14 @@ def write_rigid(
     np.savetxt(name, table, delimiter=",", header=header, comments="", fmt="%.9g")
 
 
-def unit_of(term: Term, motion: Motion, shape: Mapping[str, float]) -> dict[str, float]:
+def unit_of(law: RigidLaw, motion: Motion, shape: Mapping[str, float]) -> dict[str, float]:
     """Parameters of one unit of an effect."""
-    parameters = dict.fromkeys((term.law.amplitude, *term.law.linear), 1.0)
-    if term.law.scanned == ORDER:
+    parameters = dict.fromkeys((law.amplitude, *law.linear), 1.0)
+    if law.scanned == ORDER:
         parameters[ORDER] = shape[ORDER]
-    elif term.law.scanned is not None:
+    elif law.scanned is not None:
         unit = float(np.sqrt(np.mean(motion.speed**2))) or 1.0
-        parameters[term.law.scanned] = shape["speed"] * unit
+        parameters[law.scanned] = shape["speed"] * unit
     return {**parameters, PHASE: shape[PHASE]}
 
 

@@ -4,6 +4,6 @@ A :class:`~bayesbl.diagnosis.task.Task` goes in, a :class:`~bayesbl.diagnosis.di
 comes out, by one of :data:`~bayesbl.diagnosis.methods.METHODS`. ``closed_loop`` simulates a
 two-mass bench beside speed and current; ``rigid`` compares measured motion with the torque it
 should have needed; ``free_motion`` a joint let go without torque. The last two name effects by
-``selection``. ``residuals`` takes apart what a simulation in steady rotation does not explain.
+``inference``. ``residuals`` takes apart what a simulation in steady rotation does not explain.
 ``groups`` and ``summary`` store and summarise any diagnosis.
 """

@@ -6,7 +6,8 @@ of probabilities; what :mod:`bayesbl.diagnosis.inference` makes of it knows noth
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -14,6 +15,8 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from bayesbl.bench.effect_declaration import RigidLaw
+from bayesbl.bench.learned import LearnedTorque, Variable
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.recording.types import BoolArray, FloatArray
 
@@ -55,38 +58,16 @@ class Piece:
         """Values of the samples that count, (n, …) to (k, …)."""
         return values if self.excluded is None else values[~self.excluded]
 
-    def half(self, second: bool) -> Piece:
-        """The first or the second half."""
-        middle = self.time_s.size // 2
-        rows = slice(middle, None) if second else slice(None, middle)
+    def part(self, rows: slice, use: Use) -> Piece:
+        """Some samples of it, with a use of their own."""
         excluded = None if self.excluded is None else self.excluded[rows]
-        return replace(
-            self, time_s=self.time_s[rows], measured=self.measured[rows], excluded=excluded
-        )
+        time_s, measured = self.time_s[rows], self.measured[rows]
+        return replace(self, time_s=time_s, measured=measured, excluded=excluded, use=use)
 
     @property
     def period_s(self) -> float:
         """Sampling period, s."""
         return float(self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
-
-
-@dataclass(frozen=True, slots=True)
-class TestedEffect:
-    """An effect that may be missing.
-
-    Attributes
-    ----------
-    name
-        Of the catalogue.
-    same_as
-        Effects that are the same law in this comparison, only named for another place.
-    contains
-        A simpler effect that this one holds as a special case, and replaces.
-    """
-
-    name: str
-    same_as: tuple[str, ...] = ()
-    contains: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,14 +127,108 @@ class Candidate:
         return self.kind == "effect" and bool(self.excludes)
 
 
+def candidate_of(
+    law: RigidLaw,
+    name: str,
+    parameters: tuple[str, ...],
+    looks: tuple[Look, ...],
+    *,
+    label: str = "",
+    is_wave: bool = False,
+    own_phase: bool = False,
+) -> Candidate:
+    """The effect of this name, by its law; ``label`` where it has another than its name."""
+    return Candidate(
+        label or name,
+        "effect",
+        name,
+        parameters,
+        looks,
+        law.usual,
+        law.not_negative,
+        is_wave,
+        own_phase,
+        excludes=frozenset({law.contains} if law.contains else ()),
+        requires=frozenset({law.requires} if law.requires else ()),
+        same_as=law.same_as,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A torque over a variable, its amplitudes falling as 1/k.
+
+    Attributes
+    ----------
+    means
+        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
+        is an effect's.
+    reach
+        Of the variable, as recorded.
+    """
+
+    variable: Variable
+    period: float
+    reverses: bool
+    orders: int
+    means: FloatArray
+    reach: tuple[float, float]
+
+    @classmethod
+    def over(
+        cls,
+        variable: Variable,
+        period: float,
+        *,
+        reverses: bool,
+        orders: int,
+        reach: tuple[float, float],
+    ) -> Series:
+        """With the means over this reach of its variable."""
+        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
+        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
+        return replace(made, means=made.waves(x).mean(axis=0))
+
+    @property
+    def kind(self) -> str:
+        """What it is a torque over."""
+        return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
+
+    def waves(self, x: FloatArray) -> FloatArray:
+        """Cosines, then sines, less their means, (n, 2 orders)."""
+        k = np.arange(1, self.orders + 1)
+        phase = 2.0 * math.pi * x[:, None] * k / self.period
+        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
+
+    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTorque:
+        """With coefficients of the waves, (2 orders,), and their standard deviations."""
+        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
+        waves = coefficients * decay
+        sd: tuple[float, ...] = ()
+        if sds is not None:
+            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
+            sd = (constant, *(sds * decay).tolist())
+        return LearnedTorque(
+            "motor",
+            self.variable,
+            self.period,
+            -float(coefficients @ self.means),
+            tuple(waves[: self.orders].tolist()),
+            tuple(waves[self.orders :].tolist()),
+            self.reverses,
+            sd,
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Discrepancy:
     """Columns of what nothing explains, for every piece (n, m), each times its prior's amplitude;
-    of no recording but its own where ``own``."""
+    of no recording but its own where ``own``; ``series``: the torque that they are, if any."""
 
     kind: str
     columns: tuple[FloatArray, ...]
     own: bool = False
+    series: Series | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +237,8 @@ class AffineModel:
 
     ``nuisances``: columns that are fitted anyway, by name; what belongs to a recording has its name
     behind ``@``. ``nuisance_sds``: of those of which something is known beforehand, around what
-    the base has.
+    the base has. ``without``: predictions of a fit without any effect, (n,), where the base and the
+    nuisances alone are none.
     """
 
     pieces: tuple[Piece, ...]
@@ -171,6 +247,7 @@ class AffineModel:
     candidates: tuple[Candidate, ...]
     discrepancies: tuple[Discrepancy, ...] = ()
     nuisance_sds: Mapping[str, float] = field(default_factory=dict)
+    without: tuple[FloatArray, ...] = ()
 
     @property
     def used(self) -> list[int]:
@@ -181,6 +258,11 @@ class AffineModel:
     def recordings(self) -> tuple[str, ...]:
         """Names of those that are fitted."""
         return tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
+
+    @property
+    def shown(self) -> list[int]:
+        """Of these, those whose disagreement is told."""
+        return [i for i in self.used if self.pieces[i].shown]
 
     @cached_property
     def nuisance_names(self) -> tuple[str, ...]:
@@ -194,6 +276,24 @@ class AffineModel:
             if name in self.nuisances[i]:
                 columns[:, k] = self.nuisances[i][name]
         return columns
+
+    @cached_property
+    def by_nuisances(self) -> FloatArray:
+        """Nuisances that fit the shown pieces best beside nothing else, (d,)."""
+        columns = self.rows(self.nuisance_columns, self.shown)
+        return least_squares(columns, self.rows(self.beside_base, self.shown))
+
+    def rows(self, of: Callable[[int], FloatArray], places: Sequence[int]) -> FloatArray:
+        """What there is of these pieces, (n, …) each, at the samples that count, in one array."""
+        return np.concatenate([self.pieces[i].kept(of(i)) for i in places])
+
+    def beside_base(self, i: int) -> FloatArray:
+        """What was measured of a piece less the base, (n,)."""
+        return np.asarray(self.pieces[i].measured - self.base[i])
+
+    def at(self, i: int, nuisances: FloatArray) -> FloatArray:
+        """Prediction of a piece with these nuisances, (d,), and nothing else, (n,)."""
+        return np.asarray(self.base[i] + self.nuisance_columns(i) @ nuisances)
 
     def candidate_columns(self, candidate: Candidate, look: Look, i: int) -> FloatArray:
         """Those of a piece, with a pair for every used recording where phases are their own."""

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
@@ -154,8 +156,6 @@ class LearnedAnswer:
 
     Attributes
     ----------
-    amplitude
-        Largest size in the term's unit, less its mean where it does not reverse.
     alike
         Other dependences that the recordings do not tell from it.
     gap_share
@@ -165,11 +165,16 @@ class LearnedAnswer:
     """
 
     term: LearnedTerm
-    amplitude: float
     alike: tuple[LearnedTerm, ...]
     curve: LearnedCurve
     gap_share: float | None = None
     gap_withheld: str = ""
+
+    @property
+    def amplitude(self) -> float:
+        """Largest size in the term's unit, less its mean where it does not reverse."""
+        size = self.curve.value
+        return float(np.abs(size if self.term.reverses else size - size.mean()).max())
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,40 +9,29 @@ at the load are the same law.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import EffectParameter, Shape
+from bayesbl.bench.effect_declaration import EffectParameter, RigidLaw, Shape
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.learned import LearnedTorque
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import (
-    AffineModel,
-    Candidate,
-    Discrepancy,
-    Look,
-    Piece,
-    TestedEffect,
-)
-from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
-from bayesbl.diagnosis.inference import (
-    MOST_EFFECTS,
-    Coefficients,
-    Inference,
-    Series,
-    diagnose,
-    learned_answer,
-)
-from bayesbl.diagnosis.rigid.inverse import TORQUE_TERMS
+from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, Series, candidate_of
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.inference import Inference
+from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, without_load_angle
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
+    Asked,
+    RigidMethod,
     believed_sds,
     compared_channel,
     even_recordings,
@@ -52,7 +41,6 @@ from bayesbl.diagnosis.rigid.preparation import (
 )
 from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
 from bayesbl.errors import BenchError, RecordingError
-from bayesbl.progress import StageProgress
 from bayesbl.recording.types import MOTOR_POSITION, FloatArray
 from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -87,13 +75,10 @@ _FIRST_SHARE = 0.03
 _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_per_s")
 
 
-def free_motion_effects(load_angle_known: bool) -> tuple[TestedEffect, ...]:
-    """Catalogue effects that free motion shows."""
-    return tuple(
-        TORQUE_TERMS[effect.name].candidate
-        for effect in EFFECTS
-        if effect.free_motion and (load_angle_known or "load_angle" not in effect.depends_on)
-    )
+FREE_MOTION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
+    {e.name: TORQUE_LAWS[e.name] for e in EFFECTS if e.free_motion}
+)
+"""Of effects that free motion shows."""
 
 
 Values = Mapping[str, float]
@@ -106,8 +91,6 @@ class FreeMotionView:
 
     Attributes
     ----------
-    starts
-        Angle and speed near each start, shape (2,), rad and rad/s.
     effects
         That may take part.
     unknown
@@ -119,7 +102,6 @@ class FreeMotionView:
     """
 
     pieces: tuple[Piece, ...]
-    starts: tuple[FloatArray, ...]
     bench: Bench
     effects: tuple[str, ...]
     unknown: tuple[str, ...] = ()
@@ -152,16 +134,6 @@ class FreeMotionView:
             return self
         return replace(self, fitted=names, values=self.fit(names, self.values))
 
-    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
-        """Predictions without any effect."""
-        return self.without
-
-    def learned(
-        self, inference: Inference, fitted: Coefficients, group: int
-    ) -> LearnedAnswer | None:
-        """The torque that a group holds."""
-        return learned_answer(self._series[group], inference, fitted, group)
-
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
     ) -> Bench | None:
@@ -179,7 +151,7 @@ class FreeMotionView:
         shared = self._shared(effects, start)
         used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
         names = [*shared, *(f"{key}@{i}" for i in used for key in ("angle", "speed"))]
-        own = np.concatenate([self.starts[i] for i in used])
+        own = np.concatenate([start_of(self.pieces[i]) for i in used])
         first = [
             *(value for value, _, _ in shared.values()),
             *(start.get(n, v) for n, v in zip(names[len(shared) :], own, strict=True)),
@@ -239,9 +211,9 @@ class FreeMotionView:
         candidates = []
         every = range(len(self.pieces))
         for name in self.effects:
-            term, effect = TORQUE_TERMS[name], effect_named(name)
-            parameters = (term.law.amplitude, *term.law.linear)
-            shape = term.law.scanned
+            law, effect = TORQUE_LAWS[name], effect_named(name)
+            parameters = (law.amplitude, *law.linear)
+            shape = law.scanned
             grid: tuple[float | None, ...] = (None,)
             if shape is not None:
                 grid = tuple(share * self._speed for share in SHAPES)
@@ -264,24 +236,12 @@ class FreeMotionView:
                     columns.append(np.column_stack(own))
                 weight = 1.0 if shape is None else 1.0 / len(SHAPES)
                 looks.append(Look(shapes, tuple(columns), weight))
-            excludes = frozenset({term.law.contains} if term.law.contains else ())
-            candidates.append(
-                Candidate(
-                    name,
-                    "effect",
-                    name,
-                    parameters,
-                    tuple(looks),
-                    term.law.usual,
-                    term.not_negative,
-                    excludes=excludes,
-                    requires=frozenset({term.law.requires} if term.law.requires else ()),
-                    same_as=term.law.same_as,
-                )
-            )
+            candidates.append(candidate_of(law, name, parameters, tuple(looks)))
         discrepancies = tuple(
-            Discrepancy(series.kind, tuple(self._waves(i, at[i], series) for i in every))
-            for series in self._series
+            Discrepancy(
+                series.kind, tuple(self._waves(i, at[i], series) for i in every), series=series
+            )
+            for series in self._series()
         )
         return AffineModel(
             self.pieces,
@@ -290,10 +250,10 @@ class FreeMotionView:
             tuple(candidates),
             discrepancies,
             believed_sds(self.bench, self.unknown),
+            self.without,
         )
 
-    @cached_property
-    def _series(self) -> list[Series]:
+    def _series(self) -> Iterator[Series]:
         """Torques that nothing explains: over the load's angle and the speed."""
         ratio = self.bench.value("gear_ratio")
         states = [
@@ -305,12 +265,10 @@ class FreeMotionView:
         speed = np.concatenate([s[MOTOR_SPEED] for s in states])
         over = partial(Series.over, orders=ORDERS)
         ends = [(float(x.min()), float(x.max())) for x in (angle, speed)]
-        made = []
         for reverses in (False, True):
             way, fastest = 2.0 * float(np.ptp(angle)), 4.0 * float(np.abs(speed).max())
-            made.append(over("load_angle", way, reach=ends[0], reverses=reverses))
-            made.append(over("motor_speed", fastest, reach=ends[1], reverses=reverses))
-        return made
+            yield over("load_angle", way, reach=ends[0], reverses=reverses)
+            yield over("motor_speed", fastest, reach=ends[1], reverses=reverses)
 
     def _waves(self, i: int, at: FloatArray, series: Series) -> FloatArray:
         """Change of a trajectory by each coefficient of a torque, (n, 2 orders)."""
@@ -338,7 +296,7 @@ class FreeMotionView:
             shared[WIDTH] = (start.get(WIDTH, first), low, high)
         for name in effects:
             for item in effect_named(name).parameters:
-                lower = 0.0 if TORQUE_TERMS[name].not_negative else -np.inf
+                lower = 0.0 if TORQUE_LAWS[name].not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
                 if isinstance(item, Shape):
                     lower, upper = (share * self._speed for share in SHAPE_RANGE)
@@ -390,7 +348,7 @@ class FreeMotionView:
 
         found = least_squares(
             lambda x: self._misfit(i, effects, at(x)),
-            self.starts[i],
+            start_of(self.pieces[i]),
             diff_step=1e-4,
             x_scale=[0.1, 1.0],
         )
@@ -461,7 +419,7 @@ def start_of(piece: Piece) -> FloatArray:
 CHANNELS = (MOTOR_POSITION, SPEED_CHANNEL)
 
 
-def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
+def asked_of(task: Task) -> Asked:
     """The view that a configuration asks for, and what these recordings cannot show.
 
     Raises
@@ -486,12 +444,14 @@ def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
     if GRAVITY not in unknown:
         unknown_parameters(task, (*INERTIAS, GRAVITY))
     pieces = pieces_of(task, recordings, channel)
-    every = free_motion_effects(compared.load_angle_known and gravity)
+    every = FREE_MOTION_LAWS
+    if not (compared.load_angle_known and gravity):
+        every = without_load_angle(every)
+    effects = wanted(config, bench, every)
     view = FreeMotionView(
         pieces,
-        tuple(start_of(piece) for piece in pieces),
         bench,
-        tuple(effect.name for effect in wanted(config, bench, every)),
+        effects,
         unknown,
         compared.load_angle_known or not gravity,
     )
@@ -512,30 +472,7 @@ def view_of(task: Task) -> tuple[FreeMotionView, list[str]]:
     ]
     if channel == SPEED_CHANNEL:
         notes.append("Speed alone: the start angle is known only through what gravity does.")
-    return view, notes
+    return Asked(view, effects, tuple(notes))
 
 
-class FreeMotion:
-    """The method of diagnosis."""
-
-    name = "free_motion"
-
-    def describe(self, task: Task) -> str:
-        """Channel and candidates."""
-        view, _ = view_of(task)
-        channel = view.pieces[0].channel
-        return f"{self.name}, {channel}; candidates {', '.join(view.effects)}"
-
-    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer."""
-        view, notes = view_of(task)
-        return diagnose(
-            view.prepared(),
-            task.bench,
-            most=task.config.candidates.max_effects or MOST_EFFECTS,
-            notes=lambda inference: notes,
-            progress=progress,
-        )
-
-
-METHOD = FreeMotion()
+METHOD = RigidMethod("free_motion", asked_of)

@@ -7,9 +7,10 @@ everything in it leaves it, then as the average over the posterior does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -17,12 +18,12 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import ORDER, PHASE
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned import LearnedTorque, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
     Look,
+    Piece,
     bounded_least_squares,
     least_squares,
 )
@@ -37,7 +38,12 @@ from bayesbl.diagnosis.diagnosis import (
     PieceSignals,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
+from bayesbl.diagnosis.disagreement import (
+    Disagreement,
+    DisagreementTable,
+    disagreement_table,
+    piece_residuals,
+)
 from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.residuals.unexplained import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
@@ -82,24 +88,13 @@ TORQUES = ("N m", "kg")
 """Beginnings of the units of what is in proportion to a torque: coefficients and inertias too."""
 
 
-def with_shared_scale(effect: NamedEffect, scale_sd: float) -> NamedEffect:
-    """An effect with its torques as uncertain as the factor.
+def with_shared_scale(
+    estimates: Mapping[str, Estimate], units: Mapping[str, str], scale_sd: float
+) -> dict[str, Estimate]:
+    """Estimates by name, those of torques as uncertain as the factor.
 
     ``scale_sd``: relative standard deviation of the factor, zero if it is known.
     """
-    units = {p.name: p.unit for p in effect_named(effect.name).parameters}
-    return replace(effect, parameters=_widened(effect.parameters, units, scale_sd))
-
-
-def scaled_parameters(estimates: Mapping[str, Estimate], scale_sd: float) -> Mapping[str, Estimate]:
-    """Parameters of the bench by name, the same way."""
-    units = {name: PARAMETER_INFO[name].unit for name in estimates}
-    return _widened(estimates, units, scale_sd)
-
-
-def _widened(
-    estimates: Mapping[str, Estimate], units: Mapping[str, str], scale_sd: float
-) -> Mapping[str, Estimate]:
     return {
         name: replace(found, sd=math.hypot(found.sd, scale_sd * found.value))
         if units[name].startswith(TORQUES)
@@ -147,22 +142,21 @@ class View(Protocol):
     """Recordings and a bench, linearised."""
 
     @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """What is compared."""
+
+    @property
     def model(self) -> AffineModel:
         """Around the present fit."""
+
+    def prepared(self) -> View:
+        """Around a first fit."""
 
     def refined(self, inference: Inference) -> View:
         """Around the fit that an inference gives, with finer shapes."""
 
     def settled(self, labels: Sequence[str]) -> View:
         """Around the fit with these candidates and no other; itself where that is linear."""
-
-    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
-        """Predictions of every piece without any effect, (n,)."""
-
-    def learned(
-        self, inference: Inference, fitted: Coefficients, group: int
-    ) -> LearnedAnswer | None:
-        """What a group of the discrepancy holds, if it can be told as a torque."""
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
@@ -184,11 +178,12 @@ class _Placed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
-    """Of the nuisances (d,), of every term in the catalogue's units, of every group."""
+    """Of the nuisances (d,); of terms, in the catalogue's units, and of groups, by their places
+    where they are not none."""
 
     nuisances: FloatArray
-    sizes: list[FloatArray]
-    discrepancy: list[FloatArray]
+    sizes: Mapping[int, FloatArray] = field(default_factory=dict)
+    discrepancy: Mapping[int, FloatArray] = field(default_factory=dict)
 
 
 class Inference:
@@ -201,8 +196,8 @@ class Inference:
     noises
         Of every used piece.
     sizes
-        What the samples of each used piece are counted in, the channel's unit, (n,): one size for
-        all that are shown, one for those that hold lines alone, of the noise where its spectrum is
+        What the samples of used pieces are counted in, the channel's unit, (N,): one size for all
+        that are shown, one for those that hold lines alone, of the noise where its spectrum is
         strongest, and more where it is larger than on average. There p'Σp ≤ s² p'p for every
         prediction p, so that no evidence is counted that is not there. Whitened, or each in its
         own, recordings would be fitted where they are least noisy, which of a real joint is where
@@ -214,78 +209,59 @@ class Inference:
     def __init__(self, model: AffineModel, noises: Sequence[ResidualNoise] | None = None) -> None:
         self.model = model
         used = model.used
-        pieces = [model.pieces[i] for i in used]
-        self._target = [
-            p.kept(p.measured - model.base[i]) for p, i in zip(pieces, used, strict=True)
-        ]
-        self._nuisances = [
-            p.kept(model.nuisance_columns(i)) for p, i in zip(pieces, used, strict=True)
-        ]
-        level = self._level()
+        rows = partial(model.rows, places=used)
+        self._target = rows(model.beside_base)
+        self._nuisances = rows(model.nuisance_columns)
+        lengths = [model.pieces[i].kept(model.pieces[i].time_s).size for i in used]
+        self._ends = np.cumsum(lengths)[:-1]
         self.terms: list[_Placed] = []
-        blocks: list[list[FloatArray]] = []
+        blocks: list[FloatArray] = []
         for candidate in model.candidates:
             for look in candidate.looks:
-                raw = [
-                    p.kept(model.candidate_columns(candidate, look, i))
-                    for p, i in zip(pieces, used, strict=True)
-                ]
-                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in raw], axis=0))
+                block = rows(partial(model.candidate_columns, candidate, look))
+                parts = np.split(block, self._ends)
+                size = np.sqrt(np.max([(part**2).mean(axis=0) for part in parts], axis=0))
                 if not size.any():
                     continue  # these recordings do not show it
-                usual = candidate.usual * level / np.where(size > 0.0, size, 1.0)
+                usual = candidate.usual * self._level / np.where(size > 0.0, size, 1.0)
                 unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
                 self.terms.append(_Placed(candidate, look, unit))
-                blocks.append([part * unit for part in raw])
-        self._discrepancy = [
-            [p.kept(d.columns[i]) for d in model.discrepancies]
-            for p, i in zip(pieces, used, strict=True)
-        ]
-        self.groups: list[slice] = []
-        at = 0
-        for d in model.discrepancies:
-            self.groups.append(slice(at, at + d.columns[used[0]].shape[1]))
-            at = self.groups[-1].stop
+                blocks.append(block * unit)
+        every = [d.columns for d in model.discrepancies]
+        self._discrepancy = rows(lambda i: np.hstack([columns[i] for columns in every]))
+        ends = np.cumsum([0, *(columns[used[0]].shape[1] for columns in every)]).tolist()
+        self.groups = [slice(*pair) for pair in pairwise(ends)]
         if noises is None:
             noises = self._noise_beside_everything(blocks)
         self.noises = tuple(noises)
-        shown = [self.model.pieces[i].shown for i in self.model.used]
+        shown = [model.pieces[i].shown for i in used]
         pairs = list(zip(noises, shown, strict=True))
-        below = max(noise.strongest for noise, is_shown in pairs if is_shown)
-        above = max((noise.strongest for noise, is_shown in pairs if not is_shown), default=1.0)
-        self._shown_size = max(below, _TINY)
-        even = [self._shown_size if is_shown else max(above, _TINY) for is_shown in shown]
-        self.sizes = [
-            np.maximum(noise.local, size) for noise, size in zip(noises, even, strict=True)
-        ]
-        self._burst = np.concatenate(
-            [own / size for own, size in zip(self.sizes, even, strict=True)]
-        )
+        strongest = {
+            alike: max(_TINY, *(noise.strongest for noise, s in pairs if s == alike))
+            for alike in set(shown)
+        }
+        self._shown_size = strongest[True]
+        even = np.repeat([strongest[alike] for alike in shown], lengths)
+        self.sizes = np.maximum(np.concatenate([noise.local for noise in noises]), even)
+        self._burst = self.sizes / even
         self._search(blocks)
 
+    @cached_property
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
-        parts = [
-            (self._target[k], self._nuisances[k])
-            for k, i in enumerate(self.model.used)
-            if self.model.pieces[i].shown
-        ]
-        target = np.concatenate([t for t, _ in parts])
-        matrix = np.vstack([n for _, n in parts])
-        left = target - matrix @ least_squares(matrix, target) if matrix.shape[1] else target
+        model = self.model
+        prediction = partial(model.at, nuisances=model.by_nuisances)
+        left = model.rows(lambda i: model.pieces[i].measured - prediction(i), model.shown)
         return max(math.sqrt(float(np.mean(left**2))), _TINY)
 
-    def _noise_beside_everything(self, blocks: list[list[FloatArray]]) -> list[ResidualNoise]:
+    def _noise_beside_everything(self, blocks: list[FloatArray]) -> list[ResidualNoise]:
         """From what all candidates and the discrepancy together leave, by ridge regression."""
-        level = self._level()
-        n = np.vstack(self._nuisances)
+        level = self._level
+        n, h, target = self._nuisances, self._discrepancy, self._target
         scale = np.sqrt((n**2).mean(axis=0))
-        parts = [n / np.where(scale > 0.0, scale, 1.0)]
-        parts += [np.vstack(block) for block in blocks]
-        h = np.vstack([np.hstack(own) for own in self._discrepancy])
         rms = np.sqrt((h**2).mean(axis=0).max(initial=0.0))
-        parts.append(h * (0.3 * level / rms if rms > 0.0 else 0.0))
-        matrix, target = np.hstack(parts), np.concatenate(self._target)
+        h = h * (0.3 * level / rms if rms > 0.0 else 0.0)
+        matrix = np.hstack([n / np.where(scale > 0.0, scale, 1.0), *blocks, h])
         gram, right = matrix.T @ matrix, matrix.T @ target
         free = np.concatenate([np.full(n.shape[1], 1e-12), np.ones(matrix.shape[1] - n.shape[1])])
         variance = (0.1 * level) ** 2
@@ -294,27 +270,19 @@ class Inference:
             left = target - matrix @ (inverse @ right)
             freedom = max(target.size - float(np.sum(inverse * gram)), 0.1 * target.size)
             variance = float(left @ left) / freedom
-        ends = np.cumsum([t.size for t in self._target])[:-1]
-        return [ResidualNoise.of(part) for part in np.split(left, ends)]
+        return [ResidualNoise.of(part) for part in np.split(left, self._ends)]
 
-    def _search(self, blocks: list[list[FloatArray]]) -> None:
-        def rows(parts: Sequence[FloatArray]) -> FloatArray:
-            pairs = zip(parts, self.sizes, strict=True)
-            return np.concatenate([(p.T / size).T for p, size in pairs])
+    def _search(self, blocks: list[FloatArray]) -> None:
+        def counted(rows: FloatArray) -> FloatArray:
+            return np.asarray((rows.T / self.sizes).T)
 
-        jacobian = rows(self._nuisances)
-        d = jacobian.shape[1]
-        discrepancy = rows(
-            [
-                np.hstack([*own, part[:, :0]])
-                for own, part in zip(self._discrepancy, self._nuisances, strict=True)
-            ]
-        )
+        jacobian, discrepancy = counted(self._nuisances), counted(self._discrepancy)
+        residual, d = counted(self._target), jacobian.shape[1]
         one_more = EXPECTED_HYPOTHESES / max(1, len({p.candidate.label for p in self.terms}))
         terms = [
             Term(
                 placed.candidate.label,
-                rows(block),
+                counted(block),
                 placed.candidate.not_negative and placed.unit.size == 1,
                 prior_weight=placed.look.weight
                 * (one_more if placed.candidate.holds_another else 1.0),
@@ -324,11 +292,10 @@ class Inference:
             for placed, block in zip(self.terms, blocks, strict=True)
         ]
         kinds = [d.kind for d in self.model.discrepancies]
-        usual = DISCREPANCY_SHARE * self._level() / self._shown_size
+        usual = DISCREPANCY_SHARE * self._level / self._shown_size
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
         sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
-        residual = rows(self._target)
         linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
         self.posterior = search(linearised, Priors(), MOST_TERMS)
         generator = np.random.default_rng(0)
@@ -345,10 +312,6 @@ class Inference:
         self.discrepancy_draws = draws.discrepancy
 
     # What is asked of it
-
-    def of(self, label: str) -> list[_Placed]:
-        """Terms of a candidate."""
-        return [placed for placed in self.terms if placed.candidate.label == label]
 
     @cached_property
     def labels(self) -> Mapping[str, Candidate]:
@@ -420,8 +383,14 @@ class Inference:
         """Of everything, over the posterior."""
         return Coefficients(
             self.nuisance_draws.mean(axis=0),
-            [self._mean_size(k) for k in range(len(self.terms))],
-            [self.discrepancy_draws[:, group].mean(axis=0) for group in self.groups],
+            {
+                k: weight @ mean * self.terms[k].unit
+                for k, (weight, mean, _) in self.posterior.sizes.items()
+            },
+            {
+                g: self.discrepancy_draws[:, group].mean(axis=0)
+                for g, group in enumerate(self.groups)
+            },
         )
 
     def projection(self, labels: Sequence[str], groups: Sequence[int] = ()) -> Coefficients:
@@ -431,58 +400,39 @@ class Inference:
         discrepancy is what is left, orthogonal to them (Plumlee 2017, JASA 112, 1274). All samples
         count alike: where a bench is worst is a part of what it has to predict.
         """
-        view = self.posterior.linearised
-        chosen = [self._likeliest(label) for label in labels]
-        sds = np.concatenate(
-            [
-                [self.model.nuisance_sds.get(n, np.inf) for n in self.model.nuisance_names],
-                *(np.full(self.terms[k].unit.size, np.inf) for k in chosen),
-                *(
-                    np.full(
-                        self.groups[g].stop - self.groups[g].start, self.posterior.discrepancy_sd(g)
-                    )
-                    for g in groups
-                ),
-            ]
-        )
-        matrix = np.hstack(
-            [
-                view.jacobian,
-                *(view.terms[k].columns for k in chosen),
-                *(view.discrepancy[:, self.groups[g]] for g in groups),
-            ]
-        )
-        held = np.isfinite(sds)
-        prior = np.zeros((int(held.sum()), sds.size))
-        prior[np.arange(len(prior)), np.flatnonzero(held)] = 1.0 / np.maximum(sds[held], 1e-300)
-        low = np.full(sds.size, -np.inf)
-        at = view.jacobian.shape[1]
+        view, free = self.posterior.linearised, math.inf
+        chosen = [self.likeliest(label) for label in labels]
+        anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.nuisance_names]
+        blocks: list[tuple[FloatArray, float | Sequence[float], float]] = [
+            (view.jacobian, anyway, -free)
+        ]
         for k in chosen:
-            if view.terms[k].positive:
-                low[at] = 0.0
-            at += self.terms[k].unit.size
+            term = view.terms[k]
+            blocks.append((term.columns, free, 0.0 if term.positive else -free))
+        for g in groups:
+            columns = view.discrepancy[:, self.groups[g]]
+            blocks.append((columns, self.posterior.discrepancy_sd(g), -free))
+        widths = [columns.shape[1] for columns, _, _ in blocks]
+        matrix = np.hstack([columns for columns, _, _ in blocks])
+        sds = np.hstack(
+            [np.broadcast_to(sd, w) for (_, sd, _), w in zip(blocks, widths, strict=True)]
+        )
+        low = np.repeat([least for _, _, least in blocks], widths)
+        held = np.isfinite(sds)
+        prior = np.diag(1.0 / np.maximum(sds, 1e-300))[held]
         values = bounded_least_squares(
             np.vstack([(matrix.T * self._burst).T, prior]),
             np.concatenate([view.residual * self._burst, np.zeros(len(prior))]),
             low,
         )
-        sizes = [np.zeros(placed.unit.size) for placed in self.terms]
-        at = view.jacobian.shape[1]
-        nuisances = values[:at]
-        for k in chosen:
-            unit = self.terms[k].unit
-            sizes[k] = values[at : at + unit.size] * unit
-            at += unit.size
-        discrepancy = [np.zeros(group.stop - group.start) for group in self.groups]
-        for g in groups:
-            discrepancy[g] = values[at : at + discrepancy[g].size]
-            at += discrepancy[g].size
-        return Coefficients(nuisances, sizes, discrepancy)
+        nuisances, *parts = np.split(values, np.cumsum(widths)[:-1])
+        sizes = {k: part * self.terms[k].unit for k, part in zip(chosen, parts, strict=False)}
+        return Coefficients(nuisances, sizes, dict(zip(groups, parts[len(chosen) :], strict=True)))
 
     def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
         """Linear parameters of a candidate."""
         candidate = self.labels[label]
-        size = fitted.sizes[self._likeliest(label)]
+        size = fitted.sizes[self.likeliest(label)]
         if not candidate.is_wave:
             return dict(zip(candidate.parameters, size.tolist(), strict=True))
         pairs = size.reshape(-1, 2)
@@ -493,26 +443,15 @@ class Inference:
 
     def is_none(self, fitted: Coefficients, label: str) -> bool:
         """Whether a candidate whose sign is known would rather have the other one."""
-        place = self._likeliest(label)
+        place = self.likeliest(label)
         size, unit = fitted.sizes[place], self.terms[place].unit
         return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
 
-    def likeliest(self, label: str) -> _Placed:
-        """The look of a candidate that is most probable."""
-        return self.terms[self._likeliest(label)]
-
-    def _likeliest(self, label: str) -> int:
+    def likeliest(self, label: str) -> int:
         """The term of a candidate that is most probable."""
         places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
         sizes = self.posterior.sizes
         return max(places, key=lambda k: sizes[k][0].sum() if k in sizes else 0.0)
-
-    def _mean_size(self, k: int) -> FloatArray:
-        """Of a term, in the catalogue's units."""
-        if k not in self.posterior.sizes:
-            return np.zeros(self.terms[k].unit.size)
-        weight, mean, _ = self.posterior.sizes[k]
-        return np.asarray(weight @ mean * self.terms[k].unit)
 
     def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
         """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
@@ -520,10 +459,11 @@ class Inference:
 
     def _predicted(self, i: int, found: Coefficients) -> FloatArray:
         model, piece = self.model, self.model.pieces[i]
-        total = model.base[i] + model.nuisance_columns(i) @ found.nuisances
+        total = model.at(i, found.nuisances)
         own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
         waves: list[tuple[float, FloatArray]] = []
-        for placed, size in zip(self.terms, found.sizes, strict=True):
+        for k, size in found.sizes.items():
+            placed = self.terms[k]
             if not size.any():
                 continue
             if placed.candidate.own_phase and piece.name not in model.recordings:
@@ -531,7 +471,8 @@ class Inference:
                 waves.append((pair_size, placed.look.columns[i]))
             else:
                 total = total + model.candidate_columns(placed.candidate, placed.look, i) @ size
-        for discrepancy, size in zip(model.discrepancies, found.discrepancy, strict=True):
+        for g, size in found.discrepancy.items():
+            discrepancy = model.discrepancies[g]
             if not (discrepancy.own and piece.use != "used"):
                 total = total + discrepancy.columns[i] @ size
         if own or waves:
@@ -544,26 +485,12 @@ class Inference:
         return np.asarray(total)
 
     def nominal(self) -> tuple[FloatArray, ...]:
-        """Of every piece (n,): base and nuisances alone, by least squares on the shown ones."""
-        model = self.model
-        shown = [k for k, i in enumerate(model.used) if model.pieces[i].shown]
-        matrix = np.vstack([self._nuisances[k] for k in shown])
-        target = np.concatenate([self._target[k] for k in shown])
-        values = least_squares(matrix, target) if matrix.shape[1] else np.zeros(0)
-        made = []
-        for i, piece in enumerate(model.pieces):
-            total = model.base[i] + model.nuisance_columns(i) @ values
-            own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
-            if own:
-                columns = np.column_stack(own)
-                rest = piece.kept(piece.measured - total)
-                total = total + columns @ least_squares(piece.kept(columns), rest)
-            made.append(np.asarray(total))
-        return tuple(made)
+        """Of every piece (n,): without any effect."""
+        return self.model.without or self.predicted(Coefficients(self.model.by_nuisances))
 
     def discrepancy(self) -> tuple[FloatArray, ...]:
         """Of every piece what nothing explains, averaged, (n,)."""
-        known = list(zip(self.model.discrepancies, self.average.discrepancy, strict=True))
+        known = [(self.model.discrepancies[g], h) for g, h in self.average.discrepancy.items()]
         return tuple(
             np.asarray(sum((d.columns[i] @ size for d, size in known), np.zeros(p.measured.size)))
             for i, p in enumerate(self.model.pieces)
@@ -630,7 +557,7 @@ def diagnose(
     bench: Bench,
     *,
     most: int,
-    notes: Callable[[Inference], Sequence[str]],
+    notes: Sequence[str] = (),
     scale_sd: float = 0.0,
     progress: StageProgress | None = None,
 ) -> Diagnosis:
@@ -638,6 +565,8 @@ def diagnose(
 
     Parameters
     ----------
+    view
+        Not yet prepared.
     bench
         The one believed, for the tolerances of parameters that were fitted.
     most
@@ -645,7 +574,7 @@ def diagnose(
     scale_sd
         Relative standard deviation of a factor that all torques and inertias have in common.
     """
-    view, inference = inferred(view, progress)
+    view, inference = inferred(view.prepared(), progress)
     told, remaining = _told(view, inference, most)
     group = _learned_group(inference)
     view, at = view.settled([label for label, _ in told]), inference
@@ -653,7 +582,7 @@ def diagnose(
         at = Inference(view.model, inference.noises)
     told, fitted = _fitted(at, told, [] if group is None else [group])
     labels = [label for label, _ in told]
-    learned = None if group is None else view.learned(at, fitted, group)
+    learned = None if group is None else learned_answer(at, fitted, group)
     kinds = {label: inference.labels[label].kind for label in labels}
     estimates = {
         name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
@@ -663,21 +592,23 @@ def diagnose(
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
         (size,) = at.of_projection(fitted, label).values()
         estimates[label] = Estimate(bench.value(label) + size, inference.values(label)[label].sd)
-    before, after = view.nominal(at), at.predicted(fitted)
+    before, after = at.nominal(), at.predicted(fitted)
     denied = tuple(impossible(estimates))
     if denied:
         remaining = []
-    if denied or not _closes(at.model, before, after):
-        told, estimates, learned, after = [], {}, None, before
+    table, signals = compared_signals(view.pieces, before, after)
+    if denied or not _closes(table.overall["used"]):
+        told, estimates, learned = [], {}, None
+        table, signals = compared_signals(view.pieces, before, before)
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
-    estimates = dict(scaled_parameters(estimates, scale_sd))
+    units = {name: PARAMETER_INFO[name].unit for name in estimates}
+    estimates = with_shared_scale(estimates, units, scale_sd)
     named.sort(key=lambda pair: -_squares_without(at, labels, pair[0]))
     effects = [
         _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
         for label, alike in named
     ]
     errors = parameter_errors(bench, estimates)
-    table = disagreement_table(_residuals(inference.model, before, after), in_units_of_noise=False)
     lines = tuple(_line(inference, *item) for item in remaining)
     left = table.overall["used"]
     is_much = left.after > EXCESS * left.noise_floor
@@ -693,9 +624,9 @@ def diagnose(
         errors,
         lines,
         table,
-        (*denied, *notes(inference)),
+        (*denied, *notes, *_gravity_notes(inference)),
         bench_parameters=estimates,
-        signals=_signals(inference.model, before, after),
+        signals=signals,
         learned=learned,
     )
     if learned is None:
@@ -704,11 +635,21 @@ def diagnose(
     return replace(answer, augmented_bench=view.augmented(sizes, answer))
 
 
-def _closes(model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]) -> bool:
+def _gravity_notes(inference: Inference) -> Iterator[str]:
+    """Of gravity that the bench lacks."""
+    if "gravity" in inference.posterior.named:
+        ((name, size),) = inference.values("gravity").items()
+        yield (
+            "What is left goes with the load's angle as gravity does, though the bench has "
+            f"{name} = 0: {size.value:.3g} N m at the load were fitted, with their "
+            "direction. A balancer that the bench lacks may look the same. Give gravity in the "
+            "bench file, if it is that."
+        )
+
+
+def _closes(used: Disagreement) -> bool:
     """Whether what is told explains anything to speak of: it would be an accident of a fit that is
     far from what was recorded."""
-    left = disagreement_table(_residuals(model, before, after), in_units_of_noise=False)
-    used = left.overall["used"]
     return used.after < CLOSED * used.before or used.after < EXCESS * used.noise_floor
 
 
@@ -762,8 +703,8 @@ def _squares_without(inference: Inference, labels: Sequence[str], label: str) ->
     """Sum of squares that all but one of what is told leaves of what is shown."""
     model = inference.model
     every = inference.predicted(inference.projection([n for n in labels if n != label]))
-    shown = ((model.pieces[i], every[i]) for i in model.used if model.pieces[i].shown)
-    return sum(float(np.sum(p.kept(p.measured - made) ** 2)) for p, made in shown)
+    left = model.rows(lambda i: model.pieces[i].measured - every[i], model.shown)
+    return float(np.sum(left**2))
 
 
 def _share(inference: Inference, label: str) -> float:
@@ -801,8 +742,9 @@ def _effect(
     size = parameters[candidate.parameters[0]]
     sure = inference.probability((label, *alike))
     z = abs(size.value) / max(size.sd, _TINY)
-    effect = NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
-    return with_shared_scale(effect, scale_sd)
+    units = {p.name: p.unit for p in effect_named(candidate.name).parameters}
+    parameters = with_shared_scale(parameters, units, scale_sd)
+    return NamedEffect(candidate.name, parameters, sure, z, (*candidate.same_as, *alike))
 
 
 def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
@@ -829,108 +771,28 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
     )
 
 
-def _residuals(
-    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
-) -> list[PieceResiduals]:
-    return [
-        piece_residuals(
-            piece.name,
-            piece.channel,
-            piece.use,
-            piece.kept(piece.measured - first),
-            piece.kept(piece.measured - last),
-            white=piece.white,
-        )
-        for piece, first, last in zip(model.pieces, before, after, strict=True)
-        if piece.shown
-    ]
+def compared_signals(
+    pieces: Sequence[Piece], before: Sequence[FloatArray], after: Sequence[FloatArray]
+) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
+    """The shown pieces beside their predictions without and with what was named, each (n,)."""
+    signals, residuals = [], []
+    for piece, *made in zip(pieces, before, after, strict=True):
+        if piece.shown:
+            kept = map(piece.kept, (piece.time_s, piece.measured, *made))
+            seen = PieceSignals(piece.name, piece.channel, piece.use, *kept)
+            left = (seen.measured - seen.before, seen.measured - seen.after)
+            residuals.append(
+                piece_residuals(piece.name, piece.channel, piece.use, *left, white=piece.white)
+            )
+            signals.append(seen)
+    return disagreement_table(residuals, in_units_of_noise=False), tuple(signals)
 
 
-def _signals(
-    model: AffineModel, before: Sequence[FloatArray], after: Sequence[FloatArray]
-) -> tuple[PieceSignals, ...]:
-    return tuple(
-        PieceSignals(
-            piece.name,
-            piece.channel,
-            piece.use,
-            *map(piece.kept, (piece.time_s, piece.measured, *made)),
-        )
-        for piece, *made in zip(model.pieces, before, after, strict=True)
-        if piece.shown
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """A torque over a variable, its amplitudes falling as 1/k.
-
-    Attributes
-    ----------
-    means
-        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
-        is an effect's.
-    reach
-        Of the variable, as recorded.
-    """
-
-    variable: Variable
-    period: float
-    reverses: bool
-    orders: int
-    means: FloatArray
-    reach: tuple[float, float]
-
-    @classmethod
-    def over(
-        cls,
-        variable: Variable,
-        period: float,
-        *,
-        reverses: bool,
-        orders: int,
-        reach: tuple[float, float],
-    ) -> Series:
-        """With the means over this reach of its variable."""
-        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
-        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
-        return replace(made, means=made.waves(x).mean(axis=0))
-
-    @property
-    def kind(self) -> str:
-        """What it is a torque over."""
-        return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
-
-    def waves(self, x: FloatArray) -> FloatArray:
-        """Cosines, then sines, less their means, (n, 2 orders)."""
-        k = np.arange(1, self.orders + 1)
-        phase = 2.0 * math.pi * x[:, None] * k / self.period
-        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
-
-    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTorque:
-        """With coefficients of the waves, (2 orders,), and their standard deviations."""
-        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
-        waves = coefficients * decay
-        sd: tuple[float, ...] = ()
-        if sds is not None:
-            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
-            sd = (constant, *(sds * decay).tolist())
-        return LearnedTorque(
-            "motor",
-            self.variable,
-            self.period,
-            -float(coefficients @ self.means),
-            tuple(waves[: self.orders].tolist()),
-            tuple(waves[self.orders :].tolist()),
-            self.reverses,
-            sd,
-        )
-
-
-def learned_answer(
-    series: Series, inference: Inference, fitted: Coefficients, group: int
-) -> LearnedAnswer:
-    """A group of the discrepancy as a torque over its variable."""
+def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> LearnedAnswer | None:
+    """A group of the discrepancy as a torque over its variable; ``None`` where it is none."""
+    series = inference.model.discrepancies[group].series
+    if series is None:
+        return None
     draws = inference.discrepancy_draws[:, inference.groups[group]]
     value = fitted.discrepancy[group]
     term = series.torque(value, draws.std(axis=0))
@@ -940,5 +802,4 @@ def learned_answer(
     x = np.linspace(low, high, CURVE_POINTS)
     waves = series.waves(x)
     curve = LearnedCurve(x, waves @ value, (waves @ draws.T).std(axis=1))
-    size = curve.value if term.reverses else curve.value - curve.value.mean()
-    return LearnedAnswer(term, float(np.abs(size).max()), (), curve)
+    return LearnedAnswer(term, (), curve)

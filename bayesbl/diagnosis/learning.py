@@ -91,8 +91,6 @@ class Trial:
         say nothing that is not fitted anyway.
     coefficients
         Shape (2 orders + 1,), fitted on all groups; 0 where not free.
-    left_out
-        The same fitted without each group, shape (groups, 2 orders + 1).
     shifts
         Of the variable in every group, relative to the first.
     gains
@@ -104,7 +102,6 @@ class Trial:
     hypothesis: Hypothesis
     free: tuple[int, ...]
     coefficients: FloatArray
-    left_out: FloatArray
     shifts: FloatArray
     gains: FloatArray
     trials: float
@@ -141,7 +138,7 @@ def learn(
     tried = len(found) * len(ORDERS)
     every = []
     for hypothesis, groups in found:
-        trials = tried_orders(hypothesis, groups, precision, tried)
+        trials = sorted(_trials(hypothesis, groups, precision, tried), key=lambda t: -t.gain)
         every += [min(alike(trials, false_alarm), key=lambda t: t.orders)] if trials else []
     sure = [trial for trial in every if trial.is_sure(false_alarm)]
     return sorted(sure, key=lambda trial: -trial.gain)
@@ -153,16 +150,10 @@ def alike(trials: Sequence[Trial], false_alarm: float) -> list[Trial]:
     return [trial for trial in trials if trials[0].gain - trial.gain < enough]
 
 
-def tried_orders(
-    hypothesis: Hypothesis, groups: Sequence[Group], precision: FloatArray, tried: int
-) -> list[Trial]:
-    """A hypothesis with each number of orders, what predicts best first; ``tried``: how many."""
-    return sorted(_trials(hypothesis, groups, precision, tried), key=lambda trial: -trial.gain)
-
-
 def _trials(
     hypothesis: Hypothesis, groups: Sequence[Group], precision: FloatArray, tried: int
 ) -> Iterator[Trial]:
+    """A hypothesis with each number of orders; ``tried``: how many with all hypotheses."""
     for orders in sorted({min(orders, hypothesis.most) for orders in ORDERS}):
         free = _free(groups, hypothesis, orders)
         if not free:
@@ -173,13 +164,13 @@ def _trials(
         problem = _Problem(chosen, precision, hypothesis, orders, len(free))
         everyone = range(len(chosen))
         z, _, shifts = problem.fitted(everyone)
-        gains, without = zip(*(problem.predicted(k) for k in everyone), strict=True)
+        gains = np.array([problem.gain(k) for k in everyone])
         # Where a shift is sought on the group itself, as many places are tried as there are waves.
         trials = tried * (2.0 * orders if hypothesis.own_zero else 1.0)
         places = tuple(p if p <= orders else p - LEARNED_HARMONICS + orders for p in free)
-        complete = np.zeros((1 + len(chosen), 2 * orders + 1))
-        complete[:, list(places)] = [z, *without]
-        yield Trial(hypothesis, places, complete[0], complete[1:], shifts, np.array(gains), trials)
+        complete = np.zeros(2 * orders + 1)
+        complete[list(places)] = z
+        yield Trial(hypothesis, places, complete, shifts, gains, trials)
 
 
 def _free(groups: Sequence[Group], hypothesis: Hypothesis, orders: int) -> list[int]:
@@ -232,15 +223,15 @@ class _Problem:
         shifts[list(members)] -= shifts[members[0]]
         return self._solved(members, shifts)[0], u, shifts
 
-    def predicted(self, left_out: int) -> tuple[float, FloatArray]:
-        """χ² by which a group is predicted better with z than without it; z of the others."""
+    def gain(self, left_out: int) -> float:
+        """χ² by which a group is predicted better with z of the others than without it."""
         others = [k for k in range(len(self._groups)) if k != left_out]
         z, u, _ = self.fitted(others)
         nothing = np.zeros_like(z)
         without = self._solved(others, np.zeros(len(self._groups)), waves=False)[1]
         shift = self._best_shift(left_out, z, u) if self._hypothesis.own_zero else 0.0
         before = self._loss(left_out, nothing, without, 0.0)
-        return before - self._loss(left_out, z, u, shift), z
+        return before - self._loss(left_out, z, u, shift)
 
     def _solved(
         self, members: Sequence[int], shifts: FloatArray, waves: bool = True

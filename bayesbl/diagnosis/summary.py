@@ -197,28 +197,18 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     return answer
 
 
-def _learned(told: LearnedAnswer) -> LearnedSummary:
-    term = told.term
-    return {
-        "side": term.side,
-        "variable": term.variable,
-        "reverses": term.reverses,
-        "period": term.period,
-        "orders": term.orders,
+def _learned(told: LearnedAnswer) -> Any:
+    """The keys of :class:`LearnedSummary` but the amplitude."""
+    return _dependence(told.term) | {
         "alike": [_dependence(other) for other in told.alike],
         "gap_share": told.gap_share,
         "gap_withheld": told.gap_withheld,
     }
 
 
-def _dependence(term: LearnedTerm) -> LearnedDependence:
-    return {
-        "side": term.side,
-        "variable": term.variable,
-        "reverses": term.reverses,
-        "period": term.period,
-        "orders": term.orders,
-    }
+def _dependence(term: LearnedTerm) -> Any:
+    """The keys of :class:`LearnedDependence`, as the term has them."""
+    return {key: getattr(term, key) for key in LearnedDependence.__annotations__}
 
 
 def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> Interval | HeldValue:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from bayesbl.bench.bench import Bench, Drive
+from bayesbl.bench.effect_declaration import RigidLaw
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.comparison import Piece, TestedEffect
+from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.checks import require_channels, require_unclipped, without_rails
@@ -16,6 +18,11 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 MOST_EXCLUDED = 0.5
 """Largest share of a piece that may be left out: what remains should still be a recording."""
+
+USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
+    {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
+)
+"""How an entry of ``[[recordings]]`` is used: whole, or in two parts."""
 
 OTHER_METHODS = {
     "two_mass": '"two_mass", or [comparison] method = "inverse" or "free_motion"',
@@ -80,6 +87,12 @@ def require_enough(recording: Recording, channel: str, excluded: BoolArray | Non
         )
 
 
+def parts_of(uses: Sequence[Use], middle: int) -> list[tuple[Use, slice]]:
+    """The samples of each use: all, or those before a middle and those from there on."""
+    rows = [slice(None)] if len(uses) == 1 else [slice(None, middle), slice(middle, None)]
+    return list(zip(uses, rows, strict=True))
+
+
 def rows_of(recording: Recording, rows: slice) -> Recording:
     """Some samples of a recording."""
     channels = {name: values[rows] for name, values in recording.channels.items()}
@@ -110,19 +123,24 @@ def notes_of(recordings: Sequence[Recording]) -> list[str]:
 
 
 def wanted(
-    config: DiagnoseConfig, bench: Bench, every: Iterable[TestedEffect]
-) -> list[TestedEffect]:
-    """Candidates that were asked for and that the bench does not have already.
+    config: DiagnoseConfig, bench: Bench, laws: Mapping[str, RigidLaw | None]
+) -> tuple[str, ...]:
+    """Effects that were asked for and that the bench does not have already.
 
-    A name that means the same law here finds a candidate too.
+    A name that means the same law here finds an effect too. ``laws``: of those that may be missing;
+    ``None`` where the comparison has one of its own.
     """
     had = {effect.name for effect in bench.effects}
-    possible = [c for c in every if not {c.name, *c.same_as, c.contains} & had]
+    meaning = {
+        name: {name} if law is None else {name, *law.same_as}
+        for name, law in laws.items()
+        if name not in had and (law is None or not {*law.same_as, law.contains} & had)
+    }
     asked = config.candidates.effects
     if asked == "all":
-        return possible
-    found = [c for c in possible if {c.name, *c.same_as} & set(asked)]
-    known = {name for c in possible for name in (c.name, *c.same_as)}
+        return tuple(meaning)
+    found = tuple(name for name, names in meaning.items() if names & set(asked))
+    known = set().union(*meaning.values())
     for name in asked:
         if name not in known:
             raise refused(

@@ -18,7 +18,7 @@ from bayesbl.config.bench import dump_bench, load_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.diagnosis.closed_loop import method as forward
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, estimates
-from bayesbl.diagnosis.closed_loop.findings import Findings, ForwardSettings, halves, search
+from bayesbl.diagnosis.closed_loop.findings import Findings, ForwardSettings, part_of, search
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import summarise_diagnosis
@@ -526,9 +526,9 @@ def test_a_drift_goes_on_in_the_second_half_of_exactly_four_rotations() -> None:
         )
         seen = observed(recording, BENCH, speed)
         forward.require_rotations(seen, "recording.csv", split=True)
-        first, second = halves(seen)
-        used.append(first)
-        held_out.append(second)
+        middle = seen.samples // 2
+        used.append(part_of(seen, slice(middle)))
+        held_out.append(part_of(seen, slice(middle, None)))
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
     effects = ("motor_coulomb_friction", "friction_drift", "motor_torque_offset")
     findings = search(BENCH, used, held_out, unknowns, ForwardSettings(effects))

@@ -16,7 +16,7 @@ from bayesbl.bench.learned import EncoderError, LearnedTorque
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned_in_loop import gap_share, learned_term
+from bayesbl.diagnosis.closed_loop.learned_in_loop import learned_term
 from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
@@ -63,7 +63,7 @@ def groups(
 
 
 def answer_with(view: InverseView) -> Diagnosis:
-    return diagnose(view.prepared(), view.bench, most=6, notes=lambda inference: ())
+    return diagnose(view, view.bench, most=6)
 
 
 def trials(seed: int, size: float, over: Hypothesis):
@@ -207,7 +207,7 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 4.0 * fit.sd(GAP)
     before = abs(math.log(nominal.fit.value(GAP) / GAP_RAD)) / nominal.fit.sd(GAP)
     assert before > 10.0, "without it the gap is wrong"
-    assert 0.0 < gap_share(fit, torque) < 1.0
+    assert 0.0 < found.gap_share < 1.0
     assert augmented_bench(found.explanation).learned_torque == torque
     left = held_out.left_by(predicted(found.explanation, held_out))
     without = held_out.left_by(predicted(nominal, held_out))

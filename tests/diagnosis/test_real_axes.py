@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchParameter
+from bayesbl.bench.effects import effect_named
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.inference import Inference, diagnose
+from bayesbl.diagnosis.inference import diagnose
 from bayesbl.diagnosis.rigid.inverse import (
     SKEW,
-    TORQUE_TERMS,
+    TORQUE_LAWS,
     InverseView,
     coherent_hz,
     resolved_hz,
@@ -47,18 +48,15 @@ def comparison(
         for part in compared(recording, MOTOR_TORQUE, use, cutoff_hz)
     ]
     return InverseView(
-        tuple(part.piece for part in found),
-        tuple(part.motion for part in found),
-        tuple(part.known for part in found),
-        tuple(part.window for part in found),
+        tuple(found),
         bench,
-        within_turns(without_load_angle(TORQUE_TERMS), 0.1),
+        within_turns(without_load_angle(TORQUE_LAWS), 0.1),
         ("motor_inertia_kg_m2",),
     )
 
 
 def answer(made: InverseView) -> Diagnosis:
-    return diagnose(made.prepared(), made.bench, most=6, notes=lambda inference: ())
+    return diagnose(made, made.bench, most=6)
 
 
 def sizes(found: Diagnosis) -> dict[str, float]:
@@ -194,14 +192,8 @@ def test_gravity_is_seen_where_it_acts_and_a_wrong_inertia_is_not_gravity(
 
 def wrong(made: InverseView) -> tuple[Diagnosis, bool]:
     """The answer, and whether gravity is told that the bench lacks."""
-    told = []
-
-    def notes(inference: Inference) -> tuple[str, ...]:
-        told.extend(inference.posterior.named)
-        return ()
-
-    found = diagnose(made.prepared(), made.bench, most=6, notes=notes)
-    return found, "gravity" in told
+    found = answer(made)
+    return found, any("as gravity does" in note for note in found.notes)
 
 
 def test_what_the_bench_states_is_what_the_disagreement_starts_from() -> None:
@@ -230,11 +222,11 @@ def test_an_inertia_that_nothing_has_leaves_nothing_named() -> None:
     bench = believed(drawn_axis(np.random.default_rng(1)))
     made = comparison(swinging(0.1, 4.0), bench, 20.0, WHOLE)
     plain = {
-        name: term
-        for name, term in made.terms.items()
-        if not (term.periodic or term.law.scanned or term.law.linear or name == SKEW)
+        name: law
+        for name, law in made.laws.items()
+        if not (effect_named(name).is_periodic or law.scanned or law.linear or name == SKEW)
     }
-    made = replace(made, terms=plain)
+    made = replace(made, laws=plain)
     found = answer(made)
     assert found.verdict == "unexplained"
     assert not found.effects
@@ -259,7 +251,7 @@ def test_the_size_of_an_eccentric_encoder_is_that_on_the_bench_as_fitted() -> No
         motor_inertia_kg_m2=1.5e-3
     )
     made = comparison(found, bench, 100.0, (("used",), ("used",)))
-    made = replace(made, terms={"encoder_eccentricity": TORQUE_TERMS["encoder_eccentricity"]})
+    made = replace(made, laws={"encoder_eccentricity": TORQUE_LAWS["encoder_eccentricity"]})
     # What the reading adds to the angle in the sine is of second order: e/2.
     assert sizes(answer(made))["encoder_eccentricity"] == pytest.approx(0.02, rel=0.02)
 

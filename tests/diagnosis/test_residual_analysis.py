@@ -11,8 +11,7 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from bayesbl.diagnosis.residual_groups import residuals_dataset
-from bayesbl.diagnosis.residuals.analysis import analyse_residuals
-from bayesbl.diagnosis.residuals.attribution import offset_dependence
+from bayesbl.diagnosis.residuals.analysis import analyse_residuals, offset_dependence
 from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg, comb, noise_floor
 from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.diagnosis.summary import plain
@@ -165,7 +164,7 @@ def test_mean_squares_add_up_to_that_of_the_difference():
     part = analysed((seen, made)).recordings[0]
     difference = (seen.signals - made)[0, : part.whole.samples]
     split = part.channels[0].split
-    assert split.total == pytest.approx(np.mean(difference**2), rel=1e-9)
+    assert sum(dataclasses.astuple(split)) == pytest.approx(np.mean(difference**2), rel=1e-9)
     # Parseval: the map holds what repeats, the offset included (half the sampling rate, where a
     # sampled cosine has another mean square than a drawn one, is one order of 300).
     power = np.mean(part.channels[0].load_map ** 2)
@@ -277,10 +276,10 @@ def test_too_short_or_unfinished_predictions_are_refused():
     seen, made = recording(1)
     short = dataclasses.replace(seen, signals=seen.signals[:, :1000])
     with pytest.raises(RecordingError, match="at least two"):
-        analyse_residuals([short], [made[:, :1000]])
+        analyse_residuals([short], [made[:, :1000]], [0.0])
     made[0, 5] = np.nan
     with pytest.raises(RecordingError, match="does not fit"):
-        analyse_residuals([seen], [made])
+        analyse_residuals([seen], [made], [0.0])
 
 
 @pytest.fixture(scope="module")

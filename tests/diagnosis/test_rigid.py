@@ -19,14 +19,9 @@ from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use, piece_residuals
-from bayesbl.diagnosis.free_motion import FreeMotionView, free_motion_effects
+from bayesbl.diagnosis.free_motion import FREE_MOTION_LAWS, FreeMotionView
 from bayesbl.diagnosis.inference import diagnose
-from bayesbl.diagnosis.rigid.inverse import (
-    POSITION_TERMS,
-    TORQUE_TERMS,
-    InverseView,
-    required_torque,
-)
+from bayesbl.diagnosis.rigid.inverse import POSITION_LAWS, TORQUE_LAWS, InverseView, required_torque
 from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
@@ -56,21 +51,17 @@ def inverse(
         for part in compared(r, channel, [use], CUTOFF_HZ)
     ]
     return InverseView(
-        tuple(part.piece for part in found),
-        tuple(part.motion for part in found),
-        tuple(part.known for part in found),
-        tuple(part.window for part in found),
+        tuple(found),
         believed,
-        POSITION_TERMS if load else TORQUE_TERMS,
+        POSITION_LAWS if load else TORQUE_LAWS,
         () if load else unknown,
-        load=load,
         load_angle_known=True,
         phases_shared=phases_shared,
     )
 
 
 def answer(view: InverseView, most: int = 6) -> Diagnosis:
-    return diagnose(view.prepared(), view.bench, most=most, notes=lambda inference: ())
+    return diagnose(view, view.bench, most=most)
 
 
 def named(found: Diagnosis) -> set[str]:
@@ -407,12 +398,11 @@ def free(recordings: Sequence[Recording]) -> Diagnosis:
             )
             for r in recordings
         ),
-        tuple(np.array([r.channels[MOTOR_POSITION][0], 0.0]) for r in recordings),
         PENDULUM,
-        tuple(effect.name for effect in free_motion_effects(True)),
+        tuple(FREE_MOTION_LAWS),
         ("motor_inertia_kg_m2",),
     )
-    return diagnose(view.prepared(), PENDULUM, most=6, notes=lambda inference: ())
+    return diagnose(view, PENDULUM, most=6)
 
 
 def test_a_pendulum_without_friction_keeps_its_energy() -> None:
@@ -458,12 +448,14 @@ def test_samples_that_are_excluded_change_nothing() -> None:
     answers = []
     for junk in (0.0, 30.0):
         view = inverse([recording(n, 30 + i, coulomb=0.5) for i, n in enumerate("abc")], bench())
-        pieces = []
-        for piece in view.pieces:
+        parts = []
+        for part in view.parts:
+            piece = part.piece
             excluded = np.zeros(piece.measured.size, dtype=bool)
             excluded[30:40] = True
             measured = np.where(excluded, junk, piece.measured)
-            pieces.append(replace(piece, measured=measured, excluded=excluded))
-        found = answer(replace(view, pieces=tuple(pieces)))
+            piece = replace(piece, measured=measured, excluded=excluded)
+            parts.append(replace(part, piece=piece))
+        found = answer(replace(view, parts=tuple(parts)))
         answers.append((found.effects, found.disagreement.overall))
     assert answers[0] == answers[1]

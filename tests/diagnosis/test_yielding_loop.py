@@ -11,7 +11,7 @@ from bayesbl.config.bench import parse_bench
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
 from bayesbl.diagnosis.rigid.inverse import (
-    TORQUE_TERMS,
+    TORQUE_LAWS,
     InverseView,
     coherent_hz,
     resolved_hz,
@@ -84,18 +84,15 @@ def found(recordings: list[Recording]) -> Diagnosis:
     def below(cutoff_hz: float) -> InverseView:
         parts = [p for r in recordings for p in compared(r, MOTOR_TORQUE, ("used",), cutoff_hz)]
         return InverseView(
-            tuple(part.piece for part in parts),
-            tuple(part.motion for part in parts),
-            tuple(part.known for part in parts),
-            tuple(part.window for part in parts),
+            tuple(parts),
             bench,
-            without_load_angle(TORQUE_TERMS),
+            without_load_angle(TORQUE_LAWS),
             phases_shared=True,
         )
 
     resolved = resolved_hz([r.channels[MOTOR_POSITION] for r in recordings], 1.0 / HZ)
     made = below(coherent_hz(below(min(resolved, 0.4 * HZ))) or resolved)
-    return diagnose(made.prepared(), bench, most=6, notes=lambda inference: ())
+    return diagnose(made, bench, most=6)
 
 
 MOVES = [

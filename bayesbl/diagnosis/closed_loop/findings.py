@@ -51,6 +51,16 @@ class ForwardSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Comparison:
+    """Recordings, those that were held out too, beside both simulations; what the later leaves of
+    those that were fitted, and what of it still stands out."""
+
+    pairs: tuple[SimulatedPair, ...]
+    after: ResidualAnalysis
+    remaining: tuple[Unexplained, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Findings:
     """The search and what its simulations leave.
 
@@ -61,10 +71,10 @@ class Findings:
     chosen
         The set of everything that is named, its noise estimated without what was missing; with what
         was learned, if anything was.
-    pairs
-        Recordings, those that were held out too, beside both simulations.
-    remaining
-        What still stands out after naming.
+    compared
+        After naming.
+    residuals_before
+        What the simulation left before.
     learned
         What was learned from what naming left; ``chosen`` has it.
     law_shifts
@@ -76,10 +86,8 @@ class Findings:
     believed: Bench
     naming: Naming
     chosen: FittedSet
-    pairs: tuple[SimulatedPair, ...]
+    compared: Comparison
     residuals_before: ResidualAnalysis
-    residuals_after: ResidualAnalysis
-    remaining: tuple[Unexplained, ...]
     learned: Learned | None = None
     law_shifts: FloatArray | None = None
     form_sd: float = 0.0
@@ -152,10 +160,8 @@ def search(
         bench,
         naming,
         weighed(final),
-        result.pairs,
+        result,
         _analysis(result.pairs, naming.nominal, "before"),
-        result.after,
-        result.remaining,
         learned,
         _law_shifts(final.fit),
         0.0 if learned else _form_sd(naming),
@@ -204,7 +210,7 @@ def _with_learned(
         # Behind what was learned a law of the catalogue may have been hidden.
         beside = missing(learned.explanation.fit)
         if beside.effects:
-            learned = learned.beside(with_own_noise(beside.final))
+            learned = replace(learned, explanation=with_own_noise(beside.final))
             names = replace(beside, nominal=naming.nominal)
     closed = share_closed(compared(final).after, compared(learned.explanation).after)
     return None if closed < LEAST_LEARNED else (names, learned)
@@ -241,24 +247,15 @@ def _learned(
     return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Comparison:
-    """Recordings beside both simulations, and what the later one leaves."""
-
-    pairs: tuple[SimulatedPair, ...]
-    after: ResidualAnalysis
-    remaining: tuple[Unexplained, ...]
-
-
-_Compared = Callable[[Explanation], _Comparison]
+_Compared = Callable[[Explanation], Comparison]
 
 
 def _compared(
     nominal: Explanation, held_out: Sequence[Observed], explanation: Explanation
-) -> _Comparison:
+) -> Comparison:
     pairs = tuple(simulated_pairs(nominal, explanation, held_out))
     after = _analysis(pairs, explanation, "after")
-    return _Comparison(pairs, after, tuple(describe_unexplained(after)))
+    return Comparison(pairs, after, tuple(describe_unexplained(after)))
 
 
 def _analysis(
@@ -296,13 +293,8 @@ def _start_angle(explanation: Explanation, seen: Observed) -> float:
     return float(seen.known.get(START_ANGLE, 0.0))
 
 
-def halves(seen: Observed) -> tuple[Observed, Observed]:
-    """A recording cut in two at a whole sample; both halves have its name."""
-    middle = seen.samples // 2
-    return _rows(seen, slice(None, middle)), _rows(seen, slice(middle, None))
-
-
-def _rows(seen: Observed, rows: slice) -> Observed:
+def part_of(seen: Observed, rows: slice) -> Observed:
+    """Some samples of a recording, under its name."""
     excluded, angle = seen.excluded, seen.motor_angle_rad
     return replace(
         seen,

@@ -50,35 +50,54 @@ class Learned:
     ----------
     explanation
         With the coefficients among its unknowns.
-    term
-        Fitted, with standard deviations.
+    kind
+        Torque or error of the encoder.
     alike
         Other variables or sides that the recordings do not tell from it.
-    gap_share
-        Share of the information on ln δ that it leaves; 1 where the gap is known.
-    reaches_ringing
-        Its orders repeat with the load, as impacts do, up to the ringing: it could be taken for
-        impacts, and these for it.
     """
 
     explanation: Explanation
-    term: LearnedTerm
+    kind: type[LearnedTerm]
     alike: tuple[LearnedTerm, ...]
-    gap_share: float
-    reaches_ringing: bool
 
-    def beside(self, explanation: Explanation) -> Learned:
-        """The same as it is in an explanation that has names beside it."""
-        term = _learned(explanation.fit, type(self.term))
-        share = gap_share(explanation.fit, term)
-        return replace(self, explanation=explanation, term=term, gap_share=share)
+    @property
+    def term(self) -> LearnedTerm:
+        """As fitted, with standard deviations."""
+        found = learned_terms(self.explanation.fit)
+        return next(term for term in found if isinstance(term, self.kind))
+
+    @property
+    def gap_share(self) -> float:
+        """Share of the information on ln δ that it leaves; 1 where the gap is known.
+
+        With the term's coefficients free over that with them known.
+        """
+        fit = self.explanation.fit
+        names = [u.name for u in fit.model.unknowns]
+        if GAP not in names:
+            return 1.0
+        gap, coefficients = names.index(GAP), self.term.names
+        held = [i for i, name in enumerate(names) if name not in coefficients]
+        precision = np.linalg.inv(fit.covariance)
+        known = np.linalg.inv(precision[np.ix_(held, held)])[held.index(gap), held.index(gap)]
+        return float(known / fit.covariance[gap, gap])
+
+    @property
+    def reaches_ringing(self) -> bool:
+        """Whether its orders repeat with the load, as impacts do, up to the ringing of one: it
+        could be taken for impacts, and these for it."""
+        term, model = self.term, self.explanation.fit.model
+        if term.variable != "load_angle":
+            return False
+        fastest = max(1.0 / seen.rotation_period_s for seen in model.recordings)
+        return term.orders * fastest >= ringing_hz(model.bench.vector())
 
     def alone(self) -> Learned:
         """The same without the names that it was learned beside, fitted again."""
-        found = self
+        explanation = self.explanation
         for candidate in self.explanation.candidates:
-            found = found.beside(_without(found.explanation, candidate))
-        return found
+            explanation = _without(explanation, candidate)
+        return replace(self, explanation=explanation)
 
 
 def learned_term(
@@ -110,11 +129,8 @@ def learned_term(
             explanation = _fitted(base, trial)
             if explanation is None:
                 continue
-            fit = explanation.fit
             others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
-            term = _learned(fit, _kind_of(trial.hypothesis))
-            reaches = _reaches(fit.model, term)
-            return Learned(explanation, term, others, gap_share(fit, term), reaches)
+            return Learned(explanation, _kind_of(trial.hypothesis), others)
     return None
 
 
@@ -135,20 +151,6 @@ def _without(explanation: Explanation, idle: Candidate) -> Explanation:
 
 def _kind_of(hypothesis: Hypothesis) -> type[LearnedTerm]:
     return EncoderError if hypothesis.side == EncoderError.side else LearnedTorque
-
-
-def _learned(fit: SimulatedFit, kind: type[LearnedTerm]) -> LearnedTerm:
-    """What a fit has of this kind, at its optimum."""
-    return next(term for term in learned_terms(fit) if isinstance(term, kind))
-
-
-def _reaches(model: SimulatedSignals, term: LearnedTerm) -> bool:
-    """Whether a term repeats with the load at orders that reach the ringing of an impact."""
-    if term.variable != "load_angle":
-        return False
-    ringing = ringing_hz(model.bench.vector())
-    fastest = max(1.0 / seen.rotation_period_s for seen in model.recordings)
-    return term.orders * fastest >= ringing
 
 
 def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Hypothesis]:
@@ -280,11 +282,8 @@ def _with_term(
     model: SimulatedSignals, hypothesis: Hypothesis, orders: int, unknowns: Sequence[Unknown]
 ) -> SimulatedSignals:
     """The comparison with a term of so many orders, all zero, and these unknowns more."""
-    return replace(
-        model,
-        bench=model.bench.with_learned(hypothesis.term(np.zeros(2 * orders + 1))),
-        unknowns=(*model.unknowns, *unknowns),
-    )
+    term = hypothesis.term(np.zeros(2 * orders + 1))
+    return model.beside(model.bench.with_learned(term), unknowns)
 
 
 def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
@@ -318,18 +317,6 @@ def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
     if fit.chi_square >= base.fit.chi_square:
         return None
     return with_own_noise(replace(base, fit=fit))
-
-
-def gap_share(fit: SimulatedFit, term: LearnedTerm) -> float:
-    """Information on ln δ with the term's coefficients free over that with them known."""
-    names = [u.name for u in fit.model.unknowns]
-    if GAP not in names:
-        return 1.0
-    gap = names.index(GAP)
-    held = [i for i, name in enumerate(names) if name not in term.names]
-    precision = np.linalg.inv(fit.covariance)
-    known = np.linalg.inv(precision[np.ix_(held, held)])[held.index(gap), held.index(gap)]
-    return float(known / fit.covariance[gap, gap])
 
 
 def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -376,10 +363,8 @@ def answer_of(learned: Learned, closed: float, remains: bool) -> LearnedAnswer:
             "away, so no gap is given. Add what is known of the joint to the bench, and diagnose "
             "again."
         )
-    size = values if term.reverses else values - values.mean()
     return LearnedAnswer(
         term,
-        float(np.abs(size).max()),
         learned.alike,
         LearnedCurve(x, values, sd),
         learned.gap_share,

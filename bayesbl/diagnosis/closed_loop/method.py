@@ -16,12 +16,12 @@ from bayesbl.diagnosis.closed_loop.findings import (
     MOST_EFFECTS,
     Findings,
     ForwardSettings,
-    halves,
+    part_of,
     search,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.rigid.speed_loop import METHOD as RIGID
-from bayesbl.diagnosis.task import Task, notes_of, refused, sound
+from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, refused, sound
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
@@ -125,7 +125,8 @@ def forward_problem(
     config, bench = task.config, task.bench
     channels = _channels(task)
     recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
-    used, held_out = [], []
+    used: list[Observed] = []
+    held_out: list[Observed] = []
     notes = notes_of(recordings)
     for entry, recording in zip(config.recordings, recordings, strict=True):
         if moves(recording):
@@ -146,12 +147,8 @@ def forward_problem(
         notes += [f"{entry.name}: {note}" for note in seen.notes]
         if entry.use in ("fit", "split"):
             require_rotations(seen, str(entry.file), entry.use == "split")
-        if entry.use == "split":
-            first, second = halves(seen)
-            used.append(first)
-            held_out.append(second)
-        else:
-            (used if entry.use == "fit" else held_out).append(seen)
+        for use, rows in parts_of(USES_OF[entry.use], seen.samples // 2):
+            (used if use == "used" else held_out).append(part_of(seen, rows))
     speeds = [seen.reference_speed_rpm for seen in used]
     require_flank_change(heaviest(bench), speeds, config.bench)
     unknowns = _unknowns(config, bench, used, recordings)

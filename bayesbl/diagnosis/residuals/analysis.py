@@ -17,17 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from bayesbl.diagnosis.residuals.attribution import (
-    Line,
-    OffsetDependence,
-    load_lines,
-    offset_dependence,
-    over_speeds,
-    wave_lines,
-)
 from bayesbl.diagnosis.residuals.decomposition import (
     Decomposition,
-    WholeRotations,
     against_load_angle,
     band_probability,
     decompose,
@@ -35,9 +26,9 @@ from bayesbl.diagnosis.residuals.decomposition import (
     mean_over_rotations,
     order_probabilities,
 )
-from bayesbl.diagnosis.residuals.line_search import Scales, scales
+from bayesbl.diagnosis.residuals.lines import Line, Scales, load_lines, over_speeds, scales
 from bayesbl.diagnosis.residuals.skew import Skew
-from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg
+from bayesbl.diagnosis.residuals.spectrum import WholeRotations, benjamini_hochberg
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray
@@ -59,11 +50,6 @@ class Split:
     load_angle: float
     other: float
     noise: float
-
-    @property
-    def total(self) -> float:
-        """Mean square of recording − simulation over the whole rotations."""
-        return self.offset + self.load_angle + self.other + self.noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +126,23 @@ class RecordingResiduals:
 
 
 @dataclass(frozen=True, slots=True)
+class OffsetDependence:
+    """How the offset of a channel depends on direction and speed.
+
+    offset = constant + with_direction · sign ω + per_1000_rpm · ω/(1000 rpm), the channel's unit.
+    A part that these recordings cannot tell from another is nan and contained in the one before it.
+    """
+
+    channel: str
+    constant: float
+    constant_error: float
+    with_direction: float
+    with_direction_error: float
+    per_1000_rpm: float
+    per_1000_rpm_error: float
+
+
+@dataclass(frozen=True, slots=True)
 class ResidualAnalysis:
     """The residuals of all recordings.
 
@@ -160,7 +163,7 @@ class ResidualAnalysis:
 def analyse_residuals(
     recordings: Sequence[Observed],
     simulated: Sequence[FloatArray],
-    start_angles_rad: Sequence[float] | None = None,
+    start_angles_rad: Sequence[float],
     *,
     false_discovery_rate: float = FALSE_DISCOVERY_RATE,
 ) -> ResidualAnalysis:
@@ -173,7 +176,7 @@ def analyse_residuals(
     simulated
         Prediction for each, shape (c, n) as its ``signals``.
     start_angles_rad
-        Load angle at each recording's first sample; if not given, maps count from there.
+        Load angle at each recording's first sample.
     false_discovery_rate
         Over all lines: Benjamini and Hochberg for each channel of each recording, and there apart
         for motor orders, load orders and what lies between them, each at its equal share of the
@@ -186,11 +189,10 @@ def analyse_residuals(
         If a recording holds less than two load rotations, or a prediction is not finite or not of
         the recording's shape.
     """
-    starts = start_angles_rad if start_angles_rad is not None else [0.0] * len(recordings)
     tests = 3 * sum(len(seen.signals) for seen in recordings)
     analysis = [
         _recording(seen, made, start, false_discovery_rate / tests)
-        for seen, made, start in zip(recordings, simulated, starts, strict=True)
+        for seen, made, start in zip(recordings, simulated, start_angles_rad, strict=True)
     ]
     return ResidualAnalysis(_attributed(analysis), _offsets(analysis), false_discovery_rate)
 
@@ -256,7 +258,7 @@ def _channel(
     by_noise = 2.0 * parts.floor.at_bins(whole.samples)[:: whole.rotations] / whole.samples
     highest = max(highest, int(np.flatnonzero(probability <= threshold).max(initial=0)))
     excess = float((mean_square - by_noise)[1 : highest + 1].sum())
-    lines = load_lines(parts, whole, probability, threshold) + wave_lines(parts, whole)
+    lines = (*load_lines(harmonics, whole, probability, threshold), *parts.lines)
     return ChannelResiduals(
         channel=name,
         offset=parts.offset,
@@ -363,3 +365,25 @@ def _offsets(analysis: Sequence[RecordingResiduals]) -> tuple[OffsetDependence, 
         ]
         found.append(offset_dependence(name, *np.array(rows).T))
     return tuple(found)
+
+
+def offset_dependence(
+    channel: str, speeds_rpm: FloatArray, offsets: FloatArray, errors: FloatArray
+) -> OffsetDependence:
+    """Weighted least squares over recordings, each of shape (r,)."""
+    columns = [np.ones(speeds_rpm.size)]
+    places = [0]
+    for place, column in ((1, np.sign(speeds_rpm)), (2, speeds_rpm / 1000.0)):
+        if np.linalg.matrix_rank(np.stack([*columns, column]), tol=0.05) > len(columns):
+            columns.append(column)
+            places.append(place)
+    design = np.stack(columns, axis=1) / errors[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    solved = covariance @ design.T @ (offsets / errors)
+    value, error = np.full(3, math.nan), np.full(3, math.nan)
+    value[places] = solved
+    error[places] = np.sqrt(np.diag(covariance))
+    return OffsetDependence(
+        channel,
+        *(float(part) for pair in zip(value, error, strict=True) for part in pair),
+    )

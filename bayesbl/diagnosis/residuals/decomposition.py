@@ -8,16 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, norm
 
-from bayesbl.diagnosis.residuals.line_search import (
+from bayesbl.diagnosis.residuals.lines import (
     FoundLine,
+    Line,
     Scales,
     motor_orders_in_comb,
-    orthonormal,
     strongest_line,
-    without_repeating,
 )
 from bayesbl.diagnosis.residuals.skew import Skew, time_skew
-from bayesbl.diagnosis.residuals.spectrum import NoiseFloor, comb, noise_floor, repeating_part
+from bayesbl.diagnosis.residuals.spectrum import (
+    NoiseFloor,
+    WholeRotations,
+    comb,
+    noise_floor,
+    repeating_part,
+    without_repeating,
+)
 from bayesbl.recording.types import ComplexArray, FloatArray
 
 BANDS = (8, 32, 128, 512)
@@ -25,51 +31,6 @@ BANDS = (8, 32, 128, 512)
 MAP_POINTS = 720
 MOST_LINES = 40
 OUTLIER_SD = 6.0
-
-
-@dataclass(frozen=True, slots=True)
-class WholeRotations:
-    """The part of a recording that is looked at: whole load rotations, to the nearest sample.
-
-    ``rotations`` of the load in ``samples``; ``gear_ratio`` motor turns in each;
-    ``start_angle_rad`` the load angle at the first sample.
-    """
-
-    rotations: int
-    samples: int
-    sampling_hz: float
-    reference_speed_rpm: float
-    gear_ratio: float
-    start_angle_rad: float
-
-    @property
-    def seconds(self) -> float:
-        """Length of the record."""
-        return self.samples / self.sampling_hz
-
-    @property
-    def rotation_hz(self) -> float:
-        """Rotations of the load per second."""
-        return self.rotations / self.seconds
-
-    @property
-    def motor_hz(self) -> float:
-        """Turns of the motor per second."""
-        return self.rotation_hz * self.gear_ratio
-
-    @property
-    def frequency_hz(self) -> FloatArray:
-        """Of every bin, shape (n // 2 + 1,)."""
-        return np.asarray(np.arange(self.samples // 2 + 1) / self.seconds)
-
-
-@dataclass(frozen=True, slots=True)
-class Wave:
-    """A line with its amplitude and phase, those of a cosine at the first sample."""
-
-    found: FoundLine
-    amplitude: float
-    phase_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +47,9 @@ class Decomposition:
         so that what they leak into the average over rotations is not counted twice.
     drift_per_s, drift_error_per_s
         Slope over the recording.
-    motor_waves
-        What repeats with the motor angle and, the gear ratio being whole, with the load's too.
-    free_waves
-        What is periodic and no whole load order.
+    lines
+        What repeats with the motor angle and, the gear ratio being whole, with the load's too, and
+        what is periodic and no whole load order.
     noise, floor
         The rest, shape (n,), and its spectrum.
     outliers
@@ -103,8 +63,7 @@ class Decomposition:
     repeating: ComplexArray
     drift_per_s: float
     drift_error_per_s: float
-    motor_waves: tuple[Wave, ...]
-    free_waves: tuple[Wave, ...]
+    lines: tuple[Line, ...]
     noise: FloatArray
     floor: NoiseFloor
     outliers: int
@@ -138,16 +97,18 @@ def decompose(
     n, rotations = difference.size, whole.rotations
     at_comb = comb(n, rotations)
     floor = noise_floor(difference - repeating_part(difference, rotations), at_comb)
-    in_comb = motor_orders_in_comb(
-        difference, floor, rotations, whole.gear_ratio, scale, false_discovery_rate
-    )
-    values, motor_waves = _taken_off(difference, in_comb, scale)
+    in_comb = motor_orders_in_comb(difference, floor, whole, scale, false_discovery_rate)
+    values, of_motor = difference, np.zeros(0)
+    if in_comb:
+        waves = np.hstack([line.waves(scale) for line in in_comb])
+        of_motor = np.asarray(np.linalg.lstsq(waves, values - values.mean())[0], dtype=float)
+        values = values - waves @ of_motor
 
     rest = values - repeating_part(values, rotations)
     ramp = (scale.time - scale.time.mean())[:, None]
     columns = [ramp]
-    basis = orthonormal(without_repeating(ramp, rotations), [])
-    noise = _less(rest, basis)
+    basis = _orthonormal(without_repeating(ramp, rotations), np.zeros((n, 0)))
+    noise = rest - basis @ (basis.T @ rest)
     lines: list[FoundLine] = []
     lines_at = at_comb.copy()
     tests = 2 * int(np.count_nonzero(~at_comb[rotations:]))  # on both scales
@@ -159,9 +120,9 @@ def decompose(
             break
         lines.append(line)
         columns.append(line.waves(scale))
-        added = orthonormal(without_repeating(columns[-1], rotations), basis)
-        noise = _less(noise, added)
-        basis += added
+        added = _orthonormal(without_repeating(columns[-1], rotations), basis)
+        noise = noise - added @ (added.T @ noise)
+        basis = np.hstack([basis, added])
         lines_at[max(0, round(line.cycles) - 1) : round(line.cycles) + 2] = True
 
     design = np.concatenate(columns, axis=1)
@@ -176,8 +137,14 @@ def decompose(
         repeating=repeating,
         drift_per_s=float(coefficients[0]) * whole.sampling_hz,
         drift_error_per_s=slope_error * whole.sampling_hz,
-        motor_waves=motor_waves,
-        free_waves=_waves(lines, coefficients[1:]),
+        lines=tuple(
+            line.line(whole, *pair)
+            for line, pair in zip(
+                (*in_comb, *lines),
+                np.concatenate([of_motor, coefficients[1:]]).reshape(-1, 2).tolist(),
+                strict=True,
+            )
+        ),
         noise=noise,
         floor=floor,
         outliers=_outliers(floor.whiten(noise)),
@@ -185,28 +152,11 @@ def decompose(
     )
 
 
-def _less(values: FloatArray, basis: list[FloatArray]) -> FloatArray:
-    for direction in basis:
-        values = values - (direction @ values) * direction
-    return values
-
-
-def _taken_off(
-    values: FloatArray, lines: list[FoundLine], scale: Scales
-) -> tuple[FloatArray, tuple[Wave, ...]]:
-    if not lines:
-        return values, ()
-    design = np.concatenate([line.waves(scale) for line in lines], axis=1)
-    coefficients = np.asarray(np.linalg.lstsq(design, values - values.mean())[0], dtype=float)
-    return values - design @ coefficients, _waves(lines, coefficients)
-
-
-def _waves(lines: list[FoundLine], coefficients: FloatArray) -> tuple[Wave, ...]:
-    """Amplitude and phase from the coefficients of cosine and sine of each line in turn."""
-    return tuple(
-        Wave(line, math.hypot(cosine, sine), math.atan2(-sine, cosine))
-        for line, (cosine, sine) in zip(lines, coefficients.reshape(-1, 2), strict=True)
-    )
+def _orthonormal(columns: FloatArray, basis: FloatArray) -> FloatArray:
+    """Columns freed of one another and of an orthonormal basis, each of length one, (n, k)."""
+    for _ in range(2):
+        columns = columns - basis @ (basis.T @ columns)
+    return np.linalg.qr(columns)[0]
 
 
 def _outliers(white: FloatArray) -> int:

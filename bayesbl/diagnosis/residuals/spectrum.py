@@ -24,6 +24,42 @@ FLOOR_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
+class WholeRotations:
+    """The part of a recording that is looked at: whole load rotations, to the nearest sample.
+
+    ``rotations`` of the load in ``samples``; ``gear_ratio`` motor turns in each;
+    ``start_angle_rad`` the load angle at the first sample.
+    """
+
+    rotations: int
+    samples: int
+    sampling_hz: float
+    reference_speed_rpm: float
+    gear_ratio: float
+    start_angle_rad: float
+
+    @property
+    def seconds(self) -> float:
+        """Length of the record."""
+        return self.samples / self.sampling_hz
+
+    @property
+    def rotation_hz(self) -> float:
+        """Rotations of the load per second."""
+        return self.rotations / self.seconds
+
+    @property
+    def motor_hz(self) -> float:
+        """Turns of the motor per second."""
+        return self.rotation_hz * self.gear_ratio
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Of every bin, shape (n // 2 + 1,)."""
+        return np.asarray(np.arange(self.samples // 2 + 1) / self.seconds)
+
+
+@dataclass(frozen=True, slots=True)
 class NoiseFloor:
     """Autoregressive spectrum of one channel's noise.
 
@@ -99,6 +135,12 @@ def repeating_part(values: FloatArray, rotations: int) -> FloatArray:
     return np.asarray(
         np.fft.irfft(np.where(comb(values.size, rotations), transform, 0.0), len(values))
     )
+
+
+def without_repeating(columns: FloatArray, rotations: int) -> FloatArray:
+    """Columns less what repeats of each, same shape (n, k)."""
+    parts = [column - repeating_part(column, rotations) for column in columns.T]
+    return np.stack(parts, axis=1)
 
 
 def benjamini_hochberg(probabilities: FloatArray, false_discovery_rate: float) -> float:

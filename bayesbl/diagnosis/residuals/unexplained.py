@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +14,7 @@ from bayesbl.diagnosis.residuals.analysis import (
     RecordingResiduals,
     ResidualAnalysis,
 )
-from bayesbl.diagnosis.residuals.attribution import Line
+from bayesbl.diagnosis.residuals.lines import Line
 from bayesbl.units import unit_of
 
 What = Literal[
@@ -77,46 +77,8 @@ def describe_unexplained(analysis: ResidualAnalysis) -> list[Unexplained]:
         unit = unit_of(name)
         entries += _with_load_angle(name, unit, seen, len(every))
         entries += _lines(name, unit, seen)
-        entries += _number(name, "offset", unit, seen, lambda c: c.offset, _has_offset)
-        entries += _number(
-            name,
-            "drift",
-            f"{unit}/s",
-            seen,
-            lambda c: c.drift_per_s,
-            lambda c: _sure(c.drift_per_s / c.drift_error_per_s, len(every)),
-        )
-        entries += _number(
-            name,
-            "skew",
-            "s",
-            seen,
-            lambda c: c.skew.lag_s,
-            lambda c: c.skew.explained >= SKEW_EXPLAINS and has_skew(c, len(every)),
-        )
-        entries += _number(
-            name,
-            "outliers",
-            "samples",
-            seen,
-            lambda c: c.outliers,
-            lambda c: c.outliers >= FEWEST_OUTLIERS,
-        )
+        entries += _numbers(name, unit, seen, len(every))
     return entries
-
-
-def repeats(channel: ChannelResiduals, tests: int) -> bool:
-    """Whether anything repeats with the load angle: a line of a load order, or a whole band."""
-    return channel.main_orders is not None or channel.repeating_probability * tests <= SURE
-
-
-def has_skew(channel: ChannelResiduals, tests: int) -> bool:
-    """Whether the lag is more than noise makes it."""
-    return _sure(channel.skew.lag_s / channel.skew.standard_error_s, tests)
-
-
-def _has_offset(channel: ChannelResiduals) -> bool:
-    return channel.offset_significant
 
 
 def _sure(z: float, tests: int) -> bool:
@@ -126,7 +88,12 @@ def _sure(z: float, tests: int) -> bool:
 def _with_load_angle(
     name: str, unit: str, seen: Sequence[Found], tests: int
 ) -> Iterable[Unexplained]:
-    shown = [(r, c) for r, c in seen if repeats(c, tests)]
+    shown = [
+        (r, c)
+        for r, c in seen
+        # A line of a load order, or a whole band.
+        if c.main_orders is not None or c.repeating_probability * tests <= SURE
+    ]
     if not shown:
         return
     orders = [c.main_orders or (1, c.repeating_band) for _, c in shown]
@@ -175,17 +142,23 @@ def _same(one: Line, other: Line) -> bool:
     return abs(one.frequency_hz - other.frequency_hz) < SAME_ORDER * one.frequency_hz
 
 
-def _number(
-    name: str,
-    what: What,
-    unit: str,
-    seen: Sequence[Found],
-    value: Callable[[ChannelResiduals], float],
-    significant: Callable[[ChannelResiduals], bool],
-) -> Iterable[Unexplained]:
-    shown = [(r.name, value(c)) for r, c in seen if significant(c)]
-    if shown:
-        largest = max((v for _, v in shown), key=abs)
-        nan = math.nan
-        recordings = tuple(recording for recording, _ in shown)
-        yield Unexplained(name, what, largest, unit, nan, nan, nan, recordings)
+def _numbers(name: str, unit: str, seen: Sequence[Found], tests: int) -> Iterator[Unexplained]:
+    """What a channel has one of: offset, drift, lag, number of outliers; largest of those sure."""
+
+    def numbers(c: ChannelResiduals) -> Iterator[tuple[What, str, float, bool]]:
+        yield "offset", unit, c.offset, c.offset_significant
+        yield "drift", f"{unit}/s", c.drift_per_s, _sure(c.drift_per_s / c.drift_error_per_s, tests)
+        lag = c.skew
+        lags = lag.explained >= SKEW_EXPLAINS and _sure(lag.lag_s / lag.standard_error_s, tests)
+        yield "skew", "s", lag.lag_s, lags
+        yield "outliers", "samples", c.outliers, c.outliers >= FEWEST_OUTLIERS
+
+    of_recordings = [[(r.name, *number) for number in numbers(c)] for r, c in seen]
+    for same in zip(*of_recordings, strict=True):
+        shown = [(recording, value) for recording, _, _, value, sure in same if sure]
+        if shown:
+            _, what, own_unit, _, _ = same[0]
+            largest = max((value for _, value in shown), key=abs)
+            recordings = tuple(recording for recording, _ in shown)
+            nan = math.nan
+            yield Unexplained(name, what, largest, own_unit, nan, nan, nan, recordings)

@@ -37,81 +37,64 @@ from bayesbl.diagnosis.comparison import (
     Discrepancy,
     Look,
     Piece,
-    TestedEffect,
+    Series,
+    candidate_of,
     least_squares,
 )
-from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
-from bayesbl.diagnosis.inference import Coefficients, Inference, Series, learned_answer
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.inference import Inference
 from bayesbl.diagnosis.rigid.motion import END_PERIODS, Motion, Window, noise_of
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, Line, OrderedRest, peaks
 from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
 from bayesbl.model_search.constants import NAMED_AT
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import LOAD_POSITION, MOTOR_CURRENT, FloatArray
 
 SKEW = "channel_time_skew"
+TORQUE_CONSTANT = "torque_constant_nm_per_a"
 
 
-@dataclass(frozen=True, slots=True)
-class Term:
-    """An effect in an inverse comparison.
-
-    Attributes
-    ----------
-    law
-        Its signal, shape (n,), is in N m at the motor or rad at the load.
-    periodic
-        The signal goes as sin(n θ_m + φ): amplitude and phase are solved as one.
-    """
-
-    candidate: TestedEffect
-    law: RigidLaw
-    periodic: bool
-    not_negative: bool
+def _laws(every: Iterable[tuple[Effect, RigidLaw | None]]) -> Mapping[str, RigidLaw]:
+    """Laws by the names of their effects; an amplitude that is never negative stays so here."""
+    found = {}
+    for effect, law in every:
+        if law is not None:
+            amplitude = effect.parameter(law.amplitude)
+            not_negative = law.not_negative or getattr(amplitude, "not_negative", False)
+            found[effect.name] = replace(law, not_negative=not_negative)
+    return MappingProxyType(found)
 
 
-def _term(effect: Effect, law: RigidLaw) -> Term:
-    not_negative = law.not_negative or any(
-        item.not_negative for item in effect.amplitudes if item.name == law.amplitude
-    )
-    candidate = TestedEffect(effect.name, law.same_as, law.contains)
-    return Term(candidate, law, effect.is_periodic, not_negative)
+TORQUE_LAWS = _laws((effect, effect.torque) for effect in EFFECTS)
+"""Of effects in the torque at the motor, N m."""
+
+POSITION_LAWS = _laws((effect, effect.position) for effect in EFFECTS)
+"""Of effects in the load's position for a given motor position, rad."""
 
 
-TORQUE_TERMS: Mapping[str, Term] = MappingProxyType(
-    {e.name: _term(e, e.torque) for e in EFFECTS if e.torque is not None}
-)
-"""Effects in the torque at the motor."""
-
-POSITION_TERMS: Mapping[str, Term] = MappingProxyType(
-    {e.name: _term(e, e.position) for e in EFFECTS if e.position is not None}
-)
-"""Effects in the load's position for a given motor position."""
+def without_load_angle(laws: Mapping[str, RigidLaw]) -> dict[str, RigidLaw]:
+    """The laws that do not ask where the load hangs."""
+    return {n: law for n, law in laws.items() if "load_angle" not in effect_named(n).depends_on}
 
 
-def without_load_angle(terms: Mapping[str, Term]) -> dict[str, Term]:
-    """The terms that do not ask where the load hangs."""
-    return {n: term for n, term in terms.items() if "load_angle" not in effect_named(n).depends_on}
-
-
-def within_turns(terms: Mapping[str, Term], turns: float) -> dict[str, Term]:
-    """The terms without those that repeat once a turn of the motor, and so too rarely."""
+def within_turns(laws: Mapping[str, RigidLaw], turns: float) -> dict[str, RigidLaw]:
+    """The laws without those that repeat once a turn of the motor, and so too rarely."""
     return {
-        name: term
-        for name, term in terms.items()
-        if not term.periodic or term.law.scanned == ORDER or turns >= FEWEST_CYCLES
+        name: law
+        for name, law in laws.items()
+        if not effect_named(name).is_periodic or law.scanned == ORDER or turns >= FEWEST_CYCLES
     }
 
 
-def uncomputable(terms: Mapping[str, Term], bench: Bench, load_angle_known: bool) -> list[str]:
-    """Names of terms for which the bench file or the angles do not give enough, sorted.
+def uncomputable(laws: Mapping[str, RigidLaw], bench: Bench, load_angle_known: bool) -> list[str]:
+    """Names of laws for which the bench file or the angles do not give enough, sorted.
 
     Without the load's angle gravity is unknown, and with it the torque that the gear passes on.
     """
     gravity_unknown = bench.value("gravity_torque_nm") > 0.0 and not load_angle_known
     return sorted(
         name
-        for name, term in terms.items()
-        if bench.assumed & set(term.law.bench_parameters)
+        for name, law in laws.items()
+        if bench.assumed & set(law.bench_parameters)
         or (gravity_unknown and "transmitted_torque" in effect_named(name).depends_on)
     )
 
@@ -162,26 +145,27 @@ WRONG_VALUE = 0.3
 """Usual share of a wrong value of the data sheet in what is compared."""
 
 
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A piece; over its whole recording its motion and what is known of the torque at the motor,
+    N m, (n,); and what is compared of a signal over that."""
+
+    piece: Piece
+    motion: Motion
+    known: FloatArray
+    window: Window
+
+
 @dataclass(frozen=True)
 class InverseView:
     """Motion of every piece against what was measured of torque, current or load position.
 
     Attributes
     ----------
-    motions, known
-        For every piece, over its whole recording: motion, and known torques at the motor, N m.
-    windows
-        For every piece: what is compared of a signal over its recording.
-    terms
-        Effects that may take part.
+    laws
+        Of the effects that may take part.
     unknown
         Bench parameters that are fitted: inertias and the gravity torque.
-    unit
-        N m or rad in one unit of the channel: K_t where current is compared.
-    load
-        The load's position is compared; its zero is fitted for each recording.
-    gravity_free
-        Gravity's size and direction are fitted in each recording.
     load_angle_known, phases_shared
         The motor position tells the load's angle, so gravity's direction; it is absolute, so one
         phase holds for all recordings. Without either, sine and cosine are free per recording.
@@ -198,16 +182,10 @@ class InverseView:
         is known so far; signals that were computed.
     """
 
-    pieces: tuple[Piece, ...]
-    motions: tuple[Motion, ...]
-    known: tuple[FloatArray, ...]
-    windows: tuple[Window, ...]
+    parts: tuple[Compared, ...]
     bench: Bench
-    terms: Mapping[str, Term]
+    laws: Mapping[str, RigidLaw]
     unknown: tuple[str, ...] = ()
-    unit: float = 1.0
-    load: bool = False
-    gravity_free: bool = False
     load_angle_known: bool = False
     phases_shared: bool = False
     skew_s: float = 0.0
@@ -223,9 +201,40 @@ class InverseView:
     # Signals
 
     @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Without their motion."""
+        return tuple(part.piece for part in self.parts)
+
+    @cached_property
+    def load(self) -> bool:
+        """Whether the load's position is compared; its zero is fitted for each recording."""
+        return self.pieces[0].channel == LOAD_POSITION
+
+    @cached_property
+    def unit(self) -> float:
+        """N m or rad in one unit of the channel: K_t where current is compared."""
+        current = self.pieces[0].channel == MOTOR_CURRENT
+        return self.bench.value(TORQUE_CONSTANT) if current else 1.0
+
+    @cached_property
+    def gravity_free(self) -> bool:
+        """Whether gravity's size and direction are fitted in each recording."""
+        return not self.load_angle_known and self.bench.value(GRAVITY) > 0.0
+
+    @cached_property
+    def _ripple(self) -> str | None:
+        """The effect of any order of the motor."""
+        return next((name for name, law in self.laws.items() if law.scanned == ORDER), None)
+
+    @cached_property
     def used(self) -> list[int]:
         """Pieces that are fitted."""
         return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
+
+    @cached_property
+    def below(self) -> list[int]:
+        """Of these, those behind the low pass."""
+        return [i for i in self.used if self.pieces[i].shown]
 
     @cached_property
     def _moved(self) -> list[Motion]:
@@ -233,7 +242,9 @@ class InverseView:
         key = ("motions", self.skew_s)
         if key not in self.cache:
             late = -self.skew_s if self.load else self.skew_s
-            self.cache[key] = [m.shifted(late) if late else m for m in self.motions]
+            self.cache[key] = [
+                part.motion.shifted(late) if late else part.motion for part in self.parts
+            ]
         return [replace(m, friction_width=self.width) for m in self.cache[key]]
 
     def _seen(
@@ -242,20 +253,20 @@ class InverseView:
         """A signal along a motion, in the unit of the channel, as compared; computed once."""
         whole = (i, key, self.skew_s, width)
         if whole not in self.cache:
-            signal = self.windows[i](make(self._moved[i]))
-            self.cache[whole] = signal / (1.0 if self.load else self.unit)
+            signal = self.parts[i].window(make(self._moved[i]))
+            self.cache[whole] = signal / self.unit
         found: FloatArray = self.cache[whole]
         return found
 
     def _signal(self, i: int, name: str, given: Mapping[str, float]) -> FloatArray:
-        law, bench = self.terms[name].law, self.columns_bench or self.bench
+        law, bench = self.laws[name], self.columns_bench or self.bench
         width = self.width if "direction" in effect_named(name).depends_on else 0.0
-        key = (name, *given.items(), id(bench))
+        key = (name, *given.items(), *(bench.value(fitted) for fitted in (*INERTIAS, GRAVITY)))
         return self._seen(i, key, lambda m: law.signal(m, bench, given), width)
 
     def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> FloatArray:
         """Sine and cosine of an effect's, of unit size, (n, 2)."""
-        amplitude = self.terms[name].law.amplitude
+        amplitude = self.laws[name].amplitude
         phases = ({amplitude: 1.0, PHASE: phase, **shapes} for phase in (0.0, 0.5 * math.pi))
         return np.column_stack([self._signal(i, name, given) for given in phases])
 
@@ -269,7 +280,7 @@ class InverseView:
 
         def torque(motion: Motion) -> FloatArray:
             bench = self.bench.with_parameters(**known)
-            return np.asarray(required_torque(motion, bench) + self.known[i])
+            return np.asarray(required_torque(motion, bench) + self.parts[i].known)
 
         return self._seen(i, "base", torque, self.width if rubs else 0.0)
 
@@ -281,9 +292,9 @@ class InverseView:
         acceleration up there little but noise is known, yet along one order little of that is left.
         """
         own = [
-            (TORQUE_TERMS[e.name].law, e.complete())
+            (TORQUE_LAWS[e.name], e.complete())
             for e in self.bench.effects
-            if e.name in TORQUE_TERMS and TORQUE_TERMS[e.name].law.scanned == ORDER
+            if e.name in TORQUE_LAWS and TORQUE_LAWS[e.name].scanned == ORDER
         ]
         total = self._seen(
             i,
@@ -295,19 +306,18 @@ class InverseView:
             ),
         )
         quiet = [line.middle for line in self.orders if self._is_quiet(i, line.middle)]
-        name = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
-        if not quiet or name is None:
+        if not quiet or self._ripple is None:
             return total
-        matrix = np.hstack([self._waves(i, name, {ORDER: order}) for order in quiet])
+        matrix = np.hstack([self._waves(i, self._ripple, {ORDER: order}) for order in quiet])
         kept = self.pieces[i].kept
         return np.asarray(total + matrix @ least_squares(kept(matrix), kept(self.base(i))))
 
     def _is_quiet(self, i: int, order: float) -> bool:
         """Whether J (n ω)² σ, by noise σ of the position, is a small part of the torque's noise."""
-        ratio, piece, window = self.bench.value("gear_ratio"), self.pieces[i], self.windows[i]
+        ratio, piece, window = self.bench.value("gear_ratio"), self.pieces[i], self.parts[i].window
         inertia = self.bench.value("motor_inertia_kg_m2")
         inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
-        frequency = order * np.abs(piece.kept(self.motions[i].speed[window.rows]))
+        frequency = order * np.abs(piece.kept(self.parts[i].motion.speed[window.rows]))
         shown = frequency[frequency > 2.0 * math.pi * window.low_pass.cutoff_hz]
         if not shown.size:
             return True
@@ -319,7 +329,7 @@ class InverseView:
         where = self.pieces[i].name
         if self.load:
             return {f"offset@{where}": self._seen(i, "one", lambda m: np.ones_like(m.angle))}
-        if self.windows[i].above:
+        if self.parts[i].window.above:
             return {}
         made = {name: self._parameter(i, name) for name in self.unknown}
         if self.gravity_free:
@@ -350,7 +360,7 @@ class InverseView:
         """Around the skew and the width."""
         base = []
         for i in range(len(self.pieces)):
-            if self.windows[i].above:
+            if self.parts[i].window.above:
                 base.append(self._base_above(i))
                 continue
             at = self.base(i)
@@ -360,7 +370,7 @@ class InverseView:
             tuple(base),
             tuple(self._nuisances(i) for i in range(len(self.pieces))),
             tuple(self._candidates()),
-            tuple(d for d, _ in self._series) + self._drift() + self._twist(),
+            (*self._torques(), self._drift(), *self._twist()),
             believed_sds(self.bench, self.unknown),
         )
 
@@ -369,7 +379,7 @@ class InverseView:
     ) -> tuple[FloatArray, ...]:
         """Columns of every piece; zero above the cut-off, where little but waves is known."""
         made = [
-            None if self.windows[i].above and not above else make(i)
+            None if self.parts[i].window.above and not above else make(i)
             for i in range(len(self.pieces))
         ]
         width = next(part.shape[1] for part in made if part is not None)
@@ -380,34 +390,25 @@ class InverseView:
 
     def _candidates(self) -> Iterator[Candidate]:
         own_phase = not self.phases_shared
-        for name, term in self.terms.items():
-            law, amplitude = term.law, term.law.amplitude
-            make = partial(
-                Candidate,
-                kind="effect",
-                name=name,
-                usual=law.usual,
-                not_negative=term.not_negative,
-                excludes=frozenset({law.contains} if law.contains else ()),
-                requires=frozenset({law.requires} if law.requires else ()),
-                same_as=law.same_as,
-            )
+        for name, law in self.laws.items():
+            amplitude = law.amplitude
+            make = partial(candidate_of, law, name)
             wave = partial(make, parameters=(amplitude,), is_wave=True, own_phase=own_phase)
             if name == SKEW:
                 if self.slope:
-                    yield make(name, parameters=(amplitude,), looks=tuple(self._delays()))
+                    yield make((amplitude,), tuple(self._delays()))
             elif law.scanned == ORDER:
                 for line in self.orders:
                     make_waves = partial(self._waves, name=name)
                     columns = (partial(make_waves, shapes={ORDER: n}) for n in line.values)
                     looks = self._alternatives(ORDER, line, columns, above=True)
-                    yield wave(f"{name} {line.middle:.6g}", looks=looks)
-            elif term.periodic:
+                    yield wave(looks=looks, label=f"{name} {line.middle:.6g}")
+            elif effect_named(name).is_periodic:
                 look = Look({}, self._every(partial(self._waves, name=name, shapes={})))
-                yield wave(name, looks=(look,))
+                yield wave(looks=(look,))
             else:
                 parameters = (amplitude, *law.linear)
-                yield make(name, parameters=parameters, looks=tuple(self._looks(name, parameters)))
+                yield make(parameters, tuple(self._looks(name, parameters)))
         if not self.load:
             yield from self._wrong_values()
         for line in self.lines:
@@ -426,7 +427,7 @@ class InverseView:
         """A skew of some sampling periods is usual, longer ones ever rarer: normals whose mixture
         falls off as 1/τ², as a Cauchy distribution does."""
         columns = self._every(lambda i: self.slope[i][:, None])
-        period = self.windows[0].low_pass.period_s
+        period = self.parts[0].window.low_pass.period_s
         total = sum(1.0 / times for times in DELAYS)
         for times in DELAYS:
             yield Look({}, columns, 1.0 / times / total, times * period)
@@ -447,7 +448,7 @@ class InverseView:
         )
 
     def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
-        law = self.terms[name].law
+        law = self.laws[name]
         grid: tuple[float | None, ...] = self._values(name) or (None,)
         for value in grid:
             shape = {} if law.scanned is None or value is None else {law.scanned: value}
@@ -488,24 +489,23 @@ class InverseView:
 
     def _hum(self, i: int, hertz: float) -> FloatArray:
         """Sine and cosine of a line in time, as compared, (n, 2)."""
-        time = self.motions[i].time_s
+        time = self.parts[i].motion.time_s
         waves = (wave(2.0 * math.pi * hertz * time) for wave in (np.sin, np.cos))
-        return np.column_stack([self.windows[i](wave) for wave in waves])
+        return np.column_stack([self.parts[i].window(wave) for wave in waves])
 
     # What nothing explains
 
-    @cached_property
-    def _series(self) -> list[tuple[Discrepancy, Series]]:
-        made = []
+    def _torques(self) -> Iterator[Discrepancy]:
+        """Over each variable; of the load's position no torque, so none that could be told."""
         for variable, period, reverses in self._kinds():
             ratio = self.bench.value("gear_ratio")
 
             def over(i: int, variable: Variable = variable, ratio: float = ratio) -> FloatArray:
                 x = variable_of(variable, self._moved[i], ratio)
-                kept = self.pieces[i].kept(x[self.windows[i].rows])
+                kept = self.pieces[i].kept(x[self.parts[i].window.rows])
                 return np.asarray(kept)
 
-            every = np.concatenate([over(i) for i in self.used if not self.windows[i].above])
+            every = np.concatenate([over(i) for i in self.below])
             low, high = float(every.min()), float(every.max())
             series = Series.over(
                 variable,
@@ -522,14 +522,14 @@ class InverseView:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 if series.reverses:
                     waves = waves * direction(motion)[:, None]
-                window, unit = self.windows[i], 1.0 if self.load else self.unit
-                return np.column_stack([window(wave) / unit for wave in waves.T])
+                window = self.parts[i].window
+                return np.column_stack([window(wave) / self.unit for wave in waves.T])
 
-            made.append((Discrepancy(series.kind, self._every(columns)), series))
-        return made
+            told = None if self.load else series
+            yield Discrepancy(series.kind, self._every(columns), series=told)
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
-        motions = [self.motions[i] for i in self.used]
+        motions = [self.parts[i].motion for i in self.used]
         longest = max(float(np.ptp(m.angle)) for m in motions)
         turn = 2.0 * math.pi
         for reverses in (False, True):
@@ -546,7 +546,7 @@ class InverseView:
     def _load_period(self) -> float:
         """Twice the way of the load, rad; where that is longer, what repeats with it does over its
         turn."""
-        angles = np.concatenate([self.motions[i].angle for i in self.used])
+        angles = np.concatenate([self.parts[i].motion.angle for i in self.used])
         way, turn = float(np.ptp(angles)) / self.bench.value("gear_ratio"), 2.0 * math.pi
         return turn if way >= 2.0 * turn else 2.0 * way
 
@@ -557,7 +557,7 @@ class InverseView:
         """
 
         def columns(i: int) -> FloatArray:
-            motion, window = self._moved[i], self.windows[i]
+            motion, window = self._moved[i], self.parts[i].window
             return np.column_stack([window(motion.acceleration), window(direction(motion))])
 
         if not self.load:
@@ -567,12 +567,12 @@ class InverseView:
         scale = np.sqrt(np.where(squares > 0.0, squares, 1.0))
         return (Discrepancy("load_position_over_torque", tuple(part / scale for part in every)),)
 
-    def _drift(self) -> tuple[Discrepancy, ...]:
+    def _drift(self) -> Discrepancy:
         """A torque that drifts in each recording."""
         names = tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
 
         def columns(i: int) -> FloatArray:
-            motion, name = self.motions[i], self.pieces[i].name
+            motion, name = self.parts[i].motion, self.pieces[i].name
             x = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
             k = np.arange(1, DRIFT_ORDERS + 1)
             waves = np.cos(math.pi * x[:, None] * k) / k
@@ -580,11 +580,11 @@ class InverseView:
             if name in names:
                 at = DRIFT_ORDERS * names.index(name)
                 made[:, at : at + DRIFT_ORDERS] = np.column_stack(
-                    [self.windows[i](wave) for wave in waves.T]
+                    [self.parts[i].window(wave) for wave in waves.T]
                 )
             return made
 
-        return (Discrepancy("time", self._every(columns), own=True),)
+        return Discrepancy("time", self._every(columns), own=True)
 
     # Towards the fit
 
@@ -595,7 +595,7 @@ class InverseView:
     def prepared(self) -> InverseView:
         """With width, orders and the slope of a skew."""
         view = self.coarse()
-        if SKEW in view.terms:
+        if SKEW in view.laws:
             view = replace(view, slope=view._slopes())
         return view
 
@@ -608,7 +608,7 @@ class InverseView:
         }
         shapes = dict(self.shapes)
         for name in values:
-            if name in self.terms and self._values(name):
+            if name in self.laws and self._values(name):
                 shapes[name] = self._finer(inference, name, self._values(name))
         orders = tuple(self._finer_line(inference, line, ORDER) for line in self.orders)
         lines = tuple(self._finer_line(inference, line, "frequency_hz") for line in self.lines)
@@ -622,10 +622,10 @@ class InverseView:
         view = replace(self, shapes=shapes, orders=orders, lines=lines, columns_bench=bench)
         skew = next(iter(values[SKEW].values())).value if SKEW in values else 0.0
         view = replace(view, skew_s=skew, discrepancy=inference.discrepancy())._with_width()
-        return replace(view, slope=view._slopes()) if SKEW in self.terms else view
+        return replace(view, slope=view._slopes()) if SKEW in self.laws else view
 
     def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
-        law = self.terms[name].law
+        law = self.laws[name]
         if law.scanned == law.amplitude:
             best = max(inference.values(name)[law.amplitude].value, 1e-3 * grid[0])
         else:
@@ -642,7 +642,9 @@ class InverseView:
             mine = candidate.looks[0].shapes.get(shape) == line.values[0]
             if mine and inference.posterior.inclusion[label] > 0.5:
                 sd = inference.values(label)[shape].sd
-                return line.finer(inference.likeliest(label).look.shapes[shape], sd)
+                return line.finer(
+                    inference.terms[inference.likeliest(label)].look.shapes[shape], sd
+                )
         return line
 
     def _values(self, name: str) -> tuple[float, ...]:
@@ -650,7 +652,7 @@ class InverseView:
         return self.shapes.get(name, self._grid(name))
 
     def _grid(self, name: str) -> tuple[float, ...]:
-        law = self.terms[name].law
+        law = self.laws[name]
         if law.scanned is None or law.scanned == ORDER or name == SKEW:
             return ()
         unit = self.speed_rad_per_s if law.grid_unit == "speed" else self._travel_rad
@@ -660,35 +662,32 @@ class InverseView:
     def speed_rad_per_s(self) -> float:
         """RMS speed of the motor over what is fitted."""
         speeds = [
-            self.pieces[i].kept(self.motions[i].speed[self.windows[i].rows])
-            for i in self.used
-            if not self.windows[i].above
+            self.pieces[i].kept(self.parts[i].motion.speed[self.parts[i].window.rows])
+            for i in self.below
         ]
         return math.sqrt(float(np.mean(np.concatenate(speeds) ** 2)))
 
     @cached_property
     def _travel_rad(self) -> float:
         """Way of the load over what is fitted."""
-        way = max(float(np.ptp(self.motions[i].angle)) for i in self.used)
+        way = max(float(np.ptp(self.parts[i].motion.angle)) for i in self.used)
         return way / self.bench.value("gear_ratio")
 
     def _linear_columns(self, i: int) -> dict[str, FloatArray]:
         """Nuisances, effects linear in one amplitude, waves of the orders found, each (n,)."""
         columns = dict(self._nuisances(i))
         where = self.pieces[i].name
-        for name, term in self.terms.items():
-            law = term.law
-            if name == SKEW or term.periodic or self.windows[i].above:
+        for name, law in self.laws.items():
+            if name == SKEW or effect_named(name).is_periodic:
                 continue
             if law.scanned is None and not law.linear:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
-        if not self.load and not self.windows[i].above:
+        if not self.load:
             columns |= self._position_dependent(i)
-        wave = next((n for n, t in self.terms.items() if t.law.scanned == ORDER), None)
-        if wave is not None:
+        if self._ripple is not None:
             for line in self.orders:
                 order = line.middle
-                sine, cosine = self._waves(i, wave, {ORDER: order}).T
+                sine, cosine = self._waves(i, self._ripple, {ORDER: order}).T
                 columns |= {f"sine {order}@{where}": sine, f"cosine {order}@{where}": cosine}
         return columns
 
@@ -707,47 +706,30 @@ class InverseView:
                 found[key] = self._seen(i, key, law, self.width)
         return found
 
-    def _linear_fit(self) -> tuple[list[int], dict[str, float]]:
-        """Used pieces below the cut-off, and coefficients of all that is linear, fitted on them."""
-        chosen = [i for i in self.used if not self.windows[i].above]
-        tables = [self._linear_columns(i) for i in chosen]
-        names = list(dict.fromkeys(name for table in tables for name in table))
-        blocks, targets = [], []
-        for i, table in zip(chosen, tables, strict=True):
-            piece = self.pieces[i]
-            nothing = np.zeros(piece.measured.size)
-            columns = [table.get(name, nothing) for name in names]
-            blocks.append(piece.kept(np.column_stack([*columns, nothing])))
-            known = self.discrepancy[i] if self.discrepancy else 0.0
-            targets.append(piece.kept(piece.measured - self.base(i) - known))
-        values = least_squares(np.vstack(blocks), np.concatenate(targets))[:-1]
-        return chosen, dict(zip(names, values.tolist(), strict=True))
+    def _linear(self, places: Sequence[int]) -> AffineModel:
+        """Pieces below the cut-off with all that is linear as what is fitted anyway."""
+        pieces = [self.pieces[i] for i in places]
+        if self.discrepancy:
+            pieces = [
+                replace(piece, measured=piece.measured - self.discrepancy[i])
+                for piece, i in zip(pieces, places, strict=True)
+            ]
+        base = (self.base(i) for i in places)
+        columns = (self._linear_columns(i) for i in places)
+        return AffineModel(tuple(pieces), tuple(base), tuple(columns), ())
 
-    def _linear_prediction(self, i: int, values: Mapping[str, float]) -> FloatArray:
-        columns = self._linear_columns(i)
-        parts = (values[name] * column for name, column in columns.items() if name in values)
-        return np.asarray(self.base(i) + sum(parts))
-
-    def fitted(self) -> tuple[FloatArray, ...]:
-        """Prediction of every used piece below the cut-off by all that is linear, (n,); of others
-        an empty one."""
-        chosen, values = self._linear_fit()
-        return tuple(
-            self._linear_prediction(i, values) if i in chosen else np.zeros(0)
-            for i in range(len(self.pieces))
-        )
+    def fitted(self) -> dict[int, FloatArray]:
+        """Prediction of every fitted piece below the cut-off by all that is linear, (n,)."""
+        model = self._linear(self.below)
+        return {i: model.at(k, model.by_nuisances) for k, i in enumerate(self.below)}
 
     def least_left(self) -> float:
         """Sum of squares that these leave."""
-        made = self.fitted()
-        return sum(
-            float(np.sum(self.pieces[i].kept(self.pieces[i].measured - made[i]) ** 2))
-            for i in self.used
-            if not self.windows[i].above
-        )
+        made = ((self.pieces[i], prediction) for i, prediction in self.fitted().items())
+        return sum(float(np.sum(piece.kept(piece.measured - at) ** 2)) for piece, at in made)
 
     def _with_width(self) -> InverseView:
-        names = (*self.terms, *(e.name for e in self.bench.effects))
+        names = (*self.laws, *(e.name for e in self.bench.effects))
         if self.load or not any("direction" in effect_named(n).depends_on for n in names):
             return self
         unit = self.speed_rad_per_s
@@ -758,17 +740,15 @@ class InverseView:
 
     def _slopes(self) -> tuple[FloatArray, ...]:
         """Change of the prediction by a second of skew, with all that is linear as it fits."""
-        _, values = self._linear_fit()
-        step = 1e-2 / self.windows[0].low_pass.cutoff_hz
-        ahead, behind = (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
-        made = []
-        for i, piece in enumerate(self.pieces):
-            if self.windows[i].above:
-                made.append(np.zeros(piece.measured.size))
-                continue
-            two = (view._linear_prediction(i, values) for view in (ahead, behind))
-            first, other = two
-            made.append((first - other) / (2.0 * step))
+        fit = self._linear(self.below).by_nuisances
+        step = 1e-2 / self.parts[0].window.low_pass.cutoff_hz
+        shown = [i for i, piece in enumerate(self.pieces) if piece.shown]
+        ahead, behind = (
+            replace(self, skew_s=self.skew_s + s)._linear(shown) for s in (step, -step)
+        )
+        made = [np.zeros(piece.measured.size) for piece in self.pieces]
+        for k, i in enumerate(shown):
+            made[i] = (ahead.at(k, fit) - behind.at(k, fit)) / (2.0 * step)
         return tuple(made)
 
     def _rests(self) -> list[OrderedRest]:
@@ -776,7 +756,8 @@ class InverseView:
         below = replace(self, orders=()).fitted()
         made = []
         for i in self.used:
-            piece, motion, window = self.pieces[i], self.motions[i], self.windows[i]
+            part = self.parts[i]
+            piece, motion, window = part.piece, part.motion, part.window
             rest = piece.measured - (self._base_above(i) if window.above else below[i])
             made.append(
                 OrderedRest(
@@ -821,12 +802,11 @@ class InverseView:
         """Whether the axis itself accelerates at one frequency alone: a torque there is inertia,
         friction or a spring before it is a line in time."""
         left = whole = 0.0
-        for i in self.used:
-            if not self.windows[i].above:
-                own = self.pieces[i].kept(self._parameter(i, INERTIAS[0]))
-                waves = self.pieces[i].kept(self._hum(i, hertz))
-                left += float(np.sum((own - waves @ least_squares(waves, own)) ** 2))
-                whole += float(own @ own)
+        for i in self.below:
+            own = self.pieces[i].kept(self._parameter(i, INERTIAS[0]))
+            waves = self.pieces[i].kept(self._hum(i, hertz))
+            left += float(np.sum((own - waves @ least_squares(waves, own)) ** 2))
+            whole += float(own @ own)
         return left < 0.1 * whole
 
     # What is told
@@ -835,12 +815,12 @@ class InverseView:
         """Not a skew that may be below half a sample, which is what a controller holds between
         samples; nor a shape at an end of its range, which is another law in disguise."""
         if label == SKEW:
-            time = self.motions[0].time_s
+            time = self.parts[0].motion.time_s
             (skew,) = inference.values(label).values()
             surely = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
             return surely > 0.5 * float(time[1] - time[0])
-        whole = self._grid(label) if label in self.terms else ()
-        scanned = self.terms[label].law.scanned if whole else None
+        whole = self._grid(label) if label in self.laws else ()
+        scanned = self.laws[label].scanned if whole else None
         if scanned is None:
             return True
         value = inference.values(label)[scanned].value
@@ -849,18 +829,6 @@ class InverseView:
     def settled(self, labels: Sequence[str]) -> InverseView:
         """Itself: it is linear but for shapes, which are as the posterior has them."""
         return self
-
-    def nominal(self, inference: Inference) -> tuple[FloatArray, ...]:
-        """Predictions without any effect."""
-        return inference.nominal()
-
-    def learned(
-        self, inference: Inference, fitted: Coefficients, group: int
-    ) -> LearnedAnswer | None:
-        """A group as a torque over its variable."""
-        if self.load or group >= len(self._series):
-            return None
-        return learned_answer(self._series[group][1], inference, fitted, group)
 
     def augmented(
         self, named: Mapping[str, Mapping[str, float]], answer: Diagnosis
@@ -934,18 +902,16 @@ def coherent_hz(resolved: InverseView) -> float | None:
         The view behind the highest cut-off that resolves the motion.
     """
     view = resolved.coarse()
-    predicted = view.fitted()
     frequencies, measured, left = [], [], []
-    for i in view.used:
+    for i, prediction in view.fitted().items():
         piece = view.pieces[i]
-        if piece.shown:
-            rest = piece.measured - predicted[i]
-            frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
-            measured.append(_power(piece.measured))
-            left.append(_power(rest))
+        rest = piece.measured - prediction
+        frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
+        measured.append(_power(piece.measured))
+        left.append(_power(rest))
     frequency, total = np.concatenate(frequencies), np.concatenate(measured)
     rest = np.concatenate(left)
-    top = view.windows[0].low_pass.cutoff_hz
+    top = view.parts[0].window.low_pass.cutoff_hz
     ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
     while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
         if 2.0 * rest[band].sum() < total[band].sum():

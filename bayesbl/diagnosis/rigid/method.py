@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
-from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.inference import MOST_EFFECTS, Inference, diagnose
 from bayesbl.diagnosis.rigid.inverse import (
-    POSITION_TERMS,
-    TORQUE_TERMS,
+    POSITION_LAWS,
+    TORQUE_CONSTANT,
+    TORQUE_LAWS,
+    Compared,
     InverseView,
     coherent_hz,
     resolved_hz,
@@ -27,7 +25,6 @@ from bayesbl.diagnosis.rigid.inverse import (
 from bayesbl.diagnosis.rigid.motion import (
     WIDEST,
     LowPass,
-    Motion,
     Window,
     inside,
     motion_of,
@@ -43,15 +40,24 @@ from bayesbl.diagnosis.rigid.orders import FEWEST_SAMPLES
 from bayesbl.diagnosis.rigid.preparation import (
     GRAVITY,
     INERTIAS,
+    Asked,
+    RigidMethod,
     compared_channel,
     even_recordings,
     require_rigid,
     unknown_parameters,
 )
-from bayesbl.diagnosis.task import Task, notes_of, refused, require_enough, wanted
+from bayesbl.diagnosis.task import (
+    USES_OF,
+    Task,
+    notes_of,
+    parts_of,
+    refused,
+    require_enough,
+    wanted,
+)
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
-from bayesbl.progress import StageProgress
 from bayesbl.recording.evenly import widened
 from bayesbl.recording.types import (
     LOAD_POSITION,
@@ -59,7 +65,6 @@ from bayesbl.recording.types import (
     MOTOR_POSITION,
     MOTOR_SPEED,
     MOTOR_TORQUE,
-    FloatArray,
     Recording,
 )
 
@@ -71,29 +76,8 @@ MOTION_ALONE = (
     "(free_motion)."
 )
 
-TORQUE_CONSTANT = "torque_constant_nm_per_a"
-
-USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
-    {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
-)
-"""How an entry of ``[[recordings]]`` is used: whole, or first and second half."""
-
 ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """What a configuration asks for.
-
-    ``view``: behind a cut-off in Hz; ``cutoff_hz``: the one to compare behind. ``scale_sd``:
-    relative standard deviation of the torque constant.
-    """
-
-    view: InverseView
-    candidates: tuple[str, ...]
-    notes: tuple[str, ...]
-    scale_sd: float
 
 
 def asked_of(task: Task) -> Asked:
@@ -113,14 +97,14 @@ def asked_of(task: Task) -> Asked:
     recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
     _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
-    unit, unit_tolerance = _torque_per_unit(task, channel)
-    every = POSITION_TERMS if load else TORQUE_TERMS
+    unit_tolerance = _tolerance_of_unit(task, channel)
+    every = POSITION_LAWS if load else TORQUE_LAWS
     if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
     every = within_turns(every, turns_of(recordings))
     left_out = uncomputable(every, bench, asked.load_angle_known)
-    terms = {name: term for name, term in every.items() if name not in left_out}
-    chosen = wanted(config, bench, [term.candidate for term in terms.values()])
+    laws = {name: law for name, law in every.items() if name not in left_out}
+    chosen = wanted(config, bench, laws)
 
     def view_below(cutoff_hz: float) -> InverseView:
         found = [
@@ -131,16 +115,10 @@ def asked_of(task: Task) -> Asked:
             )
         ]
         made = InverseView(
-            tuple(item.piece for item in found),
-            tuple(item.motion for item in found),
-            tuple(item.known for item in found),
-            tuple(item.window for item in found),
+            tuple(found),
             bench,
-            {candidate.name: terms[candidate.name] for candidate in chosen},
+            {name: laws[name] for name in chosen},
             unknown,
-            unit,
-            load,
-            not load and not asked.load_angle_known and bench.value(GRAVITY) > 0.0,
             asked.load_angle_known,
             asked.motor_angle_known,
         )
@@ -149,9 +127,8 @@ def asked_of(task: Task) -> Asked:
 
     cutoff = asked.cutoff_hz or _cutoff_hz(recordings, view_below)
     view = view_below(cutoff)
-    pieces, motions = view.pieces, view.motions
-    notes = [*notes_of(recordings), *_one_way(pieces, motions)]
-    notes += _notes_on_sources(motions, cutoff, given=asked.cutoff_hz is not None)
+    notes = [*notes_of(recordings), *_one_way(view.parts)]
+    notes += _notes_on_sources(view.parts, cutoff, given=asked.cutoff_hz is not None)
     if load:
         notes.append(_not_compared(recordings, bench.value("gear_ratio"), cutoff))
     if left_out:
@@ -163,52 +140,14 @@ def asked_of(task: Task) -> Asked:
             f"{100.0 * unit_tolerance:.2g} %: all torques and inertias found are as uncertain, "
             "together."
         )
-    names = tuple(candidate.name for candidate in chosen)
-    return Asked(view, names, tuple(notes), unit_tolerance / math.sqrt(3.0))
+    return Asked(view, chosen, tuple(notes), unit_tolerance / math.sqrt(3.0))
 
 
-class Inverse:
-    """The method of diagnosis."""
-
-    name = "inverse"
-
-    def describe(self, task: Task) -> str:
-        """Channel and candidates."""
-        asked = asked_of(task)
-        channel = asked.view.pieces[0].channel
-        return f"{self.name}, {channel}; candidates {', '.join(asked.candidates)}"
-
-    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer."""
-        asked = asked_of(task)
-        most = task.config.candidates.max_effects or MOST_EFFECTS
-        return diagnose(
-            asked.view.prepared(),
-            task.bench,
-            most=most,
-            notes=lambda inference: [*asked.notes, *_gravity_notes(inference)],
-            scale_sd=asked.scale_sd,
-            progress=progress,
-        )
-
-
-def _gravity_notes(inference: Inference) -> Iterator[str]:
-    """Of gravity that the bench lacks."""
-    if "gravity" in inference.posterior.named:
-        size = inference.values("gravity")[GRAVITY]
-        yield (
-            "What is left goes with the load's angle as gravity does, though the bench has "
-            f"gravity_torque_nm = 0: {size.value:.3g} N m at the load were fitted, with their "
-            "direction. A balancer that the bench lacks may look the same. Give gravity in the "
-            "bench file, if it is that."
-        )
-
-
-def _torque_per_unit(task: Task, channel: str) -> tuple[float, float]:
-    """Torque of one unit of the channel, N m, and its relative tolerance."""
+def _tolerance_of_unit(task: Task, channel: str) -> float:
+    """Relative tolerance of the torque of one unit of the channel."""
     bench = task.bench
     if channel != MOTOR_CURRENT:
-        return 1.0, 0.0
+        return 0.0
     if TORQUE_CONSTANT in bench.assumed:
         raise ConfigError(
             "Current can be compared only through the torque constant.",
@@ -217,8 +156,7 @@ def _torque_per_unit(task: Task, channel: str) -> tuple[float, float]:
             found="no torque_constant_nm_per_a",
             expected="torque_constant_nm_per_a = {value = …}",
         )
-    constant = bench.value(TORQUE_CONSTANT)
-    return constant, bench.tolerances.get(TORQUE_CONSTANT, 0.0) / constant
+    return bench.tolerances.get(TORQUE_CONSTANT, 0.0) / bench.value(TORQUE_CONSTANT)
 
 
 def _cutoff_hz(
@@ -233,9 +171,9 @@ def _cutoff_hz(
     return coherent_hz(view_below(resolved)) or resolved
 
 
-def _notes_on_sources(motions: Sequence[Motion], cutoff_hz: float, *, given: bool) -> Iterator[str]:
+def _notes_on_sources(parts: Sequence[Compared], cutoff_hz: float, *, given: bool) -> Iterator[str]:
     """Where speed and acceleration are from, and behind which filter both sides are compared."""
-    sources = sorted({motion.source for motion in motions})
+    sources = sorted({part.motion.source for part in parts})
     beyond = "." if given else ", beyond which the bench explains less than half."
     for source in sources:
         yield (
@@ -259,16 +197,6 @@ def _not_compared(recordings: Sequence[Recording], gear_ratio: float, cutoff_hz:
         "gear ratio, noise of both included. An effect that shows there alone would not have "
         "been seen."
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Compared:
-    """A piece, its motion and known torque over the whole recording, and what is seen of them."""
-
-    piece: Piece
-    motion: Motion
-    known: FloatArray
-    window: Window
 
 
 def _read(recording: Recording, channel: str) -> tuple[str, ...]:
@@ -336,11 +264,8 @@ def compared(
         whole = Piece(
             recording.name, channel, uses[0], time, seen, excluded, shown, white if shown else None
         )
-        shares = [(whole, view)]
-        if len(uses) == 2:
-            shares = [(whole.half(second), view.half(second)) for second in (False, True)]
-        for use, (piece, part) in zip(uses, shares, strict=True):
-            found.append(Compared(replace(piece, use=use), motion, known, part))
+        for use, rows in parts_of(uses, time.size // 2):
+            found.append(Compared(whole.part(rows, use), motion, known, view.part(rows)))
     return found
 
 
@@ -393,11 +318,8 @@ def _above(
     return first, second
 
 
-def _one_way(pieces: tuple[Piece, ...], motions: tuple[Motion, ...]) -> Iterator[str]:
-    speeds: list[FloatArray] = [
-        motion.speed for piece, motion in zip(pieces, motions, strict=True) if piece.use == "used"
-    ]
-    speed = np.concatenate(speeds)
+def _one_way(parts: Sequence[Compared]) -> Iterator[str]:
+    speed = np.concatenate([p.motion.speed for p in parts if p.piece.use == "used"])
     if abs(speed.sum()) >= ONE_WAY * np.abs(speed).sum():
         yield (
             "The recordings turn one way only: Coulomb friction, an offset and, at one speed, "
@@ -406,4 +328,4 @@ def _one_way(pieces: tuple[Piece, ...], motions: tuple[Motion, ...]) -> Iterator
         )
 
 
-METHOD = Inverse()
+METHOD = RigidMethod("inverse", asked_of)

@@ -16,12 +16,13 @@ that are nearly independent, so that no answer depends on how densely a recordin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import fft
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation
 
@@ -124,11 +125,8 @@ class Motion:
         def at(values: Any) -> Any:
             return make_interp_spline(self.time_s, values, k=degree)(when)
 
-        return self._each(at)
-
-    def _each(self, change: Callable[[Any], Any]) -> Motion:
-        names = ("angle", "speed", "acceleration", "sway")
-        return replace(self, **{name: change(getattr(self, name)) for name in names})
+        moved = {n: at(getattr(self, n)) for n in ("angle", "speed", "acceleration", "sway")}
+        return replace(self, **moved)
 
 
 def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
@@ -164,8 +162,7 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
         )
     speed = measured / RPM_PER_RAD_PER_S
     smooth = low_pass(speed)
-    steps = 0.5 * (smooth[1:] + smooth[:-1]) * period
-    angle = np.concatenate(([0.0], np.cumsum(steps)))
+    angle = np.asarray(cumulative_trapezoid(smooth, dx=period, initial=0.0))
     acceleration = low_pass.derivative(speed)
     return Motion(recording.time_s, angle, smooth, acceleration, _sway(angle, low_pass), "speed")
 
@@ -240,12 +237,10 @@ class Window:
         passed = self.low_pass(seen)
         return (seen - passed if self.above else passed)[self.rows]
 
-    def half(self, second: bool) -> Window:
-        """The first or the second half of what is compared."""
-        first, end, step = self.rows.start, self.rows.stop, self.rows.step
-        middle = first + step * (len(range(first, end, step)) // 2)
-        rows = slice(middle, end, step) if second else slice(first, middle, step)
-        return replace(self, rows=rows)
+    def part(self, rows: slice) -> Window:
+        """Some of the samples that are compared."""
+        chosen = range(self.rows.start, self.rows.stop, self.rows.step)[rows]
+        return replace(self, rows=slice(chosen.start, chosen.stop, chosen.step))
 
 
 def sharper(cutoff_hz: float, period_s: float) -> float:

@@ -95,8 +95,6 @@ class OrderSpectrum:
     ----------
     orders, scores
         Shape (m,), evenly spaced; empty if the motor does not turn far enough.
-    amplitudes
-        Of the wave of each order, mean over recordings weighted by samples, shape (m,).
     powers
         Half of what noise makes of |Σ r exp(i n θ)|² in a sample, of each owner, shape (m,).
     independent
@@ -105,7 +103,6 @@ class OrderSpectrum:
 
     orders: FloatArray
     scores: FloatArray
-    amplitudes: FloatArray
     powers: dict[Owner, FloatArray]
     independent: float
 
@@ -156,10 +153,9 @@ def spectrum_of(rests: Sequence[OrderedRest], shared: bool) -> OrderSpectrum:
     owners = [owner_of(item, shared) for item in rests]
     if not (high - low) * turns * STEPS_PER_CYCLE >= 2.0:
         nothing = np.array([])
-        return OrderSpectrum(nothing, nothing, nothing, dict.fromkeys(owners, nothing), 1.0)
+        return OrderSpectrum(nothing, nothing, dict.fromkeys(owners, nothing), 1.0)
     step = 1.0 / (STEPS_PER_CYCLE * turns)
     orders: FloatArray = step * np.arange(math.ceil(low / step), math.floor(high / step) + 1.0)
-    size = np.zeros(orders.size)
     waves = {owner: np.zeros(orders.size, dtype=complex) for owner in owners}
     powers = {owner: np.zeros(orders.size) for owner in owners}
     samples = {owner: np.zeros(orders.size) for owner in owners}
@@ -173,11 +169,9 @@ def spectrum_of(rests: Sequence[OrderedRest], shared: bool) -> OrderSpectrum:
     scores = np.zeros(orders.size)
     for owner, wave in waves.items():
         scores += np.abs(wave) ** 2 / np.where(powers[owner] > 0.0, powers[owner], np.inf)
-        size += np.abs(wave)
-    every = np.asarray(sum(samples.values()))
     single = {owner: powers[owner] / np.maximum(samples[owner], 1.0) for owner in powers}
     independent = max(1.0, (high - low) * turns)
-    return OrderSpectrum(orders, scores, 2.0 * size / np.maximum(every, 1.0), single, independent)
+    return OrderSpectrum(orders, scores, single, independent)
 
 
 def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> ComplexArray:

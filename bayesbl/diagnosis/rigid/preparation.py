@@ -1,16 +1,19 @@
-"""What the comparisons of a rigid bench ask of it and of the recordings."""
+"""What the comparisons of a rigid bench ask of it and of the recordings, and their answer."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import Piece
-from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.task import Task, piece_of, refused, rows_of, sound
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
+from bayesbl.diagnosis.task import USES_OF, Task, parts_of, piece_of, refused, rows_of, sound
 from bayesbl.errors import RecordingError
+from bayesbl.progress import StageProgress
 from bayesbl.recording.evenly import even
 from bayesbl.recording.types import Recording
 
@@ -65,14 +68,10 @@ def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tupl
     """Pieces to fit on and to predict; what comes to rest is split where half its way is done."""
     found = []
     for entry, recording in zip(task.config.recordings, recordings, strict=True):
-        if entry.use != "split":
-            use: Use = "used" if entry.use == "fit" else "held_out"
-            found.append(piece_of(recording, channel, use))
-            continue
         way = np.cumsum(np.abs(np.diff(recording.channels[channel])))
         middle = int(np.searchsorted(way, 0.5 * way[-1]))
-        found.append(piece_of(rows_of(recording, slice(middle)), channel, "used"))
-        found.append(piece_of(rows_of(recording, slice(middle, None)), channel, "held_out"))
+        for use, rows in parts_of(USES_OF[entry.use], middle):
+            found.append(piece_of(rows_of(recording, rows), channel, use))
     return tuple(found)
 
 
@@ -111,3 +110,43 @@ def believed_sds(bench: Bench, names: Sequence[str]) -> dict[str, float]:
         for name in names
         if bench.value(name) != 0.0
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a configuration asks for.
+
+    ``candidates``: effects that may be named. ``notes``: what these recordings cannot show.
+    ``scale_sd``: relative standard deviation of a factor that all torques have in common.
+    """
+
+    view: View
+    candidates: tuple[str, ...]
+    notes: tuple[str, ...]
+    scale_sd: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RigidMethod:
+    """A method of diagnosis by the model search; ``asked``: from a task to its view."""
+
+    name: str
+    asked: Callable[[Task], Asked]
+
+    def describe(self, task: Task) -> str:
+        """Channel and candidates."""
+        asked = self.asked(task)
+        channel = asked.view.pieces[0].channel
+        return f"{self.name}, {channel}; candidates {', '.join(asked.candidates)}"
+
+    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
+        """The answer."""
+        asked = self.asked(task)
+        return diagnose(
+            asked.view,
+            task.bench,
+            most=task.config.candidates.max_effects or MOST_EFFECTS,
+            notes=asked.notes,
+            scale_sd=asked.scale_sd,
+            progress=progress,
+        )

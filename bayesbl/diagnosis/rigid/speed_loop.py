@@ -22,6 +22,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import gammaln, logsumexp
@@ -29,7 +30,7 @@ from scipy.stats import chi2
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER
-from bayesbl.diagnosis.comparison import Piece, TestedEffect
+from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
@@ -40,13 +41,13 @@ from bayesbl.diagnosis.diagnosis import (
     probability_of,
     verdict_of,
 )
-from bayesbl.diagnosis.disagreement import PieceResiduals, disagreement_table, piece_residuals
-from bayesbl.diagnosis.inference import MOST_EFFECTS, parameter_errors
+from bayesbl.diagnosis.disagreement import DisagreementTable, Use
+from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals, parameter_errors
 from bayesbl.diagnosis.residuals.unexplained import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
-from bayesbl.diagnosis.task import Task, notes_of, piece_of, refused, wanted
+from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, piece_of, refused, wanted
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import INDISTINGUISHABLE_Z
 from bayesbl.progress import StageProgress
@@ -164,6 +165,10 @@ class Turning:
         """That the sampling shows."""
         return min(HIGHEST_ORDER, WIDEST / self.piece.period_s / self.turns_per_s)
 
+    def part(self, rows: slice, use: Use) -> Turning:
+        """Some samples of it, with a use of their own."""
+        return replace(self, piece=self.piece.part(rows, use), angle=self.angle[rows], made={})
+
     def shows(self, order: float) -> bool:
         """Whether an order turns often enough, and not too fast for the sampling."""
         return order < self.highest_order and order * self.turns >= FEWEST_CYCLES
@@ -201,20 +206,23 @@ class Turning:
 
         Shapes (m,) and (k,).
         """
-        matrix, measured = self.waves(orders), self.piece.kept(self.piece.measured)
-        found = np.linalg.lstsq(matrix, measured, rcond=1e-10)[0]
+        found, matrix = self._waves_fitted(orders)
         lines = np.full(len(orders), complex(math.nan, math.nan))
         shown = np.array([self.shows(order) for order in orders], bool)
         pairs = found[: 2 * int(shown.sum())]
         lines[shown] = pairs[0::2] - 1j * pairs[1::2]
-        return lines, measured - matrix @ found
+        return lines, self.piece.kept(self.piece.measured) - matrix @ found
+
+    def _waves_fitted(self, orders: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of the waves, (p,), and the waves, (k, p)."""
+        matrix = self.waves(orders)
+        found = np.linalg.lstsq(matrix, self.piece.kept(self.piece.measured), rcond=1e-10)[0]
+        return np.asarray(found), matrix
 
     def predicted(self, orders: Sequence[float], sizes: FloatArray) -> FloatArray:
         """The speed with lines of these sizes, rpm, shape (n,); phases and the rest as they fit."""
         shown = [order for order in orders if self.shows(order)]
-        found = np.linalg.lstsq(
-            self.waves(shown), self.piece.kept(self.piece.measured), rcond=1e-10
-        )[0]
+        found, _ = self._waves_fitted(shown)
         for k, order in enumerate(shown):
             pair = found[2 * k : 2 * k + 2]
             pair *= sizes[list(orders).index(order)] / max(float(np.hypot(*pair)), 1e-300)
@@ -335,13 +343,6 @@ def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatA
     return np.asarray(np.sqrt(2.0 * np.interp(orders, grid, level)) / left.size)
 
 
-def turned(piece: Piece) -> FloatArray:
-    """The motor's angle by its speed, from 0, shape (n,)."""
-    speed = piece.measured / RPM_PER_RAD_PER_S
-    steps = 0.5 * (speed[1:] + speed[:-1]) * piece.period_s
-    return np.concatenate(([0.0], np.cumsum(steps)))
-
-
 Law = Literal["torque", "angle", "both"]
 
 FEWEST_FOR_BOTH = 4
@@ -387,14 +388,16 @@ class LawFit:
 
     Attributes
     ----------
-    laws
-        Order's place to its law.
+    lines, laws, believed, free
+        What was fitted: lines, order's place to its law, the loop as the bench has it, and what of
+        that is free.
     values
         Of the loop, as fitted.
     sizes
         Order's place to its torque, N m, its angle, rad, and the phase between them.
-    chi_squared, freedom
-        Of the lines, in the noise's own measure, and the number of those beyond what is fitted.
+    scatter, freedom
+        Of the lines around their laws, in noise, 1 where noise explains it; and the number of those
+        beyond what is fitted.
     deviations
         Standard deviations: of a logarithm for a parameter, else in its unit; for an order under
         ``(place, "torque")`` and ``(place, "angle")``.
@@ -402,26 +405,28 @@ class LawFit:
         χ² with what the priors add.
     """
 
+    lines: Lines
     laws: Mapping[int, Law]
-    values: Mapping[str, float]
+    believed: Values
+    free: Free
+    values: Values
     sizes: Mapping[int, tuple[float, float, float]]
-    chi_squared: float
+    scatter: float
     freedom: int
     deviations: Mapping[object, float]
     cost: float
 
-    @property
-    def scatter(self) -> float:
-        """Of lines around their laws, in noise; 1 where noise explains it."""
-        return math.sqrt(max(1.0, self.chi_squared / max(1, self.freedom)))
-
-    def predicted(self, place: int, order: float, speeds: FloatArray) -> FloatArray:
+    def predicted(self, place: int, speeds: FloatArray) -> FloatArray:
         """Size of a line at these speeds, rpm, shape (r,)."""
-        return line_size(self.values, order, speeds, *self.sizes[place])
+        return line_size(self.values, self.lines.orders[place], speeds, *self.sizes[place])
+
+    def again(self, laws: Mapping[int, Law], free: Free | None = None) -> LawFit:
+        """Fitted with other laws of some orders, and with as much of the loop free if not said."""
+        return fit_laws(self.lines, {**self.laws, **laws}, self.believed, free or self.free)
 
 
 def line_size(
-    values: Mapping[str, float],
+    values: Values,
     order: float,
     speeds: FloatArray,
     torque: float,
@@ -434,9 +439,7 @@ def line_size(
     return np.asarray(np.abs(speed_of_torque(values, frequency) * driving))
 
 
-def fit_laws(
-    lines: Lines, laws: Mapping[int, Law], believed: Mapping[str, float], free: Free
-) -> LawFit:
+def fit_laws(lines: Lines, laws: Mapping[int, Law], believed: Values, free: Free) -> LawFit:
     """Fit sizes, and what of the loop is free."""
     loops = [*free.priors, *free.added]
     keys = [
@@ -444,7 +447,12 @@ def fit_laws(
         for place, law in laws.items()
         for part in (("torque", "angle", "phase") if law == "both" else (law,))
     ]
-    first = {key: _first_size(lines, believed, *key) for key in keys}
+    every = np.ones(lines.speeds.size, bool)
+    one: dict[str, tuple[float, float, float]] = {"torque": (1, 0, 0), "angle": (0, 1, 0)}
+    first = {
+        (place, part): _alone(lines, believed, place, one[part], every) if part in one else 1.0
+        for place, part in keys
+    }
 
     def unpacked(x: FloatArray) -> tuple[dict[str, float], dict[int, tuple[float, float, float]]]:
         values = dict(believed)
@@ -491,29 +499,22 @@ def fit_laws(
     values, sizes = unpacked(found.x)
     rows = sum(int(seen.sum()) for seen in shown.values())
     chi_squared = float(np.sum(found.fun[len(loops) :] ** 2))
-    unbounded = int(np.count_nonzero(np.isinf(priors)))
-    made = LawFit(laws, values, sizes, chi_squared, rows - len(keys) - unbounded, {}, 0.0)
+    freedom = rows - len(keys) - int(np.count_nonzero(np.isinf(priors)))
     # Lines scatter around their laws by more than noise where the laws are not quite right.
+    scatter = math.sqrt(max(1.0, chi_squared / max(1, freedom)))
     jacobian = found.jac.copy()
-    jacobian[len(loops) :] /= made.scatter
+    jacobian[len(loops) :] /= scatter
     spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)))
     scale = [free.added.get(name, 1.0) for name in loops] + [abs(first[key]) for key in keys]
     names: list[object] = [*loops, *keys]
     deviations = dict(zip(names, (spread * scale).tolist(), strict=True))
-    return replace(made, deviations=deviations, cost=2.0 * float(found.cost))
-
-
-def _first_size(lines: Lines, believed: Mapping[str, float], place: int, part: str) -> float:
-    """By weighted least squares with the loop as believed."""
-    if part == "phase":
-        return 1.0
-    unit = (1.0, 0.0, 0.0) if part == "torque" else (0.0, 1.0, 0.0)
-    return _alone(lines, believed, place, unit, np.ones(lines.speeds.size, bool))
+    cost = 2.0 * float(found.cost)
+    return LawFit(lines, laws, believed, free, values, sizes, scatter, freedom, deviations, cost)
 
 
 def _alone(
     lines: Lines,
-    values: Mapping[str, float],
+    values: Values,
     place: int,
     unit: tuple[float, float, float],
     chosen: FloatArray,
@@ -525,9 +526,7 @@ def _alone(
     return float(np.sum(weight * made * lines.size[seen, place]) / np.sum(weight * made**2))
 
 
-def chosen_laws(
-    lines: Lines, single: Sequence[Law], believed: Mapping[str, float], free: Free
-) -> LawFit:
+def chosen_laws(lines: Lines, single: Sequence[Law], believed: Values, free: Free) -> LawFit:
     """The law of each order that fits all lines best together."""
     laws: dict[int, Law] = dict.fromkeys(range(len(lines.orders)), single[0])
     best = fit_laws(lines, laws, believed, free)
@@ -535,44 +534,39 @@ def chosen_laws(
         before = dict(best.laws)
         for place in before:
             for law in single:
-                other = fit_laws(lines, {**best.laws, place: law}, believed, free)
-                best = min(best, other, key=lambda fit: fit.cost)
+                best = min(best, best.again({place: law}), key=lambda fit: fit.cost)
         if best.laws == before:
             break
     return best
 
 
-def with_both(
-    lines: Lines, fit: LawFit, place: int, believed: Mapping[str, float], free: Free
-) -> LawFit:
+def with_both(fit: LawFit, place: int) -> LawFit:
     """A fit in which one order's line is of a torque and an angle, if it must be; else of one."""
-    singles = [
-        fit_laws(lines, {**fit.laws, place: law}, believed, free) for law in ("torque", "angle")
-    ]
-    best = min(singles, key=lambda single: single.cost)
-    if np.unique(np.round(lines.speeds)).size < FEWEST_FOR_BOTH:
+    best = min(fit.again({place: "torque"}), fit.again({place: "angle"}), key=lambda f: f.cost)
+    if np.unique(np.round(fit.lines.speeds)).size < FEWEST_FOR_BOTH:
         return best
-    both = fit_laws(lines, {**fit.laws, place: "both"}, believed, free)
+    both = fit.again({place: "both"})
     return both if z_between(both, best) >= INDISTINGUISHABLE_Z else best
 
 
-def generalises(lines: Lines, fit: LawFit, place: int) -> bool:
+def generalises(fit: LawFit, place: int) -> bool:
     """Whether an order's law predicts its line at each speed from the others.
 
     Of at least two speeds; of two laws together the ratio is kept.
     """
+    lines, sizes = fit.lines, fit.lines.size[:, place]
     speeds = np.round(lines.speeds / (1e-2 * np.abs(lines.speeds).max()))
-    seen = np.isfinite(lines.size[:, place])
+    seen = np.isfinite(sizes)
     left = whole = 0.0
     for speed in np.unique(speeds[seen]):
         others = (speeds != speed) & seen
         if not others.any():
             return False
-        scale = _alone(lines, fit.values, place, fit.sizes[place], others)
         here = (speeds == speed) & seen
-        made = scale * fit.predicted(place, lines.orders[place], lines.speeds[here])
-        left += float(np.sum((lines.size[here, place] - made) ** 2))
-        whole += float(np.sum(lines.size[here, place] ** 2))
+        scale = _alone(lines, fit.values, place, fit.sizes[place], others)
+        made = scale * fit.predicted(place, lines.speeds[here])
+        left += float(np.sum((sizes[here] - made) ** 2))
+        whole += float(np.sum(sizes[here] ** 2))
     return left < EXPLAINED * whole
 
 
@@ -583,11 +577,7 @@ def z_between(first: LawFit, other: LawFit) -> float:
 
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
 GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
-CANDIDATES = (
-    TestedEffect(RIPPLE),
-    TestedEffect(ECCENTRICITY),
-    *map(TestedEffect, LOOP_EFFECTS),
-)
+CANDIDATES = (RIPPLE, ECCENTRICITY, *LOOP_EFFECTS)
 CONSTANT = ("motor_coulomb_friction", "load_coulomb_friction", "load_viscous_friction")
 """Effects of a bench that are no line at one speed, or are known to the loop."""
 
@@ -603,14 +593,23 @@ HIDDEN = (
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Pieces to fit on and to predict, what of the loop is free, what may be named, and notes."""
+    """Pieces, what of the loop is free, what may be named, and notes."""
 
-    used: tuple[Turning, ...]
-    held_out: tuple[Turning, ...]
+    turning: tuple[Turning, ...]
     values: dict[str, float]
     free: Free
     candidates: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def used(self) -> tuple[Turning, ...]:
+        """Pieces to fit on."""
+        return tuple(item for item in self.turning if item.piece.use == "used")
+
+    @property
+    def every(self) -> tuple[Turning, ...]:
+        """These, and then those to predict."""
+        return tuple(sorted(self.turning, key=lambda item: item.piece.use != "used"))
 
 
 def loop_setting(task: Task) -> Setting:
@@ -652,7 +651,7 @@ def loop_setting(task: Task) -> Setting:
             expected="a bench without them",
         )
     task.require_channels_of([MOTOR_SPEED])
-    used, held_out = [], []
+    turning = []
     recordings = even_recordings(task, [(MOTOR_SPEED,)] * len(task.recordings), (MOTOR_SPEED,))
     values = loop_values(bench)
     response = partial(speed_of_torque, values)
@@ -669,14 +668,12 @@ def loop_setting(task: Task) -> Setting:
             )
         whole = piece_of(recording, MOTOR_SPEED, "used")
         angle = recording.channels.get(MOTOR_POSITION)
-        made = Turning(whole, turned(whole) if angle is None else angle, response, load_order)
-        if entry.use == "split":
-            used.append(_half(made, False))
-            held_out.append(_half(made, True))
-        elif entry.use == "fit":
-            used.append(made)
-        else:
-            held_out.append(_as_held_out(made))
+        if angle is None:
+            speed = whole.measured / RPM_PER_RAD_PER_S
+            angle = cumulative_trapezoid(speed, dx=whole.period_s, initial=0.0)
+        made = Turning(whole, angle, response, load_order)
+        for use, rows in parts_of(USES_OF[entry.use], made.angle.size // 2):
+            turning.append(made.part(rows, use))
     unknown = config.unknowns.bench_parameters
     for name in unknown:
         if name not in LOOP_PARAMETERS or not bench.tolerances.get(name):
@@ -688,9 +685,9 @@ def loop_setting(task: Task) -> Setting:
                 "one with a tolerance of " + ", ".join(LOOP_PARAMETERS),
             )
     priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
-    names = tuple(candidate.name for candidate in wanted(config, bench, CANDIDATES))
+    names = wanted(config, bench, dict.fromkeys(CANDIDATES))
     notes = (*notes_of(recordings), HIDDEN, *_soft_shaft(values))
-    return Setting(tuple(used), tuple(held_out), values, Free(priors), names, notes)
+    return Setting(tuple(turning), values, Free(priors), names, notes)
 
 
 def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
@@ -703,17 +700,6 @@ def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
             f"a shaft to it only the motor's own moves, and torques are {motor:.2g} times what is "
             'said here: compare with drive = "two_mass" if the joint has a gear.'
         )
-
-
-def _half(item: Turning, second: bool) -> Turning:
-    middle = item.angle.size // 2
-    angle = item.angle[middle:] if second else item.angle[:middle]
-    half = replace(item, piece=item.piece.half(second), angle=angle, made={})
-    return _as_held_out(half) if second else half
-
-
-def _as_held_out(item: Turning) -> Turning:
-    return replace(item, piece=replace(item.piece, use="held_out"))
 
 
 LAWS: Mapping[Law, str] = {"torque": RIPPLE, "angle": ECCENTRICITY}
@@ -735,9 +721,10 @@ class RigidLoop:
     def describe(self, task: Task) -> str:
         """How many pieces, and what may be named."""
         found = loop_setting(task)
+        used, held_out = len(found.used), len(found.turning) - len(found.used)
         return (
-            f"forward, the speed alone of a rigid drive, {len(found.used)} to fit on, "
-            f"{len(found.held_out)} held out; candidates {', '.join(found.candidates)}"
+            f"forward, the speed alone of a rigid drive, {used} to fit on, {held_out} held out; "
+            f"candidates {', '.join(found.candidates)}"
         )
 
     def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
@@ -781,35 +768,34 @@ class _Answer:
         if self.found and laws and _one_speed(lines.speeds):
             notes.append(ONE_SPEED)
         elif self.found and laws:
-            values, free = setting.values, setting.free
             first = [k for k, line in enumerate(self.found) if line.order == 1.0 and len(laws) > 1]
-            fit = chosen_laws(lines, laws, values, free)
+            fit = chosen_laws(lines, laws, setting.values, setting.free)
             for place in first:
-                fit = with_both(lines, fit, place, values, free)
+                fit = with_both(fit, place)
             # What follows no law must not bend the loop of what does.
-            kept = {k: law for k, law in fit.laws.items() if generalises(lines, fit, k)}
-            fit = fit_laws(lines, kept, values, free) if kept else None
+            kept = {k: law for k, law in fit.laws.items() if generalises(fit, k)}
+            fit = replace(fit, laws=kept).again({}) if kept else None
             if fit is not None:
-                fit, free, added = self._with_loop(lines, fit)
+                fit, added = self._with_loop(fit)
                 for place in set(first) & fit.laws.keys():
-                    fit = with_both(lines, fit, place, values, free)
+                    fit = with_both(fit, place)
                 most = self.task.config.candidates.max_effects or MOST_EFFECTS
-                fit = _strongest(lines, fit, max(0, most - len(added)))
+                fit = _strongest(fit, max(0, most - len(added)))
         if fit is not None and (again := self._by_true_angle(fit)) is not None:
             return again.diagnosis()
         named, remaining = self._named(lines, fit, notes)
         effects, errors = self._of_loop(fit, added)
         effects = (*named, *effects)
-        pieces, signals = self._compared(fit)
+        table, signals = self._compared(fit)
         return Diagnosis(
             verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
             effects,
             errors,
             tuple(remaining),
-            disagreement_table(pieces, in_units_of_noise=False),
+            table,
             tuple(notes),
             bench_parameters=_fitted(fit, setting.free.priors) if fit else {},
-            signals=tuple(signals),
+            signals=signals,
             order_sizes=tuple(self._sizes(fit)),
         )
 
@@ -832,27 +818,23 @@ class _Answer:
             error = angle * np.real(turn / abs(turn) * np.exp(1j * item.angle))
             return replace(item, angle=item.angle - error, made={})
 
-        setting = replace(
-            self.setting,
-            used=tuple(map(without_error, self.setting.used)),
-            held_out=tuple(map(without_error, self.setting.held_out)),
-        )
+        turning = tuple(map(without_error, self.setting.turning))
+        setting = replace(self.setting, turning=turning)
         alarm = self.task.config.candidates.false_alarm
         return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
 
-    def _with_loop(self, lines: Lines, fit: LawFit) -> tuple[LawFit, Free, list[_Added]]:
-        """The fit with what else the loop must have, and what of it is then free."""
+    def _with_loop(self, fit: LawFit) -> tuple[LawFit, list[_Added]]:
+        """The fit with what else the loop must have free, and that."""
         effects = [name for name in LOOP_EFFECTS if name in self.setting.candidates]
         wrong = [name for name in ("motor_inertia_kg_m2", *GAINS) if self.setting.values[name]]
         found: list[_Added] = []
-        free = self.setting.free
-        fastest = float(np.abs(lines.speeds).max()) * max(lines.orders)
+        fastest = float(np.abs(fit.lines.speeds).max()) * max(fit.lines.orders)
         units = {
             name: self.setting.values[GAINS[0]] if "friction" in name else 1.0 / fastest
             for name in effects
         }
         while True:
-            trials = {}
+            trials, free = {}, fit.free
             for name in [*effects, *wrong]:
                 if name in free.added or name in free.priors:
                     continue
@@ -860,21 +842,21 @@ class _Answer:
                     more = replace(free, added={**free.added, name: units[name]})
                 else:
                     more = replace(free, priors={**free.priors, name: math.inf})
-                made = fit_laws(lines, fit.laws, self.setting.values, more)
+                made = fit.again({}, more)
                 if made.freedom > 0:
-                    trials[name] = more, made
-            gains = {name: z_between(made, fit) for name, (_, made) in trials.items()}
+                    trials[name] = made
+            gains = {name: z_between(made, fit) for name, made in trials.items()}
             good = [name for name in trials if gains[name] >= INDISTINGUISHABLE_Z]
             if not good:
-                return fit, free, found
-            top = trials[max(good, key=lambda name: gains[name])][1]
+                return fit, found
+            top = trials[max(good, key=lambda name: gains[name])]
             first, *rivals = [
-                name for name in good if z_between(top, trials[name][1]) < INDISTINGUISHABLE_Z
+                name for name in good if z_between(top, trials[name]) < INDISTINGUISHABLE_Z
             ]
             found.append(_Added(first, tuple(rivals), gains[first]))
-            free, fit = trials[first]
-            if not set(wrong) - free.priors.keys():
-                return fit, free, found  # only ratios of inertia and gains show
+            fit = trials[first]
+            if not set(wrong) - fit.free.priors.keys():
+                return fit, found  # only ratios of inertia and gains show
 
     def _named(
         self, lines: Lines, fit: LawFit | None, notes: list[str]
@@ -888,7 +870,7 @@ class _Answer:
                 remaining.append(self._unexplained(lines, place))
                 continue
             first = line.order == 1.0
-            rivals = self._rivals(lines, fit, place)
+            rivals = self._rivals(fit, place)
             if law == "angle" and not (first or rivals):
                 angle = fit.sizes[place][1]
                 notes.append(
@@ -920,7 +902,7 @@ class _Answer:
         evidence = 0.5 * min(z**2, line.score) - math.log(line.trials)
         return NamedEffect(name, parameters, probability_of(evidence), z, rivals)
 
-    def _rivals(self, lines: Lines, fit: LawFit, place: int) -> tuple[str, ...]:
+    def _rivals(self, fit: LawFit, place: int) -> tuple[str, ...]:
         """The other law, if it fits as well."""
         law = fit.laws[place]
         if law == "both":
@@ -929,7 +911,7 @@ class _Answer:
         name = LAWS[other]
         if name not in self.setting.candidates:
             return ()
-        made = fit_laws(lines, {**fit.laws, place: other}, self.setting.values, self.setting.free)
+        made = fit.again({place: other}, self.setting.free)
         return (name,) if z_between(fit, made) < INDISTINGUISHABLE_Z else ()
 
     def _unexplained(self, lines: Lines, place: int) -> Unexplained:
@@ -975,7 +957,7 @@ class _Answer:
     def _sizes(self, fit: LawFit | None) -> Iterator[OrderSize]:
         """Every line as the torque that would make it."""
         values = self.setting.values if fit is None else fit.values
-        for item in (*self.setting.used, *self.setting.held_out):
+        for item in self.setting.every:
             lines = lines_of([item], [line.order for line in self.found])
             for place, line in enumerate(self.found):
                 if not math.isfinite(lines.size[0, place]):
@@ -984,7 +966,7 @@ class _Answer:
                 one = float(line_size(values, line.order, lines.speeds, 1.0, 0.0, 0.0)[0])
                 made = math.nan
                 if fit is not None and law is not None:
-                    made = float(fit.predicted(place, line.order, lines.speeds)[0]) / one
+                    made = float(fit.predicted(place, lines.speeds)[0]) / one
                 yield OrderSize(
                     line.order,
                     law or "none",
@@ -996,32 +978,19 @@ class _Answer:
                     made,
                 )
 
-    def _compared(self, fit: LawFit | None) -> tuple[list[PieceResiduals], list[PieceSignals]]:
-        """Residuals and signals of every piece, with a mean alone and with all laws."""
-        laws = {} if fit is None else fit.laws
-        orders = [self.found[place].order for place in laws]
-        pieces, signals = [], []
-        for item in (*self.setting.used, *self.setting.held_out):
-            speed = np.array([item.speed_rad_per_s])
-            sizes = [
-                float(fit.predicted(place, self.found[place].order, speed)[0])
-                for place in laws
-                if fit is not None
-            ]
-            before = item.predicted((), np.zeros(0))
-            after = item.predicted(orders, np.array(sizes))
-            piece = item.piece
-            kept = [piece.kept(v) for v in (piece.time_s, piece.measured, before, after)]
-            time, measured, first, last = kept
-            pieces.append(
-                piece_residuals(
-                    piece.name, MOTOR_SPEED, piece.use, measured - first, measured - last
-                )
+    def _compared(self, fit: LawFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
+        """Every piece, with a mean alone and with all laws."""
+        every = self.setting.every
+        before = [item.predicted((), np.zeros(0)) for item in every]
+        after = before
+        if fit is not None:
+            orders = [self.found[place].order for place in fit.laws]
+            speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
+            sizes = np.reshape(
+                [fit.predicted(place, speeds) for place in fit.laws], (-1, len(every))
             )
-            signals.append(
-                PieceSignals(piece.name, MOTOR_SPEED, piece.use, time, measured, first, last)
-            )
-        return pieces, signals
+            after = [item.predicted(orders, own) for item, own in zip(every, sizes.T, strict=True)]
+        return compared_signals([item.piece for item in every], before, after)
 
 
 def _periodic_in_time(
@@ -1062,9 +1031,9 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
     return Lines(tuple(orders), speeds, np.array(sizes), np.array(deviations))
 
 
-def _strongest(lines: Lines, fit: LawFit, most: int) -> LawFit:
+def _strongest(fit: LawFit, most: int) -> LawFit:
     """The laws of the largest lines; the others are left to be described."""
-    kept = sorted(fit.laws, key=lambda place: -float(np.nanmax(lines.size[:, place])))[:most]
+    kept = sorted(fit.laws, key=lambda place: -float(np.nanmax(fit.lines.size[:, place])))[:most]
     return replace(fit, laws={place: fit.laws[place] for place in sorted(kept)})
 
 
