@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -38,28 +37,22 @@ from bayesbl.measurement.measurement import (
     Task,
     Verdict,
     estimator_of,
+    sampling_reasons,
 )
 from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
 from bayesbl.measurement.shared_groups import (
     ACCEPTANCE,
-    BUDGET,
     CHAIN,
-    CONSTANT,
     DELTA,
     DIFFERENCES,
     DRAW,
     DRAWS,
     NOISE_ORDER,
-    OBSERVED,
+    OF_EVERY_ROUTE,
     SAMPLED_SYMBOLS,
-    SAMPLING,
-    budget_group,
-    excluded_samples,
+    common_groups,
     intervals,
     numbered,
-    recorded,
-    sampling_summary,
-    sampling_values,
 )
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
@@ -249,8 +242,6 @@ MISFIT = Group(
     table("phase_rad (phase_rad) | rad | load phase from the start of the recording"),
 )
 
-DIAGNOSTICS = Group("diagnostics", SAMPLING, (SAMPLED_SYMBOLS,))
-
 SAMPLER_CHECK = Group(
     "sampler_check",
     table("""
@@ -271,16 +262,13 @@ GROUPS = (
     PRIOR,
     PRIOR_PREDICTIVE,
     POSTERIOR_PREDICTIVE,
-    OBSERVED,
-    CONSTANT,
+    *OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
     BOX_SEARCH,
     SEARCH_HISTORY,
     NOISE,
     MISFIT,
-    DIAGNOSTICS,
-    BUDGET,
     CURVE,
     SAMPLER_CHECK,
 )
@@ -387,7 +375,7 @@ class AmplitudeMeasurer(Measurer):
             None if gap is None else gap.delta_rad,
             verdict(fit, gap, against, self.source.question(recording)),
             groups,
-            _numbers(fit, gap, groups["posterior"], task.config.interval),
+            _numbers(fit, groups["posterior"], task.config.interval),
             check,
             None if gap is None else gap.upper_bound_rad,
         )
@@ -494,9 +482,7 @@ def _ringing_change(
     return np.asarray(last / first - 1.0)
 
 
-def _numbers(
-    fit: Fit, gap: Gap | None, posterior: xr.Dataset, of: IntervalConfig
-) -> dict[str, Any]:
+def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, Any]:
     """The contract's keys, and beside them the misfit, the start and the second sampler."""
     point, optimum = fit.point, fit.point.optimum
     parameters = intervals(posterior, (s for s in SYMBOLS if s in posterior), of)
@@ -509,10 +495,6 @@ def _numbers(
         "noise": _noise_summary(point.noise),
         "misfit_rms_rpm": point.misfit.rms_rpm,
         "impact_sd_rpm": interval(point.spread.impact_sd_rpm, of.level, of.kind),
-        "rotations": _rotations(fit),
-        "excluded_samples": excluded_samples(point.recording),
-        "budget": {} if gap is None else gap.budget,
-        "diagnostics": sampling_summary(fit.posterior.diagnostics),
     }
     if point.start:
         found["start"] = point.start
@@ -567,11 +549,7 @@ def verdict(
     """
     diagnostics = fit.posterior.diagnostics
     failed = diagnostics.outcome == "withheld"
-    codes = chain([diagnostics.code], repeat("sampling"))
-    sampling = [
-        Reason.told(code, text, withholds=failed)
-        for code, text in zip(codes, diagnostics.reasons, strict=False)
-    ]
+    sampling = sampling_reasons(diagnostics, withhold=failed)
     notes = [Reason.told("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]
@@ -607,7 +585,7 @@ def amplitude_groups(
     index = _index(fit, gap)
     draws = {name: v.ravel()[index] for name, v in fit.posterior.draws.items()}
     baseline = fit.posterior.baseline_rpm.reshape(index.size, -1)[index]
-    speed = fit.point.recording.channels[MOTOR_SPEED]
+    rotations = fit.point.objective.duration_s / fit.point.optimum.symbols[ROTATION]
     return {
         **checked,
         **searched,
@@ -615,14 +593,18 @@ def amplitude_groups(
         "sample_stats": _sample_stats(fit, gap, index),
         "log_likelihood": _log_likelihood(fit, draws, baseline),
         **_prior(fit, curve, draws, np.random.default_rng(seed)),
-        **recorded(fit.point.recording, {MOTOR_SPEED: speed}),
+        **common_groups(
+            fit.point.recording,
+            [MOTOR_SPEED],
+            fit.posterior.diagnostics,
+            {} if gap is None else gap.budget,
+            rotations,
+        ),
         "predictive": _predictive(fit, level),
         "optimum": _optimum(fit),
         "search_history": _of(SEARCH_HISTORY, fit.point.optimum.history),
         "noise": _noise(fit),
         "misfit": _of(MISFIT, fit.point.misfit),
-        "diagnostics": _diagnostics(fit),
-        "budget": budget_group({} if gap is None else gap.budget),
     }
 
 
@@ -814,16 +796,6 @@ def _noise(fit: Fit) -> xr.Dataset:
     noise = fit.point.noise
     freedom = noise.degrees_of_freedom or np.inf
     return dataset(NOISE, attributes(NOISE, noise) | {"degrees_of_freedom": freedom})
-
-
-def _diagnostics(fit: Fit) -> xr.Dataset:
-    found = fit.posterior.diagnostics
-    values = sampling_values(found, _rotations(fit))
-    return dataset(DIAGNOSTICS, values, {"symbol": list(found.r_hat)})
-
-
-def _rotations(fit: Fit) -> float:
-    return fit.point.objective.duration_s / fit.point.optimum.symbols[ROTATION]
 
 
 def _sampler_check(check: SamplerCheck) -> xr.Dataset:

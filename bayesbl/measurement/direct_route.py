@@ -52,6 +52,7 @@ from bayesbl.measurement.measurement import (
     Task,
     Verdict,
     sampler_of,
+    sampling_reasons,
     upper_bound,
 )
 from bayesbl.measurement.model_check import (
@@ -456,10 +457,7 @@ def direct_verdict(
     unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
     unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
     outcome = "withheld" if against or unseen else diagnostics.outcome
-    sampling = [
-        Reason.told("sampling", text, withholds=outcome == "withheld")
-        for text in diagnostics.reasons
-    ]
+    sampling = sampling_reasons(diagnostics, withhold=outcome == "withheld")
     # Where δ is not seen, its prior's range may decide: that needs no saying.
     reasons = [*against, *(unseen or sampling)]
     if not with_current:
@@ -526,7 +524,6 @@ def _numbers(
     noise = posterior.fit.model.noise[index]
     sd = groups["noise"]["sd"].values.tolist()
     found: dict[str, Any] = {
-        "amplitude_rpm": None,
         "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), of),
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
@@ -548,24 +545,13 @@ def _numbers(
             }
             for entry in check
         ],
-        "rotations": _rotations(posterior, index),
-        "excluded_samples": shared.excluded_samples(recording),
-        "budget": dict(
-            zip(*(groups["budget"][n].values.tolist() for n in ("source", "share")), strict=True)
-        ),
-        "diagnostics": {
-            **shared.sampling_summary(posterior.diagnostics),
-            "effective_after_simulation": posterior.effective,
-            "simulated_draws": posterior.simulated,
-            "surrogate_refits": posterior.refits,
-        },
     }
     if "flank_changes" in groups["predictive"]:
         motion = groups["predictive"]
         repeats = bool(motion["repeats"])
         found["motion"] = {
             "cycle_s": float(motion["rotation_period_s"]) if repeats else None,
-            "cycles": found["rotations"] if repeats else None,
+            "cycles": float(groups["diagnostics"]["rotations"]) if repeats else None,
             "flank_changes": round(float(motion["flank_changes"])),
             "compared_from_s": float(motion["compared_from_s"]),
         }
@@ -701,30 +687,14 @@ PREDICTIVE_CHECK = Group(
     ),
 )
 
-DIAGNOSTICS = Group(
-    "diagnostics",
-    (
-        *shared.SAMPLING,
-        *table("""
-            effective | 1 | effective draws after full simulation
-            simulated | 1 | draws simulated in full
-            refits | 1 | times the surrogate was fitted again
-        """),
-    ),
-    (shared.SAMPLED_SYMBOLS,),
-)
-
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
-    shared.OBSERVED,
-    shared.CONSTANT,
+    *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
     NOISE,
     PREDICTIVE_CHECK,
-    DIAGNOSTICS,
-    shared.BUDGET,
 )
 
 
@@ -747,13 +717,20 @@ def direct_groups(
     return {
         "posterior": _posterior(posterior, recording.name),
         "sample_stats": _sample_stats(posterior),
-        **shared.recorded(recording, {c: recording.channels[c] for c in seen.channels}),
+        **shared.common_groups(
+            recording,
+            seen.channels,
+            posterior.diagnostics,
+            _budget(posterior, recording.name),
+            seen.samples / seen.sampling_hz / seen.rotation_period_s,
+            effective=posterior.effective,
+            simulated=posterior.simulated,
+            refits=posterior.refits,
+        ),
         "predictive": _predictive(posterior, index),
         "optimum": _optimum(posterior, recording.name),
         "noise": _noise(posterior, index),
         "predictive_check": _check(check),
-        "diagnostics": _diagnostics(posterior, index),
-        "budget": shared.budget_group(_budget(posterior, recording.name)),
     }
 
 
@@ -860,22 +837,6 @@ def _check(check: Sequence[RepeatingPower]) -> xr.Dataset:
         },
         {"channel": channels, "highest_order": orders},
     )
-
-
-def _diagnostics(posterior: DirectPosterior, index: int) -> xr.Dataset:
-    return dataset(
-        DIAGNOSTICS,
-        {
-            **attributes(DIAGNOSTICS, posterior),
-            **shared.sampling_values(posterior.diagnostics, _rotations(posterior, index)),
-        },
-        {"symbol": list(posterior.diagnostics.r_hat)},
-    )
-
-
-def _rotations(posterior: DirectPosterior, index: int) -> float:
-    seen = posterior.fit.model.recordings[index]
-    return seen.samples / seen.sampling_hz / seen.rotation_period_s
 
 
 def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, repeat
 from typing import Any, Literal
 
 import numpy as np
@@ -27,7 +28,7 @@ from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.optimum import EarlierOptimum
 from bayesbl.ringing.symbols import DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.sampling.convergence import Outcome
+from bayesbl.sampling.convergence import Diagnostics, Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +148,13 @@ class Reason:
     def withholding(self) -> Reason:
         """The same, withholding the answer."""
         return replace(self, withholds=True)
+
+
+def sampling_reasons(diagnostics: Diagnostics, *, withhold: bool) -> list[Reason]:
+    """Why draws are not simply converged, which may withhold the answer."""
+    codes = chain([diagnostics.code], repeat("sampling"))
+    told = zip(codes, diagnostics.reasons, strict=False)
+    return [Reason.told(code, text, withholds=withhold) for code, text in told]
 
 
 NO_CURVE = Reason("no_curve")

@@ -18,7 +18,7 @@ from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.measurement.change import Change, changes
 from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
-from bayesbl.measurement.shared_groups import CHANGE, GAP, numbered
+from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers, numbered
 from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, IntervalKind, interval
@@ -168,14 +168,20 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
 def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
     withholding = [as_stored(reason) for reason in answer.verdict.withholding]
     given = None if answer.is_withheld else answer.delta_rad
+    common = common_numbers(answer.groups)
+    no_noise_of_speed = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
     found = {
         "route": one.route,
         "curve": one.curve or None,
+        "amplitude_rpm": None,
+        "optimum": {},
         **answer.numbers,
+        "noise": no_noise_of_speed | answer.numbers["noise"],
+        **common,
         "delta_rad": None if given is None else _interval(given, config),
         "delta_upper_bound_rad": answer.upper_bound_rad,
         "diagnostics": {
-            **answer.numbers["diagnostics"],
+            **common["diagnostics"],
             "outcome": answer.verdict.outcome,
             "reasons": [
                 {**as_stored(reason), "withholds": reason.withholds}
