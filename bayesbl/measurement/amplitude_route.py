@@ -23,9 +23,9 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
-from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
+from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
@@ -33,7 +33,6 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     estimator_of,
@@ -83,6 +82,8 @@ from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch
 from bayesbl.ringing.waveform import jacobian_columns
+
+NAME = "amplitude"
 
 BAND_DRAWS = 100
 """Behind the predictive band."""
@@ -346,7 +347,7 @@ class AmplitudeMeasurer(Measurer):
         parts = zip(task.recordings, fits, found, of_each, seeds, strict=True)
         change = None if curves is None else change_reason(check)
         return Measurement(
-            "amplitude",
+            NAME,
             [self._answer(*part, task) for part in parts],
             shared=self._curve(curves, found, task),
             curve=curves[0].name if curves else "",
@@ -396,25 +397,21 @@ class AmplitudeMeasurer(Measurer):
             return check, []
         draws = gap.delta_rad.ravel()
         picked = draws[np.linspace(0, draws.size - 1, BENCHES).round().astype(int)]
-        found = beside_bench(fit.point, bench, picked, np.random.default_rng(BENCHES))
+        items = beside_bench(fit.point, bench, picked, np.random.default_rng(BENCHES))
         low, high = np.log(np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
-        bound = normal_isf(0.5 * FALSE_ALARM / max(len(found), 1))
-        items, reasons = [], []
-        for one in found:
-            name, value = one.feature.name, one.feature.value
-            items.append(one.item)
-            shown = name in MOVES_RINGING and abs(one.z) > bound and one.value > 0.0
-            if shown and abs(value / one.value - 1.0) > 0.5 * (high - low):
-                values = {
-                    "quantity": name,
-                    "measured": value,
-                    "expected": one.value,
-                    "unit": one.feature.unit,
-                }
-                reasons.append(Reason("other_bench", values, withholds=True))
-        causes = [cause for reason in reasons for cause in COULD_BE[reason.values["quantity"]]]
+        bound = normal_isf(0.5 * FALSE_ALARM / max(len(items), 1))
+        differing = [
+            item
+            for item in items
+            if item.quantity in MOVES_RINGING and abs(item.z) > bound and item.expected > 0.0
+            if abs(item.measured / item.expected - 1.0) > 0.5 * (high - low)
+        ]
+        causes = [cause for item in differing for cause in COULD_BE[item.quantity]]
         causes = list(dict.fromkeys([*check.could_be, *causes]))
-        agrees = check.agrees and not reasons
+        agrees = check.agrees and not differing
+        names = ("quantity", "measured", "expected", "unit")
+        told = [{name: getattr(item, name) for name in names} for item in differing]
+        reasons = [Reason("other_bench", values, withholds=True) for values in told]
         return JointCheck(agrees, [*check.items, *items], tuple(causes)), reasons
 
     def _curve(
@@ -824,14 +821,14 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
         If the result cannot be read, or has no optimum of the ringing.
     """
     tree = read_tree(path)
-    if ROUTE.name not in routes_of(tree):
+    if NAME not in routes_of(tree):
         raise ResultError(
             "This result holds no optimum to start from.",
             file=path,
             found=f'kind = "{tree.attrs.get("kind")}", routes: {", ".join(routes_of(tree))}',
             expected="the result of bayesbl fit or bayesbl compare by the ringing's amplitude",
         )
-    require_declared(tree.children[ROUTE.name], [OPTIMUM], path)
+    require_declared(tree.children[NAME], [OPTIMUM], path)
     return optima_of(tree, f" in {path}")
 
 
@@ -844,7 +841,7 @@ def optima_of(tree: xr.DataTree, where: str = "") -> dict[str, EarlierOptimum]:
             stored.number("optimum", "rmse_rpm"),
             withheld=stored.summary["diagnostics"]["outcome"] == "withheld",
         )
-        for stored in stored_answers(tree, ROUTE.name)
+        for stored in stored_answers(tree, NAME)
     }
 
 
@@ -1041,6 +1038,3 @@ def amplitude_with_baseline_rpm(point: PointEstimate) -> float:
     )
     end = refine(objective, point.optimum.searched)
     return float(objective.solve(end[None]).coefficients[0, -1])
-
-
-ROUTE = Route("amplitude", GROUPS)

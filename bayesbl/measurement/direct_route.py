@@ -48,7 +48,6 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     sampler_of,
@@ -854,6 +853,3 @@ def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
     # Draws of which one carries all weight have no variance.
     share = min(1.0 - model_share, noise / max(float(posterior.draws[..., place].var()), noise))
     return {"noise": share, "laws_and_drift": model_share, "bench": 1.0 - model_share - share}
-
-
-ROUTE = Route("direct", GROUPS)

@@ -22,7 +22,6 @@ from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed, with_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.optimum import EarlierOptimum
@@ -143,6 +142,11 @@ class Reason:
     def told(cls, code: str, text: str, *, withholds: bool = False) -> Reason:
         """One that a room below has already put into a sentence."""
         return cls(code, {"text": text}, withholds)
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """As the summary holds it, without its sentence."""
+        return {"code": self.code, **self.values}
 
     @property
     def withholding(self) -> Reason:
@@ -280,12 +284,6 @@ class Measurement:
         """Whether the gaps are read from the curve of the paper's test bench."""
         return self.curve == PUBLISHED
 
-    @property
-    def change_rad(self) -> FloatArray | None:
-        """Draws of the change of δ from first to last, withheld or not."""
-        first, last = self.answers[0].delta_rad, self.answers[-1].delta_rad
-        return None if first is None or last is None else last - first
-
 
 def upper_bound(delta_rad: FloatArray) -> float:
     """The gap below which δ lies with a probability of :data:`UPPER_BOUND_LEVEL`, rad."""
@@ -329,14 +327,3 @@ class Measurer(ABC):
     @abstractmethod
     def measure(self, task: Task) -> Measurement:
         """Measure all recordings of one joint."""
-
-
-@dataclass(frozen=True, slots=True)
-class Route:
-    """A way from recordings to gaps; its module has a ``prepare`` that gives its :class:`Measurer`.
-
-    ``groups``: what it stores, in a group of its own name.
-    """
-
-    name: str
-    groups: tuple[Group, ...]

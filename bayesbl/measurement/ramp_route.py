@@ -31,7 +31,6 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     sampler_of,
@@ -786,6 +785,3 @@ def _path(ramps: Ramps, cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArr
     step = max(1, -(-torque.size // MOST_POINTS))
     last = np.arange(path.start, path.stop) >= cycles[-1].first.begin
     return torque[::step], position[::step], last[::step].astype(float)
-
-
-ROUTE = Route("torque_ramp", GROUPS)

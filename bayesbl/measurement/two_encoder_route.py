@@ -23,7 +23,6 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     upper_bound,
@@ -374,6 +373,3 @@ def _numbers(
 def prepare(config: SnapshotConfig) -> TwoEncoderMeasurer:
     """With nothing but the configuration."""
     return TwoEncoderMeasurer(config)
-
-
-ROUTE = Route(NAME, GROUPS)

@@ -10,7 +10,7 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.measurement.stored import as_stored, summary_of
+from bayesbl.measurement.stored import summary_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 from bayesbl.sentences import sentence
@@ -58,7 +58,7 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         rate = 1.0 / recording.sampling_period_s
         plan.recordings.append(recording)
         plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
-        doubts = (as_stored(reason) for reason in measurer.doubts(recording))
+        doubts = (reason.stored for reason in measurer.doubts(recording))
         plan.withheld += [f"{entry.name}: {sentence(why)}" for why in doubts]
         more = len(entry.every_file) - 1
         files = f"{entry.file}{f' and {more} more' if more else ''}"

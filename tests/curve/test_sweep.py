@@ -17,9 +17,9 @@ from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.curve.swept_curve import SweptDraws, degree_reports, swept_curve, virtual_departures
 from bayesbl.errors import ConfigError, CurveError, UserError
-from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset, read_curve
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
