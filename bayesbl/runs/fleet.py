@@ -67,7 +67,7 @@ from bayesbl.results.provenance import file_sha256, git_commit
 from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_on_cluster
-from bayesbl.runs.workflow import Options, Plan, require_output, settings_of
+from bayesbl.runs.workflow import Options, Plan, settings_of
 
 DRAWS_FOLDER = "draws.zarr"
 
@@ -118,7 +118,6 @@ class KeptJoint:
 
 def describe(config: FleetConfig, plan: Plan) -> None:
     """What would be measured."""
-    plan.add("output", lambda: require_output(config.run.output))
     plan.add("tables", lambda: require_tables())
     plan.add("joints", lambda: _told(config))
 

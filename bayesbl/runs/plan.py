@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
@@ -15,7 +14,8 @@ from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, dataset, table
-from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+from bayesbl.results.work import WorkStore
+from bayesbl.runs.workflow import Options, Plan
 
 if TYPE_CHECKING:
     from bayesbl.bench.bench import Bench
@@ -68,14 +68,8 @@ def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     return (MOTIONS,)
 
 
-def run(config: PlanConfig, options: Options) -> PlanSummary:
-    """Rank, and write the output folder."""
-    return run_into_folder(config, options, lambda _: planned_tree(config), summarise_plan)
-
-
 def describe(config: PlanConfig, plan: Plan) -> None:
     """Which bench, and within which limits."""
-    plan.add("output", partial(require_output, config.run.output))
     bench = _bench(config)
     plan.add("noise", lambda: _noise(bench))
     low, high = config.limits.range_rad
@@ -84,8 +78,8 @@ def describe(config: PlanConfig, plan: Plan) -> None:
     )
 
 
-def planned_tree(config: PlanConfig) -> xr.DataTree:
-    """The result of a plan.
+def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
+    """Rank motions; it takes no time worth keeping.
 
     Raises
     ------

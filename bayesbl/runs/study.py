@@ -67,7 +67,7 @@ from bayesbl.results.store import OUTCOME, Head, head, read_tree
 from bayesbl.results.variables import Group, Variable, require_declared
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_on_cluster
-from bayesbl.runs.workflow import Options, Plan, require_output, write_result
+from bayesbl.runs.workflow import Options, Plan, write_result
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -465,7 +465,6 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
 
 def describe(config: StudyConfig, plan: Plan) -> None:
     """What would run, in words."""
-    plan.add("output", partial(require_output, config.run.output))
     plan.add("study", partial(_in_words, config))
 
 
