@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date as Date
@@ -59,14 +58,13 @@ from bayesbl.fleet.plant_tables import (
     write_table,
 )
 from bayesbl.fleet.pooled_rates import TypeRates
-from bayesbl.processes import processes
 from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import file_sha256, git_commit
 from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.cluster import run_on_cluster
+from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan, settings_of
 
 DRAWS_FOLDER = "draws.zarr"
@@ -293,20 +291,13 @@ def _with_known(job: JointJob, store: WorkStore) -> JointJob:
 def _measured(
     config: FleetConfig, jobs: Sequence[JointJob], say: Callable[[str], None]
 ) -> Iterator[tuple[JointJob, MeasuredJoint]]:
-    """Joints as they end, in any order; no more are held than have not been taken yet."""
-    if config.run.scheduler is not None:
-        files = sorted({f for job in jobs for f in job.files})
-        yield from run_on_cluster(measure_joint, jobs, files, config.run.scheduler, say, "joints")
-        return
-    workers = min(config.run.workers, len(jobs))
-    if workers == 1:
+    """Joints as they end, in any order; a single one at a time is measured here."""
+    if config.run.scheduler is None and min(config.run.workers, len(jobs)) == 1:
         for job in jobs:
             yield job, measure_joint(job)
         return
-    with processes(workers) as pool:
-        futures = {pool.submit(measure_joint, job): job for job in jobs}
-        for future in as_completed(list(futures)):
-            yield futures.pop(future), future.result()
+    files = sorted({f for job in jobs for f in job.files})
+    yield from run_jobs(measure_joint, jobs, files, config.run, say, "joints")
 
 
 def _write(
