@@ -65,8 +65,7 @@ from bayesbl.measurement.model_check import (
     undecided_gap,
 )
 from bayesbl.measurement.motion_verdict import (
-    EXCLUDED_END,
-    EXCLUDED_SHARE,
+    excluded_ends,
     motion_notes,
     unknown_start,
     unseen_gap,
@@ -231,14 +230,15 @@ class DirectMeasurer(Measurer):
         notes = (*told, *_of_the_part(found.joint), *self._counted_twice(recording))
         level = self.config.interval.level
         groups = direct_groups(posterior, recording, index, check)
+        gap, ends = posterior.values(GAP, recording.name), excluded_ends(posterior, recording.name)
         return Answer(
             recording.name,
-            posterior.values(GAP, recording.name),
+            gap,
             direct_verdict(found, index, notes, level),
             groups,
             _numbers(posterior, recording, index, check, groups, self.config.interval),
             found.model_check(recording.name, level),
-            _upper_bound(posterior, recording.name),
+            upper_bound(gap) if ends == (False, True) else None,
         )
 
     def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
@@ -484,17 +484,6 @@ def _repeats(entries: Sequence[RepeatingPower], is_motion: bool) -> Reason:
         "is_motion": is_motion,
     }
     return Reason("repeats_beyond_noise", values, withholds=True)
-
-
-def _upper_bound(posterior: DirectPosterior, recording: str) -> float | None:
-    """The gap that δ is below, where the recording excludes large ones and none that is small."""
-    model = posterior.fit.model
-    unknown = model.unknowns[model.index(GAP, recording)]
-    gap = posterior.values(GAP, recording)
-    draws, end = np.log(gap), EXCLUDED_END * (unknown.high - unknown.low)
-    open_below = float(np.mean(draws < unknown.low + end)) >= EXCLUDED_SHARE
-    open_above = float(np.mean(draws > unknown.high - end)) >= EXCLUDED_SHARE
-    return upper_bound(gap) if open_below and not open_above else None
 
 
 def _item(entry: RepeatingPower) -> CheckItem:

@@ -20,6 +20,7 @@ from bayesbl.model_search.always_in import with_friction
 from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT
+from bayesbl.results.identified import require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
@@ -72,6 +73,7 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         If they cannot be used.
     """
     bench = load_bench(config.bench)
+    require_gap(bench, config.bench)
     parameters = _parameters(config, bench)
     notes: list[str] = []
     seen: dict[str, list[Observed]] = {"fit": [], "hold_out": []}
@@ -118,13 +120,6 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
 
 
 def _parameters(config: IdentifyConfig, bench: Bench) -> tuple[str, ...]:
-    if bench.drive == "rigid":
-        raise ConfigError(
-            "A rigid bench has no gap to identify.",
-            file=config.bench,
-            found='drive = "rigid"',
-            expected='drive = "two_mass"',
-        )
     tolerances = bench.tolerances
     if not tolerances:
         raise ConfigError(

@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.kinds import PlanConfig
-from bayesbl.errors import ConfigError
 from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_bench, ranked_motions
-from bayesbl.results.identified import bench_from
+from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, dataset, table
@@ -70,7 +69,8 @@ def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
 
 def describe(config: PlanConfig, plan: Plan) -> None:
     """Which bench, and within which limits."""
-    bench = _bench(config)
+    bench = bench_from(config.bench)
+    require_gap(bench, config.bench)
     plan.add("noise", lambda: _noise(bench))
     low, high = config.limits.range_rad
     plan.lines.append(
@@ -86,7 +86,8 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     UserError
         If the bench file cannot be used, or its drive can follow none of the motions.
     """
-    limits = config.limits
+    limits, bench = config.limits, bench_from(config.bench)
+    require_gap(bench, config.bench)
     allowed = MotionLimits(
         (limits.range_rad[0], limits.range_rad[1]),
         limits.speed_rpm,
@@ -94,9 +95,7 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
         limits.dwell_s,
         limits.duration_s,
     )
-    motions = ranked_motions(
-        _bench(config), allowed, config.gap_rad, config.sampling_hz, config.run.workers
-    )
+    motions = ranked_motions(bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers)
     shown = any(motion.flank_changes for motion in motions)
     tree = xr.DataTree.from_dict({MOTIONS.name: _group(motions)})
     tree.attrs = {
@@ -157,18 +156,6 @@ def _group(motions: list[PlannedMotion]) -> xr.Dataset:
             ],
         },
     )
-
-
-def _bench(config: PlanConfig) -> Bench:
-    bench = bench_from(config.bench)
-    if bench.drive == "rigid":
-        raise ConfigError(
-            "A rigid bench has no gap to plan for.",
-            file=config.bench,
-            found='drive = "rigid"',
-            expected='drive = "two_mass"',
-        )
-    return bench
 
 
 def _noise(bench: Bench) -> str:
