@@ -594,9 +594,7 @@ def _budget(
     return {name: value / total for name, value in shares.items()} if total else {}
 
 
-def prepare(config: SnapshotConfig) -> RampMeasurer:
-    """With nothing but the configuration."""
-    return RampMeasurer(config)
+prepare = RampMeasurer
 
 
 # What is stored.
