@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,7 @@ from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_benc
 from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, dataset, table
+from bayesbl.results.variables import Group, columns, dataset, table
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
 
@@ -119,43 +119,21 @@ NONE_SHOWS = (
 def summarise_plan(tree: xr.DataTree) -> PlanSummary:
     """``summary.json`` of a plan."""
     stored = tree[MOTIONS.name].to_dataset()
-    motions: list[PlannedEntry] = []
+    motions: list[Any] = []
     for i in range(stored.sizes["motion"]):
-        value = {str(name): float(stored[name].values[i]) for name in stored.data_vars}
-        sd = value["expected_relative_sd"]
-        motions.append(
-            {
-                "kind": "strokes",
-                "range_rad": [value["low_rad"], value["high_rad"]],
-                "speed_rpm": value["speed_rpm"],
-                "acceleration_rpm_per_s": value["acceleration_rpm_per_s"],
-                "dwell_s": value["dwell_s"],
-                "duration_s": value["duration_s"],
-                "flank_changes": round(value["flank_changes"]),
-                "expected_relative_sd": sd if np.isfinite(sd) else None,
-            }
-        )
+        value: Any = {str(name): float(stored[name].values[i]) for name in stored.data_vars}
+        ends = [value.pop("low_rad"), value.pop("high_rad")]
+        if not np.isfinite(value["expected_relative_sd"]):
+            value["expected_relative_sd"] = None
+        value["flank_changes"] = round(value["flank_changes"])
+        motions.append({"kind": "strokes", "range_rad": ends, **value})
     gap = float(tree.attrs["gap_rad"])
     return {"kind": "plan", **head(tree), "plan": {"gap_rad": gap, "motions": motions}}
 
 
 def _group(motions: list[PlannedMotion]) -> xr.Dataset:
-    return dataset(
-        MOTIONS,
-        {
-            "low_rad": [m.range_rad[0] for m in motions],
-            "high_rad": [m.range_rad[1] for m in motions],
-            "speed_rpm": [m.speed_rpm for m in motions],
-            "acceleration_rpm_per_s": [m.acceleration_rpm_per_s for m in motions],
-            "dwell_s": [m.dwell_s for m in motions],
-            "duration_s": [m.duration_s for m in motions],
-            "flank_changes": [float(m.flank_changes) for m in motions],
-            "expected_relative_sd": [
-                np.nan if m.expected_relative_sd is None else m.expected_relative_sd
-                for m in motions
-            ],
-        },
-    )
+    low, high = ([motion.range_rad[end] for motion in motions] for end in (0, 1))
+    return dataset(MOTIONS, {**columns(MOTIONS, motions), "low_rad": low, "high_rad": high})
 
 
 def _noise(bench: Bench) -> str:

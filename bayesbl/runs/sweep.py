@@ -31,7 +31,7 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, attributes, dataset, labels, table
+from bayesbl.results.variables import Group, attributes, columns, dataset, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
@@ -107,9 +107,7 @@ def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
 
 def degree_group(nominal: SweepRow) -> xr.Dataset:
     """How well polynomials of several degrees describe the sweep."""
-    reports = degree_reports(nominal)
-    names = [variable.name for variable in (*DEGREES.variables, *DEGREES.coordinates)]
-    return dataset(DEGREES, {name: [getattr(r, name) for r in reports] for name in names})
+    return dataset(DEGREES, columns(DEGREES, degree_reports(nominal)))
 
 
 def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
