@@ -335,7 +335,15 @@ class AmplitudeMeasurer(Measurer):
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
-        found = [None] * len(fits) if curves is None else gaps_of_fits(task, curves, fits)
+        found: Sequence[Gap | None] = [None] * len(fits)
+        if curves is not None:  # all through the same draws of the curve
+            found = gaps(
+                curves,
+                [measured_ringing(fit) for fit in fits],
+                task.seeds.gap,
+                allow_extrapolation=task.config.curve.allow_extrapolation,
+                level=task.config.interval.level,
+            )
         of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
         entries = task.config.recordings
         check = same_joint(
@@ -917,17 +925,6 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
 def earlier_of(name: str, optima: Mapping[str, EarlierOptimum]) -> EarlierOptimum | None:
     """The optimum to start from: that of the same name, else the last one."""
     return optima.get(name) or next(reversed([*optima.values()]), None)
-
-
-def gaps_of_fits(task: Task, curves: Sequence[GapCurve], fits: Sequence[Fit]) -> list[Gap]:
-    """The gap of every fit through its curve, all through the same draws."""
-    return gaps(
-        curves,
-        [measured_ringing(fit) for fit in fits],
-        task.seeds.gap,
-        allow_extrapolation=task.config.curve.allow_extrapolation,
-        level=task.config.interval.level,
-    )
 
 
 def measured_ringing(fit: Fit) -> MeasuredRinging:
