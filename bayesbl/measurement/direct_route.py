@@ -335,8 +335,6 @@ class JointFit:
 
     Attributes
     ----------
-    nominal
-        With the bench as believed and nothing but gaps free, beside what its file leaves open.
     fit
         With what changed, and what is far from where the bench has it, among its unknowns.
     rest
@@ -347,7 +345,6 @@ class JointFit:
         The predictive check, with ``rest`` taken into account.
     """
 
-    nominal: SimulatedFit
     fit: SimulatedFit
     rest: Beside
     joint: JointFindings
@@ -389,16 +386,16 @@ def fit_jointly(
         check = disagreements(beside_part.explained(with_part))
         if agrees(check, FALSE_ALARM):
             joint = changed_beside(with_part, wider, part)
-            return JointFit(nominal, with_part, beside_part, joint, tuple(check))
+            return JointFit(with_part, beside_part, joint, tuple(check))
     check = disagreements(rest.explained(fit))
     if agrees(check, FALSE_ALARM):
         joint = changed_beside(fit, among)
-        return JointFit(nominal, fit, rest, joint, tuple(check))
+        return JointFit(fit, rest, joint, tuple(check))
     seeking = of_stage(progress, f"Seeking changes in {name}")
     fit, joint = find_changes(fit, among=among, progress=seeking)
     rest = beside(fit, among)
     check = disagreements(rest.explained(fit) if joint.explained else fit)
-    return JointFit(nominal, fit, rest, joint, tuple(check))
+    return JointFit(fit, rest, joint, tuple(check))
 
 
 def fit_directly(

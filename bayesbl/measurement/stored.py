@@ -20,7 +20,7 @@ from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reaso
 from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers, numbered
 from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import Interval, IntervalKind, interval
+from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import json_text, origin
 from bayesbl.results.variables import STACKED, dataset, stack_snapshots
@@ -281,12 +281,6 @@ class Snapshot:
     name: str
     groups: Mapping[str, xr.Dataset]
     summary: Mapping[str, Any]
-    level: float
-    interval_kind: IntervalKind
-
-    def interval(self, group: str, variable: str) -> Interval:
-        """Interval of stored draws, at the level and of the kind of the result."""
-        return interval(self.groups[group][variable].values, self.level, self.interval_kind)
 
     def number(self, group: str, variable: str) -> float:
         """A stored scalar."""
@@ -356,5 +350,4 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot
     else:
         (name,) = np.atleast_1d(tree.attrs["recordings"])
         parts = [(str(name), summary["routes"][route], whole)]
-    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
-    return [Snapshot(name, groups, part, level, kind) for name, part, groups in parts]
+    return [Snapshot(name, groups, part) for name, part, groups in parts]
