@@ -203,7 +203,6 @@ def identify(
     """
     from bayesbl.config.identify import IdentifyConfig
     from bayesbl.config.loading import config_from_options
-    from bayesbl.runs.identify import run_identify
 
     named = effects if effects is None or effects == "catalogue" else list(effects)
     given: dict[str, Any] = {"effects": named, "level": level}
@@ -211,7 +210,7 @@ def identify(
     with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
         made = config_from_options("identify", files, config, dates, bench=of_bench, **given)
         loaded = _checked(made, IdentifyConfig)
-        found: IdentificationResult = _as_object(run_identify(loaded, tell))
+        found: IdentificationResult = _made(loaded, tell)
     return found
 
 
@@ -237,7 +236,6 @@ def diagnose(
     """
     from bayesbl.config.diagnose import DiagnoseConfig
     from bayesbl.config.loading import config_from_options
-    from bayesbl.runs.diagnose import run_diagnose
     from bayesbl.runs.first_diagnosis import diagnosis_of
 
     given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
@@ -247,7 +245,7 @@ def diagnose(
             loaded, _ = diagnosis_of(files, config, **given)
         else:
             loaded = _checked(config_from_options("diagnose", (), config, **given), DiagnoseConfig)
-        found: DiagnosisResult = _as_object(run_diagnose(loaded, tell))
+        found: DiagnosisResult = _made(loaded, tell)
     return found
 
 
@@ -264,12 +262,11 @@ def sweep(
     """
     from bayesbl.config.kinds import SweepConfig
     from bayesbl.config.loading import config_from_options
-    from bayesbl.runs.sweep import run_sweep
 
     given: dict[str, Any] = {"seed": seed, "workers": workers}
     loaded = _checked(config_from_options("sweep", (), config, **given), SweepConfig)
     with _shown(progress) as tell:
-        found: SweepResult = _as_object(run_sweep(loaded, tell))
+        found: SweepResult = _made(loaded, tell)
     return found
 
 
@@ -403,10 +400,11 @@ def _measure(
     from bayesbl.config.loading import config_from_options
     from bayesbl.config.measurement import SnapshotConfig
     from bayesbl.measurement.routes import measure
+    from bayesbl.presentation.result_object import result_of
 
     with _files(recordings, given.pop("bench")) as (files, bench), _shown(progress) as tell:
         made = config_from_options(kind, files, config, dates, bench=bench, **given)
-        return _as_object(measure(_checked(made, SnapshotConfig), tell))
+        return result_of(measure(_checked(made, SnapshotConfig), tell))
 
 
 @contextmanager
@@ -445,10 +443,12 @@ def _checked(config: RunConfig, model: type[C]) -> C:
     return config
 
 
-def _as_object(tree: xr.DataTree) -> Any:
+def _made(config: RunConfig, tell: StageProgress | None) -> Any:
+    """The result of a configuration as an object."""
     from bayesbl.presentation.result_object import result_of
+    from bayesbl.runs.kinds import result_of_run
 
-    return result_of(tree)
+    return result_of(result_of_run(config, tell))
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from bayesbl.errors import WorkerError
 from bayesbl.libraries import bare
@@ -28,19 +28,12 @@ _WORKER = ExitStack()
 
 
 @contextmanager
-def processes(
-    count: int, initializer: Callable[..., None] | None = None, *arguments: Any
-) -> Iterator[ProcessPoolExecutor]:
+def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of processes, which end with the block, with this process, and at once on an error.
 
     They are started afresh: a forked child would inherit the state of numba's and the simulator's
     threads. Each uses one thread, as linear algebra on many rounds differently and the numbers must
     not depend on the workers.
-
-    Parameters
-    ----------
-    initializer
-        Called with ``arguments`` in each process as it starts.
 
     Raises
     ------
@@ -48,12 +41,7 @@ def processes(
         If a process dies.
     """
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        count,
-        multiprocessing.get_context("spawn"),
-        initializer=_start,
-        initargs=(initializer, arguments),
-    )
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_start)
     try:
         with _single_threaded():
             yield pool
@@ -70,12 +58,10 @@ def processes(
         pool.shutdown(cancel_futures=True)
 
 
-def _start(initializer: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+def _start() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends workers without a traceback
     _WORKER.enter_context(bare())
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    if initializer is not None:
-        initializer(*arguments)
 
 
 def _end_with_parent() -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from bayesbl.measurement.routes import route_of
+from bayesbl.measurement.routes import groups_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = Path(__file__).parent / "paper.md"
@@ -115,7 +115,7 @@ ITEMS = (
     Item(
         "A₁, A₂, δ₁, δ₂",
         "draws of A and of the curve give draws of δ and its change",
-        ("measurement.change:gaps", "measurement.change:changes"),
+        ("measurement.gap_by_curve:gaps", "measurement.stored:change_group"),
         ("configs/wear_snapshots.toml",),
         (
             "amplitude/posterior/delta_rad",
@@ -220,7 +220,7 @@ def _result(path: str) -> str:
         If it does not.
     """
     route, group, variable = path.split("/")
-    (declared,) = [g for g in route_of(route).groups if g.name == group]
+    (declared,) = [g for g in groups_of(route) if g.name == group]
     declared.variable(variable)
     return f"`{path}`"
 

@@ -58,9 +58,9 @@ from bayesbl.config.sections import as_tuple, refuse
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate

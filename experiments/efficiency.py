@@ -27,8 +27,8 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.curves import read_curve
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.sampling.chains import SamplerSettings

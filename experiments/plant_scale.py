@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesbl.config.sections import Interval
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.measured_joint import REFUSED, JointAnswer, RecordingAnswer
 from bayesbl.fleet.plant_tables import (
     JOINT_COLUMNS,
     RECORDING_COLUMNS,
-    Level,
     Measured,
     joint_rows,
     pool,
@@ -35,7 +35,7 @@ from bayesbl.runs.fleet import summary_of
 TYPES = {"RV-80": 3e-4, "RV-20": 1e-4, "HD-25": 2e-4}
 """Type of gearbox to its median rate, rad/year; joints differ by 40 %."""
 
-LEVEL = Level(0.9, "equal_tailed")
+LEVEL = Interval(level=0.9, kind="equal_tailed")
 DRAWS = 1000
 
 

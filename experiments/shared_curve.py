@@ -22,8 +22,8 @@ from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.config.sections import as_tuple
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
-from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.curves import read_curve
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import Estimator
 

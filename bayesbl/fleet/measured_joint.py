@@ -32,7 +32,7 @@ from bayesbl.measurement.amplitude_route import optima_of
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason, Seeds
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.stored import as_stored, stored_answers, summary_of
+from bayesbl.measurement.stored import stored_answers, summary_of
 from bayesbl.measurement.wear import wear_of, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
@@ -514,7 +514,7 @@ def _of_group(
 
 
 def _text(reason: Reason) -> str:
-    return sentence(as_stored(reason))
+    return sentence(reason.stored)
 
 
 def _bench(job: JointJob) -> Bench:

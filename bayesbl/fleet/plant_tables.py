@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.measured_joint import JointAnswer, RecordingAnswer
 from bayesbl.fleet.pooled_rates import Borrowed, Draws, TypeRates, alarms, pooled
 from bayesbl.measurement.wear import date_after, probability_before, shares, years_between
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import IntervalKind, interval
+from bayesbl.results.intervals import interval
 
 GROUP, ARRAY, ATTRIBUTES = ".zgroup", ".zarray", ".zattrs"
 
@@ -158,21 +159,14 @@ JOINT_COLUMNS = {
 """Column to its type and meaning; the inventory's own other columns stand behind them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Level:
-    """Of all intervals in the tables."""
-
-    level: float
-    kind: IntervalKind
-
-    def of(self, draws: FloatArray, name: str) -> dict[str, float]:
-        """Columns of an interval."""
-        found = interval(draws, self.level, self.kind)
-        return {f"{name}_{end}": found[end] for end in ("median", "low", "high")}
+def _ends(draws: FloatArray, name: str, of: IntervalConfig) -> dict[str, float]:
+    """Columns of an interval."""
+    found = interval(draws, of.level, of.kind)
+    return {f"{name}_{end}": found[end] for end in ("median", "low", "high")}
 
 
 def recording_row(
-    answer: RecordingAnswer, joint: Joint | None, used: bool | None, level: Level
+    answer: RecordingAnswer, joint: Joint | None, used: bool | None, level: IntervalConfig
 ) -> dict[str, Any]:
     """A row of ``recordings.parquet``, which recording it is of left open."""
     row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
@@ -185,7 +179,7 @@ def recording_row(
     if answer.answers:
         gap = answer.gap_rad
         assert gap is not None
-        row |= level.of(gap, "delta_rad") | {"delta_rad_sd": float(gap.std())}
+        row |= _ends(gap, "delta_rad", level) | {"delta_rad_sd": float(gap.std())}
         found_at = map(float, np.quantile(gap, QUANTILES))
         row |= dict(zip(QUANTILE_COLUMNS, found_at, strict=True))
         if joint is not None and joint.limit_rad is not None and joint.curve != "published":
@@ -237,7 +231,7 @@ def _draws(answer: JointAnswer) -> Draws | None:
 def joint_rows(
     measured: Sequence[Measured],
     borrowed: Mapping[str, Borrowed],
-    level: Level,
+    level: IntervalConfig,
     decide_before: Date | None,
 ) -> list[dict[str, Any]]:
     """Rows of ``joints.parquet``: the largest expected cost first, then the most urgent."""
@@ -281,7 +275,7 @@ def _urgency(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _joint_row(
-    one: Measured, borrowed: Borrowed | None, level: Level, decide_before: Date | None
+    one: Measured, borrowed: Borrowed | None, level: IntervalConfig, decide_before: Date | None
 ) -> dict[str, Any]:
     joint, answer = one.joint, one.answer
     chosen = None if borrowed is None else borrowed.chosen
@@ -306,19 +300,19 @@ def _joint_row(
         row |= {"first_date": dates[0], "last_date": dates[-1]}
     if answer.gap_rad is not None:
         now = answer.gap_rad[-1]
-        row |= level.of(now, "delta_rad")
+        row |= _ends(now, "delta_rad", level)
         if joint.limit_rad is not None and joint.curve != "published":
             row["probability_limit_now"] = float(np.mean(now > joint.limit_rad))
     rate = answer.rate_rad_per_year
     if rate is None:
         return row
-    row |= level.of(rate, "rate_alone_rad_per_year")
+    row |= _ends(rate, "rate_alone_rad_per_year", level)
     row["probability_wear"] = answer.probability_wear
     own: Any = slice(None) if chosen is None else chosen
     if answer.kind is not None:
         law = shares(answer.kind[own])
         row["law"] = max(law, key=law.__getitem__)
-    row |= level.of(rate[own], "rate_rad_per_year")
+    row |= _ends(rate[own], "rate_rad_per_year", level)
     row["rate_rad_per_year_sd"] = float(rate[own].std())
     if answer.years_to_limit is not None:
         row |= _forecast(
@@ -328,9 +322,9 @@ def _joint_row(
 
 
 def _forecast(
-    years: FloatArray, last: Date, level: Level, decide_before: Date | None
+    years: FloatArray, last: Date, level: IntervalConfig, decide_before: Date | None
 ) -> dict[str, Any]:
-    ends = level.of(years, "limit_date")
+    ends = _ends(years, "limit_date", level)
     ends["limit_date_not_before"] = float(np.quantile(years, 1.0 - level.level))
     days = {name: date_after(last, value) for name, value in ends.items()}
     row: dict[str, Any] = {name: day and day.isoformat() for name, day in days.items()}

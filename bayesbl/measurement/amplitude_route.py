@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,9 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
-from bayesbl.measurement.change import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
+from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
@@ -34,32 +33,25 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     estimator_of,
+    sampling_reasons,
 )
 from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
 from bayesbl.measurement.shared_groups import (
     ACCEPTANCE,
-    BUDGET,
     CHAIN,
-    CONSTANT,
     DELTA,
     DIFFERENCES,
     DRAW,
     DRAWS,
     NOISE_ORDER,
-    OBSERVED,
+    OF_EVERY_ROUTE,
     SAMPLED_SYMBOLS,
-    SAMPLING,
-    budget_group,
-    excluded_samples,
+    common_groups,
     intervals,
     numbered,
-    recorded,
-    sampling_summary,
-    sampling_values,
 )
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
@@ -90,6 +82,8 @@ from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch
 from bayesbl.ringing.waveform import jacobian_columns
+
+NAME = "amplitude"
 
 BAND_DRAWS = 100
 """Behind the predictive band."""
@@ -249,8 +243,6 @@ MISFIT = Group(
     table("phase_rad (phase_rad) | rad | load phase from the start of the recording"),
 )
 
-DIAGNOSTICS = Group("diagnostics", SAMPLING, (SAMPLED_SYMBOLS,))
-
 SAMPLER_CHECK = Group(
     "sampler_check",
     table("""
@@ -271,16 +263,13 @@ GROUPS = (
     PRIOR,
     PRIOR_PREDICTIVE,
     POSTERIOR_PREDICTIVE,
-    OBSERVED,
-    CONSTANT,
+    *OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
     BOX_SEARCH,
     SEARCH_HISTORY,
     NOISE,
     MISFIT,
-    DIAGNOSTICS,
-    BUDGET,
     CURVE,
     SAMPLER_CHECK,
 )
@@ -346,7 +335,15 @@ class AmplitudeMeasurer(Measurer):
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
-        found = [None] * len(fits) if curves is None else gaps_of_fits(task, curves, fits)
+        found: Sequence[Gap | None] = [None] * len(fits)
+        if curves is not None:  # all through the same draws of the curve
+            found = gaps(
+                curves,
+                [measured_ringing(fit) for fit in fits],
+                task.seeds.gap,
+                allow_extrapolation=task.config.curve.allow_extrapolation,
+                level=task.config.interval.level,
+            )
         of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
         entries = task.config.recordings
         check = same_joint(
@@ -358,7 +355,7 @@ class AmplitudeMeasurer(Measurer):
         parts = zip(task.recordings, fits, found, of_each, seeds, strict=True)
         change = None if curves is None else change_reason(check)
         return Measurement(
-            "amplitude",
+            NAME,
             [self._answer(*part, task) for part in parts],
             shared=self._curve(curves, found, task),
             curve=curves[0].name if curves else "",
@@ -387,7 +384,7 @@ class AmplitudeMeasurer(Measurer):
             None if gap is None else gap.delta_rad,
             verdict(fit, gap, against, self.source.question(recording)),
             groups,
-            _numbers(fit, gap, groups["posterior"], task.config.interval),
+            _numbers(fit, groups["posterior"], task.config.interval),
             check,
             None if gap is None else gap.upper_bound_rad,
         )
@@ -408,25 +405,21 @@ class AmplitudeMeasurer(Measurer):
             return check, []
         draws = gap.delta_rad.ravel()
         picked = draws[np.linspace(0, draws.size - 1, BENCHES).round().astype(int)]
-        found = beside_bench(fit.point, bench, picked, np.random.default_rng(BENCHES))
+        items = beside_bench(fit.point, bench, picked, np.random.default_rng(BENCHES))
         low, high = np.log(np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))
-        bound = normal_isf(0.5 * FALSE_ALARM / max(len(found), 1))
-        items, reasons = [], []
-        for one in found:
-            name, value = one.feature.name, one.feature.value
-            items.append(one.item)
-            shown = name in MOVES_RINGING and abs(one.z) > bound and one.value > 0.0
-            if shown and abs(value / one.value - 1.0) > 0.5 * (high - low):
-                values = {
-                    "quantity": name,
-                    "measured": value,
-                    "expected": one.value,
-                    "unit": one.feature.unit,
-                }
-                reasons.append(Reason("other_bench", values, withholds=True))
-        causes = [cause for reason in reasons for cause in COULD_BE[reason.values["quantity"]]]
+        bound = normal_isf(0.5 * FALSE_ALARM / max(len(items), 1))
+        differing = [
+            item
+            for item in items
+            if item.quantity in MOVES_RINGING and abs(item.z) > bound and item.expected > 0.0
+            if abs(item.measured / item.expected - 1.0) > 0.5 * (high - low)
+        ]
+        causes = [cause for item in differing for cause in COULD_BE[item.quantity]]
         causes = list(dict.fromkeys([*check.could_be, *causes]))
-        agrees = check.agrees and not reasons
+        agrees = check.agrees and not differing
+        names = ("quantity", "measured", "expected", "unit")
+        told = [{name: getattr(item, name) for name in names} for item in differing]
+        reasons = [Reason("other_bench", values, withholds=True) for values in told]
         return JointCheck(agrees, [*check.items, *items], tuple(causes)), reasons
 
     def _curve(
@@ -494,9 +487,7 @@ def _ringing_change(
     return np.asarray(last / first - 1.0)
 
 
-def _numbers(
-    fit: Fit, gap: Gap | None, posterior: xr.Dataset, of: IntervalConfig
-) -> dict[str, Any]:
+def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, Any]:
     """The contract's keys, and beside them the misfit, the start and the second sampler."""
     point, optimum = fit.point, fit.point.optimum
     parameters = intervals(posterior, (s for s in SYMBOLS if s in posterior), of)
@@ -509,10 +500,6 @@ def _numbers(
         "noise": _noise_summary(point.noise),
         "misfit_rms_rpm": point.misfit.rms_rpm,
         "impact_sd_rpm": interval(point.spread.impact_sd_rpm, of.level, of.kind),
-        "rotations": _rotations(fit),
-        "excluded_samples": excluded_samples(point.recording),
-        "budget": {} if gap is None else gap.budget,
-        "diagnostics": sampling_summary(fit.posterior.diagnostics),
     }
     if point.start:
         found["start"] = point.start
@@ -567,11 +554,7 @@ def verdict(
     """
     diagnostics = fit.posterior.diagnostics
     failed = diagnostics.outcome == "withheld"
-    codes = chain([diagnostics.code], repeat("sampling"))
-    sampling = [
-        Reason.told(code, text, withholds=failed)
-        for code, text in zip(codes, diagnostics.reasons, strict=False)
-    ]
+    sampling = sampling_reasons(diagnostics, withhold=failed)
     notes = [Reason.told("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]
@@ -607,7 +590,7 @@ def amplitude_groups(
     index = _index(fit, gap)
     draws = {name: v.ravel()[index] for name, v in fit.posterior.draws.items()}
     baseline = fit.posterior.baseline_rpm.reshape(index.size, -1)[index]
-    speed = fit.point.recording.channels[MOTOR_SPEED]
+    rotations = fit.point.objective.duration_s / fit.point.optimum.symbols[ROTATION]
     return {
         **checked,
         **searched,
@@ -615,14 +598,18 @@ def amplitude_groups(
         "sample_stats": _sample_stats(fit, gap, index),
         "log_likelihood": _log_likelihood(fit, draws, baseline),
         **_prior(fit, curve, draws, np.random.default_rng(seed)),
-        **recorded(fit.point.recording, {MOTOR_SPEED: speed}),
+        **common_groups(
+            fit.point.recording,
+            [MOTOR_SPEED],
+            fit.posterior.diagnostics,
+            {} if gap is None else gap.budget,
+            rotations,
+        ),
         "predictive": _predictive(fit, level),
         "optimum": _optimum(fit),
         "search_history": _of(SEARCH_HISTORY, fit.point.optimum.history),
         "noise": _noise(fit),
         "misfit": _of(MISFIT, fit.point.misfit),
-        "diagnostics": _diagnostics(fit),
-        "budget": budget_group({} if gap is None else gap.budget),
     }
 
 
@@ -816,16 +803,6 @@ def _noise(fit: Fit) -> xr.Dataset:
     return dataset(NOISE, attributes(NOISE, noise) | {"degrees_of_freedom": freedom})
 
 
-def _diagnostics(fit: Fit) -> xr.Dataset:
-    found = fit.posterior.diagnostics
-    values = sampling_values(found, _rotations(fit))
-    return dataset(DIAGNOSTICS, values, {"symbol": list(found.r_hat)})
-
-
-def _rotations(fit: Fit) -> float:
-    return fit.point.objective.duration_s / fit.point.optimum.symbols[ROTATION]
-
-
 def _sampler_check(check: SamplerCheck) -> xr.Dataset:
     names = list(check.width_ratio)
     return dataset(
@@ -852,14 +829,14 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
         If the result cannot be read, or has no optimum of the ringing.
     """
     tree = read_tree(path)
-    if ROUTE.name not in routes_of(tree):
+    if NAME not in routes_of(tree):
         raise ResultError(
             "This result holds no optimum to start from.",
             file=path,
             found=f'kind = "{tree.attrs.get("kind")}", routes: {", ".join(routes_of(tree))}',
             expected="the result of bayesbl fit or bayesbl compare by the ringing's amplitude",
         )
-    require_declared(tree.children[ROUTE.name], [OPTIMUM], path)
+    require_declared(tree.children[NAME], [OPTIMUM], path)
     return optima_of(tree, f" in {path}")
 
 
@@ -872,7 +849,7 @@ def optima_of(tree: xr.DataTree, where: str = "") -> dict[str, EarlierOptimum]:
             stored.number("optimum", "rmse_rpm"),
             withheld=stored.summary["diagnostics"]["outcome"] == "withheld",
         )
-        for stored in stored_answers(tree, ROUTE.name)
+        for stored in stored_answers(tree, NAME)
     }
 
 
@@ -948,17 +925,6 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
 def earlier_of(name: str, optima: Mapping[str, EarlierOptimum]) -> EarlierOptimum | None:
     """The optimum to start from: that of the same name, else the last one."""
     return optima.get(name) or next(reversed([*optima.values()]), None)
-
-
-def gaps_of_fits(task: Task, curves: Sequence[GapCurve], fits: Sequence[Fit]) -> list[Gap]:
-    """The gap of every fit through its curve, all through the same draws."""
-    return gaps(
-        curves,
-        [measured_ringing(fit) for fit in fits],
-        task.seeds.gap,
-        allow_extrapolation=task.config.curve.allow_extrapolation,
-        level=task.config.interval.level,
-    )
 
 
 def measured_ringing(fit: Fit) -> MeasuredRinging:
@@ -1069,6 +1035,3 @@ def amplitude_with_baseline_rpm(point: PointEstimate) -> float:
     )
     end = refine(objective, point.optimum.searched)
     return float(objective.solve(end[None]).coefficients[0, -1])
-
-
-ROUTE = Route("amplitude", GROUPS)

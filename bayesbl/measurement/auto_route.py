@@ -8,9 +8,8 @@ bench too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -82,8 +81,8 @@ class AutoMeasurer(Measurer):
                 return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
             case UserError(), Measurement():
                 refusal = Reason.told(direct.code, str(direct))
-                because = [{"code": refusal.code, **refusal.values}]
-                return replace(self._by_amplitude(amplitude, because), refused={"direct": refusal})
+                found = self._by_amplitude(amplitude, [refusal])
+                return replace(found, refused={"direct": refusal})
             case Measurement(), Measurement():
                 return self._of_both(direct, amplitude)
         raise AssertionError("all cases are above")
@@ -99,8 +98,7 @@ class AutoMeasurer(Measurer):
             for reason in answer.verdict.withholding
         ]
         if failed and not all(answer.is_withheld for answer in amplitude.answers):
-            because = [{"code": reason.code, **reason.values} for reason in failed]
-            return replace(self._by_amplitude(amplitude, because), beside=(direct,))
+            return replace(self._by_amplitude(amplitude, failed), beside=(direct,))
         withheld = any(answer.is_withheld for answer in direct.answers)
         found = replace(
             _with_checks_of(direct, amplitude),
@@ -113,11 +111,10 @@ class AutoMeasurer(Measurer):
             found = replace(found, change_reason=_disagreement(direct, amplitude))
         return found
 
-    def _by_amplitude(
-        self, amplitude: Measurement, because: Sequence[Mapping[str, Any]]
-    ) -> Measurement:
+    def _by_amplitude(self, amplitude: Measurement, because: Sequence[Reason]) -> Measurement:
         """The amplitude's answer, which says why it is not the direct one."""
-        note = Reason("by_amplitude_instead", {"because": because})
+        told = [reason.stored for reason in because]
+        note = Reason("by_amplitude_instead", {"because": told})
         answers = [replace(a, verdict=_noted(a.verdict, note)) for a in amplitude.answers]
         found = replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
         if self.config.joint.may_drift and found.change_reason is None:

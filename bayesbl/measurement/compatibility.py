@@ -19,7 +19,7 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.errors import BenchError, ConfigError, CurveError, RecordingError
 from bayesbl.measurement.measurement import Reason
 from bayesbl.recording.types import Recording
-from bayesbl.results.identified import bench_from
+from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
 from bayesbl.ringing.symbols import ROTATION
 from bayesbl.units import LimitError
@@ -48,13 +48,7 @@ def bench_of(config: SnapshotConfig) -> Bench:
     if file is None:
         raise ConfigError("This route needs a bench.", expected="--bench FILE")
     bench = bench_from(file)
-    if bench.drive == "rigid":
-        raise ConfigError(
-            "A rigid bench has no gap to measure.",
-            file=file,
-            found='drive = "rigid"',
-            expected='drive = "two_mass"',
-        )
+    require_gap(bench, file)
     stated, known = config.joint.gear_ratio, bench.value("gear_ratio")
     if stated is not None and abs(stated / known - 1.0) > GEAR_RATIOS_APART:
         raise ConfigError(

@@ -48,10 +48,10 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     sampler_of,
+    sampling_reasons,
     upper_bound,
 )
 from bayesbl.measurement.model_check import (
@@ -65,8 +65,7 @@ from bayesbl.measurement.model_check import (
     undecided_gap,
 )
 from bayesbl.measurement.motion_verdict import (
-    EXCLUDED_END,
-    EXCLUDED_SHARE,
+    excluded_ends,
     motion_notes,
     unknown_start,
     unseen_gap,
@@ -231,14 +230,15 @@ class DirectMeasurer(Measurer):
         notes = (*told, *_of_the_part(found.joint), *self._counted_twice(recording))
         level = self.config.interval.level
         groups = direct_groups(posterior, recording, index, check)
+        gap, ends = posterior.values(GAP, recording.name), excluded_ends(posterior, recording.name)
         return Answer(
             recording.name,
-            posterior.values(GAP, recording.name),
+            gap,
             direct_verdict(found, index, notes, level),
             groups,
             _numbers(posterior, recording, index, check, groups, self.config.interval),
             found.model_check(recording.name, level),
-            _upper_bound(posterior, recording.name),
+            upper_bound(gap) if ends == (False, True) else None,
         )
 
     def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
@@ -335,8 +335,6 @@ class JointFit:
 
     Attributes
     ----------
-    nominal
-        With the bench as believed and nothing but gaps free, beside what its file leaves open.
     fit
         With what changed, and what is far from where the bench has it, among its unknowns.
     rest
@@ -347,7 +345,6 @@ class JointFit:
         The predictive check, with ``rest`` taken into account.
     """
 
-    nominal: SimulatedFit
     fit: SimulatedFit
     rest: Beside
     joint: JointFindings
@@ -389,16 +386,16 @@ def fit_jointly(
         check = disagreements(beside_part.explained(with_part))
         if agrees(check, FALSE_ALARM):
             joint = changed_beside(with_part, wider, part)
-            return JointFit(nominal, with_part, beside_part, joint, tuple(check))
+            return JointFit(with_part, beside_part, joint, tuple(check))
     check = disagreements(rest.explained(fit))
     if agrees(check, FALSE_ALARM):
         joint = changed_beside(fit, among)
-        return JointFit(nominal, fit, rest, joint, tuple(check))
+        return JointFit(fit, rest, joint, tuple(check))
     seeking = of_stage(progress, f"Seeking changes in {name}")
     fit, joint = find_changes(fit, among=among, progress=seeking)
     rest = beside(fit, among)
     check = disagreements(rest.explained(fit) if joint.explained else fit)
-    return JointFit(nominal, fit, rest, joint, tuple(check))
+    return JointFit(fit, rest, joint, tuple(check))
 
 
 def fit_directly(
@@ -456,10 +453,7 @@ def direct_verdict(
     unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
     unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
     outcome = "withheld" if against or unseen else diagnostics.outcome
-    sampling = [
-        Reason.told("sampling", text, withholds=outcome == "withheld")
-        for text in diagnostics.reasons
-    ]
+    sampling = sampling_reasons(diagnostics, withhold=outcome == "withheld")
     # Where δ is not seen, its prior's range may decide: that needs no saying.
     reasons = [*against, *(unseen or sampling)]
     if not with_current:
@@ -489,17 +483,6 @@ def _repeats(entries: Sequence[RepeatingPower], is_motion: bool) -> Reason:
     return Reason("repeats_beyond_noise", values, withholds=True)
 
 
-def _upper_bound(posterior: DirectPosterior, recording: str) -> float | None:
-    """The gap that δ is below, where the recording excludes large ones and none that is small."""
-    model = posterior.fit.model
-    unknown = model.unknowns[model.index(GAP, recording)]
-    gap = posterior.values(GAP, recording)
-    draws, end = np.log(gap), EXCLUDED_END * (unknown.high - unknown.low)
-    open_below = float(np.mean(draws < unknown.low + end)) >= EXCLUDED_SHARE
-    open_above = float(np.mean(draws > unknown.high - end)) >= EXCLUDED_SHARE
-    return upper_bound(gap) if open_below and not open_above else None
-
-
 def _item(entry: RepeatingPower) -> CheckItem:
     band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
     z = normal_isf(entry.probability)
@@ -526,7 +509,6 @@ def _numbers(
     noise = posterior.fit.model.noise[index]
     sd = groups["noise"]["sd"].values.tolist()
     found: dict[str, Any] = {
-        "amplitude_rpm": None,
         "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), of),
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
@@ -548,24 +530,13 @@ def _numbers(
             }
             for entry in check
         ],
-        "rotations": _rotations(posterior, index),
-        "excluded_samples": shared.excluded_samples(recording),
-        "budget": dict(
-            zip(*(groups["budget"][n].values.tolist() for n in ("source", "share")), strict=True)
-        ),
-        "diagnostics": {
-            **shared.sampling_summary(posterior.diagnostics),
-            "effective_after_simulation": posterior.effective,
-            "simulated_draws": posterior.simulated,
-            "surrogate_refits": posterior.refits,
-        },
     }
     if "flank_changes" in groups["predictive"]:
         motion = groups["predictive"]
         repeats = bool(motion["repeats"])
         found["motion"] = {
             "cycle_s": float(motion["rotation_period_s"]) if repeats else None,
-            "cycles": found["rotations"] if repeats else None,
+            "cycles": float(groups["diagnostics"]["rotations"]) if repeats else None,
             "flank_changes": round(float(motion["flank_changes"])),
             "compared_from_s": float(motion["compared_from_s"]),
         }
@@ -701,30 +672,14 @@ PREDICTIVE_CHECK = Group(
     ),
 )
 
-DIAGNOSTICS = Group(
-    "diagnostics",
-    (
-        *shared.SAMPLING,
-        *table("""
-            effective | 1 | effective draws after full simulation
-            simulated | 1 | draws simulated in full
-            refits | 1 | times the surrogate was fitted again
-        """),
-    ),
-    (shared.SAMPLED_SYMBOLS,),
-)
-
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
-    shared.OBSERVED,
-    shared.CONSTANT,
+    *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
     NOISE,
     PREDICTIVE_CHECK,
-    DIAGNOSTICS,
-    shared.BUDGET,
 )
 
 
@@ -747,13 +702,20 @@ def direct_groups(
     return {
         "posterior": _posterior(posterior, recording.name),
         "sample_stats": _sample_stats(posterior),
-        **shared.recorded(recording, {c: recording.channels[c] for c in seen.channels}),
+        **shared.common_groups(
+            recording,
+            seen.channels,
+            posterior.diagnostics,
+            _budget(posterior, recording.name),
+            seen.samples / seen.sampling_hz / seen.rotation_period_s,
+            effective=posterior.effective,
+            simulated=posterior.simulated,
+            refits=posterior.refits,
+        ),
         "predictive": _predictive(posterior, index),
         "optimum": _optimum(posterior, recording.name),
         "noise": _noise(posterior, index),
         "predictive_check": _check(check),
-        "diagnostics": _diagnostics(posterior, index),
-        "budget": shared.budget_group(_budget(posterior, recording.name)),
     }
 
 
@@ -862,22 +824,6 @@ def _check(check: Sequence[RepeatingPower]) -> xr.Dataset:
     )
 
 
-def _diagnostics(posterior: DirectPosterior, index: int) -> xr.Dataset:
-    return dataset(
-        DIAGNOSTICS,
-        {
-            **attributes(DIAGNOSTICS, posterior),
-            **shared.sampling_values(posterior.diagnostics, _rotations(posterior, index)),
-        },
-        {"symbol": list(posterior.diagnostics.r_hat)},
-    )
-
-
-def _rotations(posterior: DirectPosterior, index: int) -> float:
-    seen = posterior.fit.model.recordings[index]
-    return seen.samples / seen.sampling_hz / seen.rotation_period_s
-
-
 def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
     """Shares of the variance of ln δ: by noise, were the bench known exactly; by laws that it may
     lack and by drift; the rest by what it states with a tolerance."""
@@ -893,6 +839,3 @@ def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:
     # Draws of which one carries all weight have no variance.
     share = min(1.0 - model_share, noise / max(float(posterior.draws[..., place].var()), noise))
     return {"noise": share, "laws_and_drift": model_share, "bench": 1.0 - model_share - share}
-
-
-ROUTE = Route("direct", GROUPS)

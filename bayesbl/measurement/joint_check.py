@@ -8,10 +8,7 @@ as JSON, so that a check may have any number of items.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import cast
-
-from bayesbl.measurement.summary_types import JointCheckSummary
+from dataclasses import dataclass
 
 NO_CURRENT = "no motor current can be compared"
 """Reason of a blind spot: gains that change move the ringing by any size, as a gap does."""
@@ -80,8 +77,3 @@ class JointCheck:
 
 NOTHING_COMPARED = JointCheck(True)
 """It agrees, as nothing speaks against it."""
-
-
-def as_stored(check: JointCheck) -> JointCheckSummary:
-    """As the summary and JSON hold it."""
-    return cast(JointCheckSummary, asdict(check))

@@ -82,27 +82,9 @@ def folded_rotations(point: PointEstimate) -> tuple[FloatArray, float]:
     return folded, rotation_s / folded.shape[2]
 
 
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """A feature beside what a bench that is not known exactly would have in its place.
-
-    ``z``: difference in standard deviations of both.
-    """
-
-    feature: Feature
-    value: float
-    z: float
-
-    @property
-    def item(self) -> CheckItem:
-        """As a check lists it."""
-        own = self.feature
-        return CheckItem(own.name, own.value, self.value, own.unit, self.z)
-
-
 def beside_bench(
     point: PointEstimate, bench: Bench, delta_rad: FloatArray, rng: np.random.Generator
-) -> list[Expected]:
+) -> list[CheckItem]:
     """Features of a recording beside those of its bench, drawn, at as many draws of δ, (k,)."""
     measured, period_s = folded_rotations(point)
     speed_rpm = float(point.recording.motor_speed_rpm.mean())
@@ -121,7 +103,7 @@ def beside_bench(
 
 def compared(
     measured: FloatArray, rotations: Sequence[FloatArray], period_s: float
-) -> list[Expected]:
+) -> list[CheckItem]:
     """Features of folded signals beside those of rotations of benches, (channels, 1, samples) each.
 
     What does not repeat in the recording is added to the simulation: noise moves both alike.
@@ -131,15 +113,15 @@ def compared(
         return []
     scatter = measured - measured.mean(axis=1, keepdims=True)
     found = [feature_values(rotation + scatter, period_s) for rotation in rotations]
-    expected = []
+    items = []
     for feature in features(measured, period_s):
         values = [own[feature.name] for own in found if feature.name in own]
         if values:
             mean, sd = float(np.mean(values)), float(np.std(values))
             sd = math.hypot(feature.standard_error, sd)
             z = (feature.value - mean) / sd if sd > 0.0 else 0.0
-            expected.append(Expected(feature, mean, z))
-    return expected
+            items.append(CheckItem(feature.name, feature.value, mean, feature.unit, z))
+    return items
 
 
 def features(folded: FloatArray, period_s: float) -> list[Feature]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, repeat
 from typing import Any, Literal
 
 import numpy as np
@@ -21,13 +22,12 @@ from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed, with_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import FloatArray, Recording
-from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.optimum import EarlierOptimum
 from bayesbl.ringing.symbols import DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.sampling.convergence import Outcome
+from bayesbl.sampling.convergence import Diagnostics, Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +144,21 @@ class Reason:
         return cls(code, {"text": text}, withholds)
 
     @property
+    def stored(self) -> dict[str, Any]:
+        """As the summary holds it, without its sentence."""
+        return {"code": self.code, **self.values}
+
+    @property
     def withholding(self) -> Reason:
         """The same, withholding the answer."""
         return replace(self, withholds=True)
+
+
+def sampling_reasons(diagnostics: Diagnostics, *, withhold: bool) -> list[Reason]:
+    """Why draws are not simply converged, which may withhold the answer."""
+    codes = chain([diagnostics.code], repeat("sampling"))
+    told = zip(codes, diagnostics.reasons, strict=False)
+    return [Reason.told(code, text, withholds=withhold) for code, text in told]
 
 
 NO_CURVE = Reason("no_curve")
@@ -272,12 +284,6 @@ class Measurement:
         """Whether the gaps are read from the curve of the paper's test bench."""
         return self.curve == PUBLISHED
 
-    @property
-    def change_rad(self) -> FloatArray | None:
-        """Draws of the change of δ from first to last, withheld or not."""
-        first, last = self.answers[0].delta_rad, self.answers[-1].delta_rad
-        return None if first is None or last is None else last - first
-
 
 def upper_bound(delta_rad: FloatArray) -> float:
     """The gap below which δ lies with a probability of :data:`UPPER_BOUND_LEVEL`, rad."""
@@ -321,14 +327,3 @@ class Measurer(ABC):
     @abstractmethod
     def measure(self, task: Task) -> Measurement:
         """Measure all recordings of one joint."""
-
-
-@dataclass(frozen=True, slots=True)
-class Route:
-    """A way from recordings to gaps; its module has a ``prepare`` that gives its :class:`Measurer`.
-
-    ``groups``: what it stores, in a group of its own name.
-    """
-
-    name: str
-    groups: tuple[Group, ...]

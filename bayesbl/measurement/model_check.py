@@ -59,7 +59,7 @@ def feature_items(fit: SimulatedFit, recording: str) -> list[CheckItem]:
     measured, by_bench = folded(simulated + seen.left_by(simulated)), folded(simulated)
     period_s = seen.rotation_period_s / measured.shape[2]
     rotation = by_bench.mean(axis=1, keepdims=True)
-    return [one.item for one in compared(measured, [rotation], period_s)]
+    return compared(measured, [rotation], period_s)
 
 
 def check_of_comparison(

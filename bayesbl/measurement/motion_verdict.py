@@ -12,15 +12,13 @@ from bayesbl.matching.motions import flank_changes, remembered_start
 from bayesbl.matching.observed import begin_of, standstills
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
-from bayesbl.recording.types import FloatArray
+from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 EXCLUDED_END = 0.1
 EXCLUDED_SHARE = 0.01
 """Less than this share of the posterior in this share of the range of ln δ, at an end: the
 recording excludes that end, and there is a bound. A flat posterior has a tenth there."""
-
-BOUND_LEVEL = 0.95
 
 REMEMBERED = 1.0
 """χ² left of an unknown start in what is compared: one standard deviation of δ at most."""
@@ -76,22 +74,28 @@ def largest_pull(fit: SimulatedFit, index: int) -> float:
 
 def _bound(posterior: DirectPosterior, index: int) -> str | None:
     """The one-sided bound that the posterior leaves, in words; ``None`` where it leaves none."""
-    model = posterior.fit.model
-    name = model.recordings[index].name
-    unknown = model.unknowns[model.index(GAP, name)]
+    name = posterior.fit.model.recordings[index].name
     draws = np.log(posterior.values(GAP, name).ravel())
+    match excluded_ends(posterior, name):
+        case True, False:
+            side, share = "larger", 1.0 - UPPER_BOUND_LEVEL
+        case False, True:
+            side, share = "smaller", UPPER_BOUND_LEVEL
+        case _:
+            return None
+    bound_rad = math.exp(float(np.quantile(draws, share)))
+    return f"It is {side} than {1e3 * bound_rad:.2g} mrad ({UPPER_BOUND_LEVEL:.0%})."
+
+
+def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, bool]:
+    """Whether a recording excludes the lower, and the upper, end of the range of its δ."""
+    model = posterior.fit.model
+    unknown = model.unknowns[model.index(GAP, recording)]
+    draws = np.log(posterior.values(GAP, recording))
     end = EXCLUDED_END * (unknown.high - unknown.low)
-    above = float(np.mean(draws < unknown.low + end)) < EXCLUDED_SHARE
-    below = float(np.mean(draws > unknown.high - end)) < EXCLUDED_SHARE
-    if above and not below:
-        return f"It is larger than {_mrad(draws, 1.0 - BOUND_LEVEL)} ({BOUND_LEVEL:.0%})."
-    if below and not above:
-        return f"It is smaller than {_mrad(draws, BOUND_LEVEL)} ({BOUND_LEVEL:.0%})."
-    return None
-
-
-def _mrad(log_draws: FloatArray, share: float) -> str:
-    return f"{1e3 * math.exp(float(np.quantile(log_draws, share))):.2g} mrad"
+    at_low = float(np.mean(draws < unknown.low + end))
+    at_high = float(np.mean(draws > unknown.high - end))
+    return at_low < EXCLUDED_SHARE, at_high < EXCLUDED_SHARE
 
 
 def motion_notes(fit: SimulatedFit, index: int) -> list[str]:

@@ -31,10 +31,10 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     sampler_of,
+    sampling_reasons,
     upper_bound,
 )
 from bayesbl.measurement.wear import since_repair
@@ -308,10 +308,8 @@ class RampMeasurer(Measurer):
         why = against(answer.flanks)
         outcome = "withheld" if why is not None else answer.diagnostics.outcome
         withheld = outcome == "withheld"
-        sampling = [
-            Reason.told("sampling", text, withholds=withheld) for text in answer.diagnostics.reasons
-        ]
-        reasons = [*([why] if why else []), *sampling]
+        reasons = [why] if why else []
+        reasons += sampling_reasons(answer.diagnostics, withhold=withheld)
         given = self.config.joint.gear_ratio is not None
         reasons += notes_on(
             answer.files, answer.flanks, answer.draws, ratio_given=given, elsewhere=elsewhere
@@ -325,9 +323,7 @@ class RampMeasurer(Measurer):
             gap,
             Verdict(outcome, tuple(reasons)),
             groups,
-            _numbers(
-                answer, groups["posterior"], recording, self.config.interval, is_withheld=withheld
-            ),
+            _numbers(answer, groups["posterior"], self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if told_from_none or withheld else upper_bound(gap),
         )
 
@@ -443,7 +439,6 @@ def _on_positions(files: Sequence[Ramps], flanks: Flanks, *, elsewhere: bool) ->
 def _numbers(
     answer: RampAnswer,
     posterior: xr.Dataset,
-    recording: Recording,
     of: IntervalConfig,
     *,
     is_withheld: bool,
@@ -457,7 +452,6 @@ def _numbers(
         found |= shared.intervals(posterior, [PRELOAD], of)
     used = [file for file in level.files if file]
     return {
-        "amplitude_rpm": None,
         **{name: found[name] for name in QUANTITIES},
         "lost_motion_torque_nm": answer.lost_motion_torque_nm,
         "preload_torque_nm": found.get(PRELOAD),
@@ -474,18 +468,7 @@ def _numbers(
             **found,
             **shared.intervals(posterior, ("width_rad", "scatter_rad"), of),
         },
-        "optimum": {},
-        "noise": {
-            "kind": "repeated",
-            "order": 0,
-            "sd_rpm": 0.0,
-            "coefficients": [],
-            "degrees_of_freedom": None,
-        },
-        "rotations": 0.0,
-        "excluded_samples": shared.excluded_samples(recording),
-        "budget": dict(answer.budget),
-        "diagnostics": shared.sampling_summary(answer.diagnostics),
+        "noise": {"kind": "repeated"},
     }
 
 
@@ -611,9 +594,7 @@ def _budget(
     return {name: value / total for name, value in shares.items()} if total else {}
 
 
-def prepare(config: SnapshotConfig) -> RampMeasurer:
-    """With nothing but the configuration."""
-    return RampMeasurer(config)
+prepare = RampMeasurer
 
 
 # What is stored.
@@ -687,17 +668,12 @@ LOOP = Group(
     """),
 )
 
-DIAGNOSTICS = Group("diagnostics", (*shared.SAMPLING,), (shared.SAMPLED_SYMBOLS,))
-
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
-    shared.OBSERVED,
-    shared.CONSTANT,
+    *shared.OF_EVERY_ROUTE,
     CYCLES,
     LOOP,
-    DIAGNOSTICS,
-    shared.BUDGET,
 )
 
 
@@ -728,22 +704,21 @@ def ramp_groups(answer: RampAnswer, recording: Recording) -> dict[str, xr.Datase
     shape = answer.log_density.shape
     lengths = [ramps.torque_nm.size for ramps in answer.files]
     file = np.repeat(np.arange(len(lengths), dtype=float), lengths)
-    observed = {name: recording.channels[name] for name in (MOTOR_POSITION, MOTOR_TORQUE)}
     return {
         "posterior": dataset(POSTERIOR, answer.draws, shared.numbered(shape)),
         "sample_stats": dataset(
             SAMPLE_STATS,
             {"lp": answer.log_density, "acceptance_rate": answer.diagnostics.acceptance},
         ),
-        **shared.recorded(recording, observed, file=file),
+        **shared.common_groups(
+            recording,
+            (MOTOR_POSITION, MOTOR_TORQUE),
+            answer.diagnostics,
+            answer.budget,
+            file=file,
+        ),
         "cycles": _cycles(answer),
         "loop": _loop(answer),
-        "diagnostics": dataset(
-            DIAGNOSTICS,
-            shared.sampling_values(answer.diagnostics, 0.0),
-            {"symbol": list(answer.diagnostics.r_hat)},
-        ),
-        "budget": shared.budget_group(answer.budget),
     }
 
 
@@ -808,6 +783,3 @@ def _path(ramps: Ramps, cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArr
     step = max(1, -(-torque.size // MOST_POINTS))
     last = np.arange(path.start, path.stop) >= cycles[-1].first.begin
     return torque[::step], position[::step], last[::step].astype(float)
-
-
-ROUTE = Route("torque_ramp", GROUPS)

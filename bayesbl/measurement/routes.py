@@ -1,7 +1,8 @@
 """Routes of measurement by name, and the one way to run them.
 
-A route is a module with a :class:`bayesbl.measurement.measurement.Route` called ``ROUTE``, and its
-row in :data:`ROUTES`. ``auto`` is of two routes, one of which answers: its results are that one's.
+A route is a module with ``GROUPS``, which it stores in a group of its own name, and ``prepare``,
+which gives its :class:`bayesbl.measurement.measurement.Measurer`; and its row in :data:`ROUTES`.
+``auto`` is of two routes, one of which answers: its results are that one's.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import xarray as xr
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import ResultError
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit
-from bayesbl.measurement.measurement import Measurer, Route, Seeds, Task
+from bayesbl.measurement.measurement import Measurer, Seeds, Task
 from bayesbl.measurement.shared_groups import CHANGE, GAP
 from bayesbl.measurement.stored import measurement_tree, routes_of
 from bayesbl.measurement.wear import WEAR
@@ -35,10 +36,10 @@ ROUTES = {
 """Name to the module, which is imported only where it is used."""
 
 
-def route_of(name: str) -> Route:
-    """The route of this name."""
-    found: Route = import_module(ROUTES[name]).ROUTE
-    return found
+def groups_of(route: str) -> tuple[Group, ...]:
+    """What the route of this name stores."""
+    groups: tuple[Group, ...] = import_module(ROUTES[route]).GROUPS
+    return groups
 
 
 def measurer_of(config: SnapshotConfig) -> Measurer:
@@ -70,7 +71,7 @@ def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
             expected=" or ".join(ROUTES),
         )
     compared = (CHANGE, WEAR) if tree.attrs["kind"] == "compare" else ()
-    of_routes = [replace(g, name=f"{n}/{g.name}") for n in names for g in route_of(n).groups]
+    of_routes = [replace(g, name=f"{n}/{g.name}") for n in names for g in groups_of(n)]
     return (*of_routes, GAP, *compared)
 
 

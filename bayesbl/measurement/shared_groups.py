@@ -9,12 +9,13 @@ comparison all that is of one recording has a dimension ``snapshot`` in front.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.recording.types import CHANNELS, Recording
+from bayesbl.recording.types import CHANNELS, FloatArray, Recording
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.variables import Group, Variable, dataset, labels, table
 from bayesbl.sampling.convergence import Diagnostics
@@ -33,16 +34,22 @@ DRAWS = ("chain", "draw")
     draw (draw) | 1 | number of the draw
 """)
 
-SAMPLING = table("""
-    r_hat (symbol) | 1 | rank-normalised split R-hat over independent ensembles
-    ess_bulk (symbol) | 1 | bulk effective sample size
-    autocorrelation_steps | 1 | longest integrated autocorrelation time
-    steps | 1 | steps after burn-in
-    rotations | 1 | load rotations in the recording
-""")
-"""What ``diagnostics`` holds of the sampling by every route; see :func:`sampling_values`."""
-
 SAMPLED_SYMBOLS = labels("symbol", "name of what was sampled")
+
+DIAGNOSTICS = Group(
+    "diagnostics",
+    table("""
+        r_hat (symbol) | 1 | rank-normalised split R-hat over independent ensembles
+        ess_bulk (symbol) | 1 | bulk effective sample size
+        autocorrelation_steps | 1 | longest integrated autocorrelation time
+        steps | 1 | steps after burn-in
+        rotations | 1 | load rotations in the recording
+        effective? | 1 | effective draws after full simulation
+        simulated? | 1 | draws simulated in full
+        refits? | 1 | times the surrogate was fitted again
+    """),
+    (SAMPLED_SYMBOLS,),
+)
 
 
 def _channel(name: str) -> Variable:
@@ -70,6 +77,9 @@ BUDGET = Group(
     (labels("source", "source of the uncertainty of δ"),),
 )
 
+OF_EVERY_ROUTE = (OBSERVED, CONSTANT, DIAGNOSTICS, BUDGET)
+"""Groups that every route stores of a recording, by :func:`common_groups`."""
+
 GAP = Group("gap", (DELTA,), (CHAIN, DRAW), optional=True)
 """The draws of δ of the route that answers; absent without a curve."""
 
@@ -89,31 +99,75 @@ CHANGE = Group(
 )
 
 
-def recorded(
-    recording: Recording, observed: Mapping[str, object], **beside: object
+def common_groups(
+    recording: Recording,
+    observed: Iterable[str],
+    diagnostics: Diagnostics,
+    budget: Mapping[str, float],
+    rotations: float = 0.0,
+    *,
+    file: FloatArray | None = None,
+    **simulated: float,
 ) -> dict[str, xr.Dataset]:
-    """Groups :data:`OBSERVED`, with what a route went by, and :data:`CONSTANT`, with all else.
+    """Groups :data:`OF_EVERY_ROUTE` of one recording, without a ``snapshot`` dimension.
 
-    ``beside``: further variables of :data:`CONSTANT`.
+    Parameters
+    ----------
+    recording
+        As it was compared.
+    observed
+        Names of the channels that the route went by; all others are constant data.
+    budget
+        Share of each source in the variance of ln δ.
+    rotations
+        Of the load in the recording; 0 where the route counts none.
+    file
+        Number of the file of each sample, of a snapshot of several; shape (n,).
+    simulated
+        Optional variables of :data:`DIAGNOSTICS`, of draws that were simulated in full.
     """
+    names = list(observed)
     excluded = np.zeros(recording.samples) if recording.excluded is None else recording.excluded
-    others = {name: row for name, row in recording.channels.items() if name not in observed}
-    values = {"excluded": np.asarray(excluded, dtype=np.float64), **beside}
-    constant = {"time_s": recording.time_s, **others, **values}
-    return {
-        OBSERVED.name: dataset(OBSERVED, observed),
-        CONSTANT.name: dataset(CONSTANT, constant),
+    constant: dict[str, object] = {
+        "time_s": recording.time_s,
+        **{name: row for name, row in recording.channels.items() if name not in names},
+        "excluded": np.asarray(excluded, dtype=np.float64),
+        "file": file,
     }
-
-
-def sampling_values(diagnostics: Diagnostics, rotations: float) -> dict[str, object]:
-    """Values of :data:`SAMPLING`."""
-    return {
+    sampled = {
         "r_hat": list(diagnostics.r_hat.values()),
         "ess_bulk": [diagnostics.ess_bulk[name] for name in diagnostics.r_hat],
         "autocorrelation_steps": diagnostics.autocorrelation_steps,
         "steps": diagnostics.steps,
         "rotations": rotations,
+        **simulated,
+    }
+    return {
+        OBSERVED.name: dataset(OBSERVED, {name: recording.channels[name] for name in names}),
+        CONSTANT.name: dataset(CONSTANT, constant),
+        DIAGNOSTICS.name: dataset(DIAGNOSTICS, sampled, {"symbol": list(diagnostics.r_hat)}),
+        BUDGET.name: dataset(BUDGET, {"share": list(budget.values())}, {"source": list(budget)}),
+    }
+
+
+def common_numbers(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
+    """What :func:`common_groups` holds, as ``summary.json`` has it: symbols by the worst of all."""
+    sampled, budget = groups[DIAGNOSTICS.name], groups[BUDGET.name]
+    diagnostics: dict[str, float] = {
+        "r_hat": float(np.fmax.reduce(sampled["r_hat"].values)),
+        "ess_bulk": float(np.fmin.reduce(sampled["ess_bulk"].values)),
+    }
+    if "effective" in sampled:
+        diagnostics |= {
+            "effective_after_simulation": float(sampled["effective"]),
+            "simulated_draws": round(float(sampled["simulated"])),
+            "surrogate_refits": round(float(sampled["refits"])),
+        }
+    return {
+        "rotations": float(sampled["rotations"]),
+        "excluded_samples": int(groups[CONSTANT.name]["excluded"].sum()),
+        "budget": dict(zip(*(budget[n].values.tolist() for n in ("source", "share")), strict=True)),
+        "diagnostics": diagnostics,
     }
 
 
@@ -122,25 +176,8 @@ def numbered(shape: tuple[int, ...]) -> dict[str, object]:
     return {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
 
 
-def budget_group(budget: Mapping[str, float]) -> xr.Dataset:
-    """Share of each source in the variance of ln δ."""
-    return dataset(BUDGET, {"share": list(budget.values())}, {"source": list(budget)})
-
-
 def intervals(
     posterior: xr.Dataset, names: Iterable[str], of: IntervalConfig
 ) -> dict[str, Interval]:
     """Interval of each of these variables of a posterior, as configured."""
     return {name: interval(posterior[name].values, of.level, of.kind) for name in names}
-
-
-def excluded_samples(recording: Recording) -> int:
-    """Samples that were lost or cannot be trusted."""
-    return 0 if recording.excluded is None else int(recording.excluded.sum())
-
-
-def sampling_summary(diagnostics: Diagnostics) -> dict[str, float]:
-    """How the sampling ended, by the worst of all symbols."""
-    worst = np.fmax.reduce(list(diagnostics.r_hat.values()))
-    fewest = np.fmin.reduce(list(diagnostics.ess_bulk.values()))
-    return {"r_hat": float(worst), "ess_bulk": float(fewest)}

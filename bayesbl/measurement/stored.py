@@ -15,13 +15,12 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
-from bayesbl.measurement.change import Change, changes
 from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
-from bayesbl.measurement.shared_groups import CHANGE, GAP, numbered
+from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers, numbered
 from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
-from bayesbl.results.intervals import Interval, IntervalKind, interval
+from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import json_text, origin
 from bayesbl.results.variables import STACKED, dataset, stack_snapshots
@@ -45,8 +44,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):
         ringing = next((r.ringing_change for r in routes if r.ringing_change is not None), None)
-        total, steps = changes(drawn) if drawn else (None, [])
-        groups["change"] = _change_group(total, steps, ringing)
+        groups["change"] = change_group(drawn, ringing)
         if not (measured.without_gap or measured.by_other_joint):
             wear, wear_reason = wear_of(
                 config, measured.answers, task.seeds.wear, measured.change_reason
@@ -77,7 +75,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         "warnings": [*same_files(task.recordings), *measured.warnings],
         **origin(tree),
         "curve": next((one.curve for one in routes if one.curve), None),
-        "answer": {"route": measured.route, **as_stored(measured.why)},
+        "answer": {"route": measured.route, **measured.why.stored},
     }
     if isinstance(config, CompareConfig):
         summary |= _compared(measured, config)
@@ -86,7 +84,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
             dated = summarise_wear(
                 wear, task.names, config.interval, limit_rad, tree.attrs.get("limit")
             )
-            reason = None if wear_reason is None else as_stored(wear_reason)
+            reason = None if wear_reason is None else wear_reason.stored
             summary["wear"] = {**dated, "reason": reason}
     else:
         summary |= _answered(measured, 0, config)
@@ -104,27 +102,24 @@ def _stacked(
     return dict(alone)
 
 
-def _change_group(
-    total: Change | None, steps: Sequence[Change], ringing: FloatArray | None
-) -> xr.Dataset:
-    """Draws of the change from first to last, and of each step; what there is not is left out."""
+def change_group(drawn: Mapping[str, FloatArray], ringing: FloatArray | None) -> xr.Dataset:
+    """Draws of the change from first to last, and of each step; what there is not is left out.
+
+    ``drawn``: of δ by snapshot in order of time, each (chain, draw), paired by draw.
+    """
     values: dict[str, object] = {"ringing_change": ringing}
-    if total is not None:
+    if drawn:
+        names, gaps = list(drawn), np.stack(list(drawn.values()))
         values |= {
-            "change_rad": total.change_rad,
-            "step_change_rad": np.stack([step.change_rad for step in steps]),
-            "step_from": [step.first for step in steps],
-            "step_to": [step.last for step in steps],
+            "change_rad": gaps[-1] - gaps[0],
+            "step_change_rad": np.diff(gaps, axis=0),
+            "step_from": names[:-1],
+            "step_to": names[1:],
         }
     return dataset(CHANGE, values)
 
 
 # The summary.
-
-
-def as_stored(reason: Reason) -> dict[str, Any]:
-    """A reason as the summary holds it, without its sentence."""
-    return {"code": reason.code, **reason.values}
 
 
 def one_of(reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
@@ -140,15 +135,15 @@ def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
     found: dict[str, tuple[Reason, list[str]]] = {}
     for answer in measured.answers:
         for reason in answer.verdict.withholding:
-            found.setdefault(json_text(as_stored(reason)), (reason, []))[1].append(answer.name)
+            found.setdefault(json_text(reason.stored), (reason, []))[1].append(answer.name)
     reasons = [
-        as_stored(reason) | ({} if len(names) == len(measured.answers) else {"recordings": names})
+        reason.stored | ({} if len(names) == len(measured.answers) else {"recordings": names})
         for reason, names in found.values()
     ]
     if measured.without_gap:
-        reasons.append(as_stored(NO_CURVE))
+        reasons.append(NO_CURVE.stored)
     if measured.change_reason is not None:
-        reasons.append(as_stored(measured.change_reason))
+        reasons.append(measured.change_reason.stored)
     return one_of(reasons)
 
 
@@ -157,7 +152,7 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
     whole = [measured, *measured.beside]
     routes = {one.route: _of_route(one, one.answers[number], config) for one in whole}
     routes |= {
-        name: {"route": name, "delta_rad": None, "reason": as_stored(reason)}
+        name: {"route": name, "delta_rad": None, "reason": reason.stored}
         for name, reason in measured.refused.items()
     }
     answer = routes[measured.route]
@@ -166,19 +161,25 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
 
 
 def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
-    withholding = [as_stored(reason) for reason in answer.verdict.withholding]
+    withholding = [reason.stored for reason in answer.verdict.withholding]
     given = None if answer.is_withheld else answer.delta_rad
+    common = common_numbers(answer.groups)
+    no_noise_of_speed = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
     found = {
         "route": one.route,
         "curve": one.curve or None,
+        "amplitude_rpm": None,
+        "optimum": {},
         **answer.numbers,
+        "noise": no_noise_of_speed | answer.numbers["noise"],
+        **common,
         "delta_rad": None if given is None else _interval(given, config),
         "delta_upper_bound_rad": answer.upper_bound_rad,
         "diagnostics": {
-            **answer.numbers["diagnostics"],
+            **common["diagnostics"],
             "outcome": answer.verdict.outcome,
             "reasons": [
-                {**as_stored(reason), "withholds": reason.withholds}
+                {**reason.stored, "withholds": reason.withholds}
                 for reason in answer.verdict.reasons
             ],
         },
@@ -280,12 +281,6 @@ class Snapshot:
     name: str
     groups: Mapping[str, xr.Dataset]
     summary: Mapping[str, Any]
-    level: float
-    interval_kind: IntervalKind
-
-    def interval(self, group: str, variable: str) -> Interval:
-        """Interval of stored draws, at the level and of the kind of the result."""
-        return interval(self.groups[group][variable].values, self.level, self.interval_kind)
 
     def number(self, group: str, variable: str) -> float:
         """A stored scalar."""
@@ -355,5 +350,4 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot
     else:
         (name,) = np.atleast_1d(tree.attrs["recordings"])
         parts = [(str(name), summary["routes"][route], whole)]
-    level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
-    return [Snapshot(name, groups, part, level, kind) for name, part, groups in parts]
+    return [Snapshot(name, groups, part) for name, part, groups in parts]

@@ -23,7 +23,6 @@ from bayesbl.measurement.measurement import (
     Measurement,
     Measurer,
     Reason,
-    Route,
     Task,
     Verdict,
     upper_bound,
@@ -109,16 +108,7 @@ TRANSMISSION = Group(
     """),
 )
 
-DIAGNOSTICS = Group("diagnostics", (*shared.SAMPLING,), (shared.SAMPLED_SYMBOLS,))
-
-GROUPS = (
-    POSTERIOR,
-    shared.OBSERVED,
-    shared.CONSTANT,
-    TRANSMISSION,
-    DIAGNOSTICS,
-    shared.BUDGET,
-)
+GROUPS = (POSTERIOR, *shared.OF_EVERY_ROUTE, TRANSMISSION)
 
 SCALARS = ("probability_of_play", "log_odds", "coasts", "counted", "reversals")
 
@@ -216,7 +206,7 @@ class TwoEncoderMeasurer(Measurer):
             found.draws["delta_rad"],
             Verdict(outcome, tuple(reasons)),
             groups,
-            _numbers(found, groups, recording, self.config.interval, is_withheld=withheld),
+            _numbers(found, groups["posterior"], self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if sure or withheld else upper,
         )
 
@@ -313,12 +303,12 @@ def groups_of(
     draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
     amplitudes = list(found.harmonics.values())
     draws["harmonic_rad"] = np.stack(amplitudes) if amplitudes else np.empty((0, *shape))
-    sampled = _sampled(found)
     noise = found.noise
-    observed = {name: recording.channels[name] for name in (MOTOR_POSITION, LOAD_POSITION)}
     return {
         "posterior": dataset(POSTERIOR, draws, shared.numbered(shape)),
-        **shared.recorded(recording, observed),
+        **shared.common_groups(
+            recording, (MOTOR_POSITION, LOAD_POSITION), _sampled(found), _budget(found)
+        ),
         "transmission": dataset(
             TRANSMISSION,
             {
@@ -335,10 +325,6 @@ def groups_of(
                 "drift_s": noise.drift_s,
             },
         ),
-        "diagnostics": dataset(
-            DIAGNOSTICS, shared.sampling_values(sampled, 0.0), {"symbol": list(sampled.r_hat)}
-        ),
-        "budget": shared.budget_group(_budget(found)),
     }
 
 
@@ -357,21 +343,14 @@ def _budget(found: Transmission) -> dict[str, float]:
 
 
 def _numbers(
-    found: Transmission,
-    groups: dict[str, xr.Dataset],
-    recording: Recording,
-    of: IntervalConfig,
-    *,
-    is_withheld: bool,
+    found: Transmission, posterior: xr.Dataset, of: IntervalConfig, *, is_withheld: bool
 ) -> dict[str, Any]:
     """The contract's keys, and beside them all that both encoders tell."""
-    posterior = groups["posterior"]
     names = [name for name in QUANTITIES if np.isfinite(posterior[name].values).all()]
     if is_withheld:
         names = [name for name in names if name not in OF_PLAY]
     parameters = shared.intervals(posterior, names, of)
     return {
-        "amplitude_rpm": None,
         "play_rad": parameters.get("play_rad"),
         "lost_motion_rad": parameters["lost_motion_rad"],
         "windup_rad_per_nm": parameters.get("windup_rad_per_nm"),
@@ -387,24 +366,8 @@ def _numbers(
         "probability_of_play": found.probability_of_play,
         "reversals": found.reversals,
         "parameters": parameters,
-        "optimum": {},
-        "noise": {
-            "kind": "drift",
-            "order": 0,
-            "sd_rpm": 0.0,
-            "coefficients": [],
-            "degrees_of_freedom": None,
-        },
-        "rotations": 0.0,
-        "excluded_samples": shared.excluded_samples(recording),
-        "budget": _budget(found),
-        "diagnostics": shared.sampling_summary(_sampled(found)),
+        "noise": {"kind": "drift"},
     }
 
 
-def prepare(config: SnapshotConfig) -> TwoEncoderMeasurer:
-    """With nothing but the configuration."""
-    return TwoEncoderMeasurer(config)
-
-
-ROUTE = Route(NAME, GROUPS)
+prepare = TwoEncoderMeasurer

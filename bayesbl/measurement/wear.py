@@ -65,7 +65,7 @@ from bayesbl.config.measurement import CompareConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Answer, Reason
-from bayesbl.measurement.summary_types import DateInterval, RateInterval
+from bayesbl.measurement.summary_types import RateInterval, WearSummary
 from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
@@ -707,27 +707,17 @@ def summarise_wear(
     level, kind = of.level, of.kind
     before = group.attrs.get("decide_before")
     dates = used_dates(group)
-    result: dict[str, Any] = {
+    result: dict[str, Any] = dict.fromkeys(WearSummary.__annotations__)
+    result |= {
         "snapshots": [n for n, used in zip(names, group["used"].values, strict=True) if used],
         "first_date": dates[0].isoformat(),
         "last_date": dates[-1].isoformat(),
         "level": level,
-        "probability_wear": None,
-        "law": None,
-        "rate": None,
-        "rate_now": None,
-        "rate_at_most_rad_per_year": None,
-        "scatter_rad_per_root_year": None,
         "relative_sd_per_date": float(group.attrs.get("relative_sd_per_date", 0.0)),
         "drift_widens": group.attrs.get("drift_widens"),
         "limit_rad": limit_rad,
         "limit": stated_limit,
-        "years_to_limit": None,
-        "date_of_limit": None,
-        "not_before": None,
         "decide_before": before,
-        "probability_before": None,
-        "forecast_from_prior": None,
     }
     if "law" not in group:
         return result
@@ -747,7 +737,8 @@ def summarise_wear(
         years = group["years_to_limit"].values
         found = interval(years, level, kind)
         result["years_to_limit"] = found
-        result["date_of_limit"] = _dates(dates[-1], found)
+        ends: dict[str, Any] = {k: _iso(dates[-1], found[k]) for k in ("median", "low", "high")}
+        result["date_of_limit"] = {**found, **ends}
         earliest = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
         result["not_before"] = {"date": earliest, "level": level}
         if "width_over_prior" in group.attrs:
@@ -764,16 +755,6 @@ def summarise_wear(
 
 def _rate(found: Interval) -> RateInterval:
     return {**found, "unit": "rad/year"}
-
-
-def _dates(last: Date, years: Interval) -> DateInterval:
-    return {
-        "median": _iso(last, years["median"]),
-        "low": _iso(last, years["low"]),
-        "high": _iso(last, years["high"]),
-        "level": years["level"],
-        "kind": years["kind"],
-    }
 
 
 def _iso(first: Date, years: float) -> str | None:

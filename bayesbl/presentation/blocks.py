@@ -12,11 +12,6 @@ from bayesbl.units import number
 if TYPE_CHECKING:
     from bayesbl.results.intervals import Interval
 
-if TYPE_CHECKING:
-    pass
-if TYPE_CHECKING:
-    pass
-
 Tone = Literal["", "answer", "withheld", "aside", "warning"]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.config.bench import load_bench, parse_bench
-from bayesbl.errors import ResultError
+from bayesbl.errors import ConfigError, ResultError
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.store import read_tree
 from bayesbl.results.variables import Group, labels, table
@@ -26,6 +26,23 @@ IDENTIFIED = Group(
     """),
     (labels("parameter", "bench parameter"), labels("parameter_", "bench parameter")),
 )
+
+
+def require_gap(bench: Bench, file: str | Path) -> None:
+    """The bench of a file is not rigid.
+
+    Raises
+    ------
+    ConfigError
+        If it is.
+    """
+    if bench.drive == "rigid":
+        raise ConfigError(
+            "A rigid bench has no gap.",
+            file=file,
+            found='drive = "rigid"',
+            expected='drive = "two_mass"',
+        )
 
 
 def bench_from(path: str | Path) -> Bench:

@@ -35,33 +35,18 @@ DEPENDENCIES = (
 UNKNOWN = "unknown"
 
 
-def provenance(config_toml: str, seed: int, inputs: Mapping[str, str]) -> dict[str, str | int]:
-    """Attributes for the root of a result.
-
-    Parameters
-    ----------
-    config_toml
-        The configuration as it ran.
-    seed
-        Seed of the run.
-    inputs
-        Input file to the SHA-256 of its bytes.
-    """
+def provenance_of(config: RunConfig) -> dict[str, str | int]:
+    """Attributes for the root of the result of a configuration."""
     return {
         "bayesbl_version": bayesbl.__version__,
         "git_commit": git_commit(),
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seed": seed,
-        "config": config_toml,
-        "input_sha256": json.dumps(dict(inputs), sort_keys=True),
+        "seed": config.run.seed,
+        "config": dump_config(config),
+        "input_sha256": json.dumps(digests_of(config.model_dump()), sort_keys=True),
         "python_version": platform.python_version(),
         "dependency_versions": json.dumps(dict(dependency_versions())),
     }
-
-
-def provenance_of(config: RunConfig) -> dict[str, str | int]:
-    """Attributes for the root of the result of a configuration."""
-    return provenance(dump_config(config), config.run.seed, digests_of(config.model_dump()))
 
 
 def file_sha256(path: str | Path) -> str:

@@ -123,6 +123,13 @@ def attributes(group: Group, source: object) -> dict[str, object]:
     return {name: getattr(source, name) for name in names if hasattr(source, name)}
 
 
+def columns(group: Group, sources: Sequence[object]) -> dict[str, object]:
+    """The same of several objects, a value each, NaN for ``None``."""
+    names = attributes(group, sources[0]) if sources else ()
+    values = {name: [getattr(source, name) for source in sources] for name in names}
+    return {n: [np.nan if one is None else one for one in column] for n, column in values.items()}
+
+
 def dataset(
     group: Group,
     values: Mapping[str, object],

@@ -1,9 +1,9 @@
-"""Work on a Dask cluster that is already there: the numbers are those of processes.
+"""Independent jobs over processes of this machine, or on a Dask cluster that is already there.
 
-So every worker must run the same code on the same files, its linear algebra on one thread; what
-differs is refused before anything runs, and by workers that join later. In a worker process one
-job runs at a time whatever its threads, as jobs need not be safe against each other. A job whose
-worker dies is run again by another.
+The numbers are the same. So every worker of a cluster must run the same code on the same files, its
+linear algebra on one thread; what differs is refused before anything runs, and by workers that join
+later. In a worker process one job runs at a time whatever its threads, as jobs need not be safe
+against each other. A job whose worker dies is run again by another.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import as_completed as completed
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from bayesbl.config.sections import ClusterRun
 from bayesbl.errors import ClusterError
+from bayesbl.processes import processes
 from bayesbl.results.provenance import code_sha256, code_versions, file_sha256
 
 if TYPE_CHECKING:
@@ -90,31 +93,53 @@ class Common:
         return found
 
 
-def run_on_cluster(
+def run_jobs(
     run: Callable[[J], R],
     jobs: Sequence[J],
     files: Iterable[str],
-    scheduler: str,
+    where: ClusterRun,
     say: Callable[[str], None],
-    what: str = "cases",
+    what: str,
 ) -> Iterator[tuple[J, R]]:
-    """Run jobs on the workers of a scheduler; yields them as they end, in any order.
+    """Run jobs where ``[run]`` says; yields them as they end, in any order, and holds none longer.
+
+    One worker is a process of its own too: linear algebra on one thread rounds differently than on
+    many, and the numbers must not depend on the workers.
 
     Parameters
     ----------
     run
         A function of a module, or a ``partial`` of one.
     files
-        That every job reads, to be the same for all workers.
+        That every job reads, to be the same for all workers of a cluster.
     what
         The jobs, in a sentence.
 
     Raises
     ------
+    WorkerError
+        If a process dies.
     ClusterError
         If the scheduler does not answer or is lost, a worker differs, or a job kills all that
         run it.
     """
+    if where.scheduler is not None:
+        yield from _on_cluster(run, jobs, files, where.scheduler, say, what)
+        return
+    with processes(min(where.workers, len(jobs))) as pool:
+        futures = {pool.submit(run, job): job for job in jobs}
+        for future in completed(list(futures)):
+            yield futures.pop(future), future.result()
+
+
+def _on_cluster(
+    run: Callable[[J], R],
+    jobs: Sequence[J],
+    files: Iterable[str],
+    scheduler: str,
+    say: Callable[[str], None],
+    what: str,
+) -> Iterator[tuple[J, R]]:
     with _connected(scheduler) as client:
         from distributed import KilledWorker, as_completed
         from distributed.client import FutureCancelledError

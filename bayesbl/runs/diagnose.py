@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
-from typing import TYPE_CHECKING
 
 import xarray as xr
 
@@ -12,38 +10,20 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import method_named
-from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import RecordingError
-from bayesbl.progress import StageProgress
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
-
-if TYPE_CHECKING:
-    from bayesbl.diagnosis.summary import DiagnosisSummary
-
+from bayesbl.runs.workflow import Options, Plan, settings_of
 
 FEWEST_SAMPLES = 200
 
 
-def run(config: DiagnoseConfig, options: Options) -> DiagnosisSummary:
-    """Diagnose, and write the output folder."""
-    return run_into_folder(
-        config,
-        options,
-        lambda work: run_diagnose(config, options.progress, work),
-        summarise_diagnosis,
-    )
-
-
-def run_diagnose(
-    config: DiagnoseConfig, progress: StageProgress | None = None, work: WorkStore = NOTHING_KEPT
-) -> xr.DataTree:
+def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Diagnose as configured; nothing is written but finished work.
 
     Raises
@@ -55,7 +35,7 @@ def run_diagnose(
     found = work.get(
         "diagnosis",
         (settings_of(config), task.bench, task.recordings),
-        lambda: method.diagnose(task, progress),
+        lambda: method.diagnose(task, options.progress),
         Diagnosis,
     )
     tree = diagnosis_tree(found, config.interval.level, config.interval.kind)
@@ -65,7 +45,6 @@ def run_diagnose(
 
 def describe(config: DiagnoseConfig, plan: Plan) -> None:
     """What would be compared, without comparing it."""
-    plan.add("output", partial(require_output, config.run.output))
     method = method_named(config.comparison.method)
     plan.add("comparison", lambda: method.describe(task_of(config)))
 

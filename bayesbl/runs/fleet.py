@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date as Date
@@ -25,6 +24,7 @@ import bayesbl
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import PUBLISHED
+from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import ResultError
 from bayesbl.fleet.inventory import (
     Found,
@@ -50,7 +50,6 @@ from bayesbl.fleet.plant_tables import (
     RECORDING_COLUMNS,
     RECORDINGS_FILE,
     DrawsStore,
-    Level,
     Measured,
     joint_rows,
     pool,
@@ -59,15 +58,14 @@ from bayesbl.fleet.plant_tables import (
     write_table,
 )
 from bayesbl.fleet.pooled_rates import TypeRates
-from bayesbl.processes import processes
 from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
 from bayesbl.results.provenance import file_sha256, git_commit
 from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.cluster import run_on_cluster
-from bayesbl.runs.workflow import Options, Plan, require_output, settings_of
+from bayesbl.runs.cluster import run_jobs
+from bayesbl.runs.workflow import Options, Plan, settings_of
 
 DRAWS_FOLDER = "draws.zarr"
 
@@ -118,7 +116,6 @@ class KeptJoint:
 
 def describe(config: FleetConfig, plan: Plan) -> None:
     """What would be measured."""
-    plan.add("output", lambda: require_output(config.run.output))
     plan.add("tables", lambda: require_tables())
     plan.add("joints", lambda: _told(config))
 
@@ -252,7 +249,6 @@ def _finish(
         return
     new = sum(len(job.recordings) - len(job.known) for job in lacking)
     options.say(f"{new} recordings to measure, {len(lacking)} of {len(jobs)} joints to look at.")
-    level = Level(config.interval.level, config.interval.kind)
     done = len(jobs) - len(lacking)
     if options.progress is not None:
         options.progress("Joints", done, len(jobs))
@@ -264,7 +260,7 @@ def _finish(
             if number not in job.known and answer.lasting:
                 store.keep("recording", problem, answer)
         rows = tuple(
-            recording_row(answer, job.joint, number in wear.used, level)
+            recording_row(answer, job.joint, number in wear.used, config.interval)
             for number, answer in enumerate(answers)
         )
         store.keep("joint", job.problem(), KeptJoint(wear, rows, tuple(addresses)))
@@ -294,20 +290,13 @@ def _with_known(job: JointJob, store: WorkStore) -> JointJob:
 def _measured(
     config: FleetConfig, jobs: Sequence[JointJob], say: Callable[[str], None]
 ) -> Iterator[tuple[JointJob, MeasuredJoint]]:
-    """Joints as they end, in any order; no more are held than have not been taken yet."""
-    if config.run.scheduler is not None:
-        files = sorted({f for job in jobs for f in job.files})
-        yield from run_on_cluster(measure_joint, jobs, files, config.run.scheduler, say, "joints")
-        return
-    workers = min(config.run.workers, len(jobs))
-    if workers == 1:
+    """Joints as they end, in any order; a single one at a time is measured here."""
+    if config.run.scheduler is None and min(config.run.workers, len(jobs)) == 1:
         for job in jobs:
             yield job, measure_joint(job)
         return
-    with processes(workers) as pool:
-        futures = {pool.submit(measure_joint, job): job for job in jobs}
-        for future in as_completed(list(futures)):
-            yield futures.pop(future), future.result()
+    files = sorted({f for job in jobs for f in job.files})
+    yield from run_jobs(measure_joint, jobs, files, config.run, say, "joints")
 
 
 def _write(
@@ -318,7 +307,6 @@ def _write(
     folder: Path,
 ) -> FleetSummary:
     """Tables, draws, summary and configuration of a fleet that is measured."""
-    level = Level(config.interval.level, config.interval.kind)
     draws = DrawsStore(folder / DRAWS_FOLDER)
     rows: list[dict[str, Any]] = []
     measured = []
@@ -338,15 +326,17 @@ def _write(
         measured.append(Measured(job.joint, replace(kept.answer, gap_rad=now), dates, outcomes))
     for one, digest in refused:
         answer = RecordingAnswer(REFUSED, one.reason)
-        rows.append({**recording_row(answer, None, False, level), **identity(one, digest)})
+        rows.append(
+            {**recording_row(answer, None, False, config.interval), **identity(one, digest)}
+        )
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
     asked = config.fleet
     types, borrowed = pool(measured, asked.pool_by, config.run.seed, asked.covariates)
-    of_joints = joint_rows(measured, borrowed, level, asked.decide_before)
+    of_joints = joint_rows(measured, borrowed, config.interval, asked.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
     write_table(of_joints, JOINT_COLUMNS, folder / JOINTS_FILE)
     summary = summary_of(
-        rows, of_joints, types, level, config.run.seed, asked.pool_by, asked.decide_before
+        rows, of_joints, types, config.interval, config.run.seed, asked.pool_by, asked.decide_before
     )
     write_json(summary, folder / SUMMARY_FILE)
     write_text(dump_config(config), folder / CONFIG_FILE)
@@ -377,7 +367,7 @@ def summary_of(
     rows: Sequence[Mapping[str, Any]],
     joints: Sequence[Mapping[str, Any]],
     types: Mapping[str, TypeRates],
-    level: Level,
+    of: IntervalConfig,
     seed: int,
     pool_by: str | None,
     before: Date | None,
@@ -388,12 +378,12 @@ def summary_of(
     rates = {
         name: {
             "joints": found.joints,
-            "median_rad_per_year": interval(found.median_rad_per_year, level.level, level.kind),
-            "spread": interval(found.spread, level.level, level.kind),
+            "median_rad_per_year": interval(found.median_rad_per_year, of.level, of.kind),
+            "spread": interval(found.spread, of.level, of.kind),
             "law": dict(found.law),
-            "own": interval(found.own, level.level, level.kind),
+            "own": interval(found.own, of.level, of.kind),
             "covariates": {
-                key: {"sd": one.sd, "factor": interval(one.draws, level.level, level.kind)}
+                key: {"sd": one.sd, "factor": interval(one.draws, of.level, of.kind)}
                 for key, one in found.factors.items()
             },
         }
@@ -413,8 +403,8 @@ def summary_of(
         "types": rates,
         "alarms": [str(row["joint"]) for row in joints if row["alarm"]],
         "most_urgent": [dict(row) for row in joints[:MOST_URGENT]],
-        "level": level.level,
-        "interval_kind": level.kind,
+        "level": of.level,
+        "interval_kind": of.kind,
         "pool_by": pool_by,
         "decide_before": None if before is None else before.isoformat(),
     }

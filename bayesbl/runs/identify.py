@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -17,35 +15,19 @@ from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, identify
 from bayesbl.identification.problem import Problem
-from bayesbl.identification.summary import summarise_identification
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.model_search.always_in import with_friction
-from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT
+from bayesbl.results.identified import require_gap
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder, settings_of
+from bayesbl.results.work import WorkStore
+from bayesbl.runs.workflow import Options, Plan, settings_of
 from bayesbl.sampling.chains import SamplerSettings
 
-if TYPE_CHECKING:
-    from bayesbl.identification.summary import IdentificationSummary
 
-
-def run(config: IdentifyConfig, options: Options) -> IdentificationSummary:
-    """Identify, and write the output folder with the bench."""
-    return run_into_folder(
-        config,
-        options,
-        lambda work: run_identify(config, options.progress, work),
-        summarise_identification,
-    )
-
-
-def run_identify(
-    config: IdentifyConfig, progress: StageProgress | None = None, work: WorkStore = NOTHING_KEPT
-) -> xr.DataTree:
+def make(config: IdentifyConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Identify as configured; nothing is written but finished work.
 
     Raises
@@ -58,7 +40,7 @@ def run_identify(
     found = work.get(
         "identification",
         (settings_of(config), problem),
-        lambda: identify(problem, SamplerSettings(level=level), seed, progress),
+        lambda: identify(problem, SamplerSettings(level=level), seed, options.progress),
         Identification,
     )
     tree = identification_tree(found, problem, level, config.interval.kind)
@@ -69,7 +51,6 @@ def run_identify(
 
 def describe(config: IdentifyConfig, plan: Plan) -> None:
     """What would be identified, and from what."""
-    plan.add("output", partial(require_output, config.run.output))
 
     def problem() -> str:
         found, notes = problem_of(config)
@@ -92,6 +73,7 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         If they cannot be used.
     """
     bench = load_bench(config.bench)
+    require_gap(bench, config.bench)
     parameters = _parameters(config, bench)
     notes: list[str] = []
     seen: dict[str, list[Observed]] = {"fit": [], "hold_out": []}
@@ -138,13 +120,6 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
 
 
 def _parameters(config: IdentifyConfig, bench: Bench) -> tuple[str, ...]:
-    if bench.drive == "rigid":
-        raise ConfigError(
-            "A rigid bench has no gap to identify.",
-            file=config.bench,
-            found='drive = "rigid"',
-            expected='drive = "two_mass"',
-        )
     tolerances = bench.tolerances
     if not tolerances:
         raise ConfigError(

@@ -9,6 +9,7 @@ import os
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -21,7 +22,16 @@ from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError, ResultError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import CONFIG_FILE, require_apart
-from bayesbl.runs.workflow import Draw, Options, Plan, Workflow
+from bayesbl.results.work import NOTHING_KEPT
+from bayesbl.runs.workflow import (
+    Draw,
+    Options,
+    OwnWorkflow,
+    Plan,
+    Workflow,
+    require_output,
+    run_into_folder,
+)
 from bayesbl.sentences import told
 
 if TYPE_CHECKING:
@@ -50,71 +60,78 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Stored:
-    """A kind of stored result.
+class Kind:
+    """A kind of run, and of stored result; modules are imported when they are needed.
 
     Attributes
     ----------
+    workflow
+        Module of :mod:`bayesbl.runs` that runs it.
     groups
-        Module whose ``declared_groups`` lists its groups.
+        Module whose ``declared_groups`` lists the groups of its result; empty without one.
     summarise
-        Module and function that make its summary, a colon between them.
+        Module and function that make the summary of its result, a colon between them.
     attributes
-        What its root says of it.
+        What the root of its result says of it.
     """
 
-    groups: str
-    summarise: str
-    attributes: tuple[str, ...]
+    workflow: str
+    groups: str = ""
+    summarise: str = ""
+    attributes: tuple[str, ...] = ()
 
 
-_MEASURED = Stored(
+_MEASURED = Kind(
+    "measure",
     "bayesbl.measurement.routes",
     "bayesbl.measurement.stored:summary_of",
     ("outcome", "recordings", "interval_level", "interval_kind"),
 )
 
-STORED: Mapping[str, Stored] = MappingProxyType(
+KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "fit": _MEASURED,
         "compare": _MEASURED,
-        "sweep": Stored(
-            "bayesbl.runs.sweep", "bayesbl.runs.sweep:summarise_sweep", ("outcome", "degree")
+        "sweep": Kind(
+            "sweep",
+            "bayesbl.runs.sweep",
+            "bayesbl.runs.sweep:summarise_sweep",
+            ("outcome", "degree"),
         ),
-        "plan": Stored(
-            "bayesbl.runs.plan", "bayesbl.runs.plan:summarise_plan", ("outcome", "gap_rad")
+        "plan": Kind(
+            "plan",
+            "bayesbl.runs.plan",
+            "bayesbl.runs.plan:summarise_plan",
+            ("outcome", "gap_rad"),
         ),
-        "diagnose": Stored(
+        "diagnose": Kind(
+            "diagnose",
             "bayesbl.diagnosis.groups",
             "bayesbl.diagnosis.summary:summarise_diagnosis",
             ("outcome", "diagnosis"),
         ),
-        "identify": Stored(
+        "identify": Kind(
+            "identify",
             "bayesbl.identification.groups",
             "bayesbl.identification.summary:summarise_identification",
             ("outcome", "identification", "identified_bench"),
         ),
-        "study": Stored(
-            "bayesbl.runs.study", "bayesbl.runs.study:summarise_study", ("outcome", "study")
+        "study": Kind(
+            "study",
+            "bayesbl.runs.study",
+            "bayesbl.runs.study:summarise_study",
+            ("outcome", "study"),
         ),
+        "fleet": Kind("fleet"),
+        "simulate": Kind("simulate"),
+        "bench": Kind("bench"),
     }
 )
 
-WORKFLOWS: Mapping[str, str] = MappingProxyType(
-    {
-        "fit": "measure",
-        "compare": "measure",
-        "sweep": "sweep",
-        "plan": "plan",
-        "diagnose": "diagnose",
-        "identify": "identify",
-        "study": "study",
-        "fleet": "fleet",
-        "simulate": "simulate",
-        "bench": "bench",
-    }
-)
-"""Kind to the module of :mod:`bayesbl.runs` that runs it, imported when it is needed."""
+_STORED = tuple(name for name, kind in KINDS.items() if kind.groups)
+
+_ADDED_TO = ("study", "fleet")
+"""Kinds that write their output folder themselves."""
 
 _FILES = ("simulate", "bench")
 """Kinds without an output folder: their workflow takes the file itself."""
@@ -179,15 +196,27 @@ def run(
         If the folder may not be written, or anything in the configuration cannot be used.
     """
     _require_output_apart(config, file)
-    workflow = _workflow(config.kind)
     plan = Plan(file)
-    workflow.describe(config, plan)
+    workflow = _described(config, plan)
     plan.require_sound()
     for sentence in plan.withheld:
         say(sentence)
     options = Options(draw, force, progress, say, formats, plan.recordings)
-    summary: Summary = workflow.run(config, options)
-    return summary
+    if config.kind in _ADDED_TO:
+        summary: Summary = cast(OwnWorkflow, workflow).run(config, options)
+        return summary
+    return run_into_folder(config, options, workflow.make, summarise)
+
+
+def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> xr.DataTree:
+    """What a run of this configuration would store; no output folder is written.
+
+    Raises
+    ------
+    UserError
+        If anything in the configuration cannot be used.
+    """
+    return _workflow(config.kind).make(config, Options(progress=progress), NOTHING_KEPT)
 
 
 def check(path: str | Path) -> Plan:
@@ -206,8 +235,16 @@ def check(path: str | Path) -> Plan:
     config = load_run(path)
     plan.lines.append(("seed", str(config.run.seed)))
     plan.add("output", lambda: _require_output_apart(config, path))
-    _workflow(kind).describe(config, plan)
+    _described(config, plan)
     return plan
+
+
+def _described(config: RunConfig, plan: Plan) -> Workflow:
+    """The workflow of a configuration, which has said all that it can before it runs."""
+    plan.add("output", partial(require_output, config.run.output))
+    workflow = _workflow(config.kind)
+    workflow.describe(config, plan)
+    return workflow
 
 
 def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
@@ -221,7 +258,7 @@ def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
 
 
 def _workflow(kind: str) -> Workflow:
-    return cast(Workflow, import_module(f"bayesbl.runs.{WORKFLOWS[kind]}"))
+    return cast(Workflow, import_module(f"bayesbl.runs.{KINDS[kind].workflow}"))
 
 
 @checked
@@ -230,14 +267,14 @@ def summarise(tree: Tree) -> Summary:
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
-    module, _, function = STORED[tree.attrs["kind"]].summarise.partition(":")
+    module, _, function = KINDS[tree.attrs["kind"]].summarise.partition(":")
     summary: Summary = told(getattr(import_module(module), function)(tree))
     return summary
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
     """Groups that a result declares."""
-    module = import_module(STORED[tree.attrs["kind"]].groups)
+    module = import_module(KINDS[tree.attrs["kind"]].groups)
     groups: tuple[Group, ...] = module.declared_groups(tree)
     return groups
 
@@ -255,19 +292,19 @@ def read_result(path: str | Path) -> xr.DataTree:
 
     tree = read_tree(path)
     kind = tree.attrs.get("kind")
-    if not isinstance(kind, str) or kind not in STORED:
+    if not isinstance(kind, str) or kind not in _STORED:
         raise ResultError(
             "This result is of no known kind.",
             file=path,
             found=f"kind {kind!r}",
-            expected=" or ".join(STORED),
+            expected=" or ".join(_STORED),
         )
     try:
         require_declared(tree, declared_groups(tree))
     except ResultError as problem:
         problem.name_file(path)
         raise
-    needed = STORED[kind].attributes
+    needed = KINDS[kind].attributes
     missing = [name for name in needed if name not in tree.attrs]
     if missing:
         raise ResultError(

@@ -10,32 +10,24 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.measurement.stored import as_stored, summary_of
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+from bayesbl.runs.workflow import Options, Plan
 from bayesbl.sentences import sentence
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayesbl.measurement.summary_types import MeasuredSummary
 
-
-def run(config: SnapshotConfig, options: Options) -> MeasuredSummary:
-    """Measure, and write the output folder."""
+def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
+    """Measure; nothing is written but finished work, and curves beside the output folder."""
     swept = swept_benches(config)
     if config.estimator.bench is not None and swept.folder is None:
         options.say(
             f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
         )
-
-    def make(work: WorkStore) -> xr.DataTree:
-        return measure(
-            config, options.progress, work, options.say, swept, recordings=options.recordings
-        )
-
-    summary: MeasuredSummary = run_into_folder(config, options, make, summary_of)
-    return summary
+    return measure(
+        config, options.progress, work, options.say, swept, recordings=options.recordings
+    )
 
 
 def swept_benches(config: SnapshotConfig) -> WorkStore:
@@ -45,7 +37,6 @@ def swept_benches(config: SnapshotConfig) -> WorkStore:
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:
     """What would be measured, and by what."""
-    plan.add("output", partial(require_output, config.run.output))
     measurer = measurer_of(config)
     interval = f"{100.0 * config.interval.level:g} %, {config.interval.kind}"
     plan.add("interval", lambda: interval)
@@ -58,7 +49,7 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         rate = 1.0 / recording.sampling_period_s
         plan.recordings.append(recording)
         plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
-        doubts = (as_stored(reason) for reason in measurer.doubts(recording))
+        doubts = (reason.stored for reason in measurer.doubts(recording))
         plan.withheld += [f"{entry.name}: {sentence(why)}" for why in doubts]
         more = len(entry.every_file) - 1
         files = f"{entry.file}{f' and {more} more' if more else ''}"

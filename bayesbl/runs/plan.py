@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.kinds import PlanConfig
-from bayesbl.errors import ConfigError
 from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_bench, ranked_motions
-from bayesbl.results.identified import bench_from
+from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, dataset, table
-from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+from bayesbl.results.variables import Group, columns, dataset, table
+from bayesbl.results.work import WorkStore
+from bayesbl.runs.workflow import Options, Plan
 
 if TYPE_CHECKING:
     from bayesbl.bench.bench import Bench
@@ -68,15 +67,10 @@ def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     return (MOTIONS,)
 
 
-def run(config: PlanConfig, options: Options) -> PlanSummary:
-    """Rank, and write the output folder."""
-    return run_into_folder(config, options, lambda _: planned_tree(config), summarise_plan)
-
-
 def describe(config: PlanConfig, plan: Plan) -> None:
     """Which bench, and within which limits."""
-    plan.add("output", partial(require_output, config.run.output))
-    bench = _bench(config)
+    bench = bench_from(config.bench)
+    require_gap(bench, config.bench)
     plan.add("noise", lambda: _noise(bench))
     low, high = config.limits.range_rad
     plan.lines.append(
@@ -84,15 +78,16 @@ def describe(config: PlanConfig, plan: Plan) -> None:
     )
 
 
-def planned_tree(config: PlanConfig) -> xr.DataTree:
-    """The result of a plan.
+def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
+    """Rank motions; it takes no time worth keeping.
 
     Raises
     ------
     UserError
         If the bench file cannot be used, or its drive can follow none of the motions.
     """
-    limits = config.limits
+    limits, bench = config.limits, bench_from(config.bench)
+    require_gap(bench, config.bench)
     allowed = MotionLimits(
         (limits.range_rad[0], limits.range_rad[1]),
         limits.speed_rpm,
@@ -100,9 +95,7 @@ def planned_tree(config: PlanConfig) -> xr.DataTree:
         limits.dwell_s,
         limits.duration_s,
     )
-    motions = ranked_motions(
-        _bench(config), allowed, config.gap_rad, config.sampling_hz, config.run.workers
-    )
+    motions = ranked_motions(bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers)
     shown = any(motion.flank_changes for motion in motions)
     tree = xr.DataTree.from_dict({MOTIONS.name: _group(motions)})
     tree.attrs = {
@@ -126,55 +119,21 @@ NONE_SHOWS = (
 def summarise_plan(tree: xr.DataTree) -> PlanSummary:
     """``summary.json`` of a plan."""
     stored = tree[MOTIONS.name].to_dataset()
-    motions: list[PlannedEntry] = []
+    motions: list[Any] = []
     for i in range(stored.sizes["motion"]):
-        value = {str(name): float(stored[name].values[i]) for name in stored.data_vars}
-        sd = value["expected_relative_sd"]
-        motions.append(
-            {
-                "kind": "strokes",
-                "range_rad": [value["low_rad"], value["high_rad"]],
-                "speed_rpm": value["speed_rpm"],
-                "acceleration_rpm_per_s": value["acceleration_rpm_per_s"],
-                "dwell_s": value["dwell_s"],
-                "duration_s": value["duration_s"],
-                "flank_changes": round(value["flank_changes"]),
-                "expected_relative_sd": sd if np.isfinite(sd) else None,
-            }
-        )
+        value: Any = {str(name): float(stored[name].values[i]) for name in stored.data_vars}
+        ends = [value.pop("low_rad"), value.pop("high_rad")]
+        if not np.isfinite(value["expected_relative_sd"]):
+            value["expected_relative_sd"] = None
+        value["flank_changes"] = round(value["flank_changes"])
+        motions.append({"kind": "strokes", "range_rad": ends, **value})
     gap = float(tree.attrs["gap_rad"])
     return {"kind": "plan", **head(tree), "plan": {"gap_rad": gap, "motions": motions}}
 
 
 def _group(motions: list[PlannedMotion]) -> xr.Dataset:
-    return dataset(
-        MOTIONS,
-        {
-            "low_rad": [m.range_rad[0] for m in motions],
-            "high_rad": [m.range_rad[1] for m in motions],
-            "speed_rpm": [m.speed_rpm for m in motions],
-            "acceleration_rpm_per_s": [m.acceleration_rpm_per_s for m in motions],
-            "dwell_s": [m.dwell_s for m in motions],
-            "duration_s": [m.duration_s for m in motions],
-            "flank_changes": [float(m.flank_changes) for m in motions],
-            "expected_relative_sd": [
-                np.nan if m.expected_relative_sd is None else m.expected_relative_sd
-                for m in motions
-            ],
-        },
-    )
-
-
-def _bench(config: PlanConfig) -> Bench:
-    bench = bench_from(config.bench)
-    if bench.drive == "rigid":
-        raise ConfigError(
-            "A rigid bench has no gap to plan for.",
-            file=config.bench,
-            found='drive = "rigid"',
-            expected='drive = "two_mass"',
-        )
-    return bench
+    low, high = ([motion.range_rad[end] for motion in motions] for end in (0, 1))
+    return dataset(MOTIONS, {**columns(MOTIONS, motions), "low_rad": low, "high_rad": high})
 
 
 def _noise(bench: Bench) -> str:

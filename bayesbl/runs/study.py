@@ -45,7 +45,6 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
@@ -60,14 +59,13 @@ from pydantic import BaseModel, ValidationError
 from bayesbl.config.files import config_error, problems_of
 from bayesbl.config.kinds import StudyConfig
 from bayesbl.errors import ConfigError, ResultError, UserError, WorkerError
-from bayesbl.processes import processes
 from bayesbl.results.folder import figure_title, is_finished, require_free
 from bayesbl.results.provenance import git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, Head, head, read_tree
 from bayesbl.results.variables import Group, Variable, require_declared
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.cluster import run_on_cluster
-from bayesbl.runs.workflow import Options, Plan, require_output, write_result
+from bayesbl.runs.cluster import run_jobs
+from bayesbl.runs.workflow import Options, Plan, write_result
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -225,6 +223,9 @@ def load_study(path: str | Path) -> Study:
     return Study(path, module)
 
 
+_study_in = cache(load_study)
+
+
 @contextmanager
 def error_of(path: Path, when: str) -> Iterator[None]:
     """Whatever leaves the code of a study file, ``sys.exit`` too, is an error of this file.
@@ -326,34 +327,12 @@ class Job:
         return f'case {self.index} of row "{self.row}"'
 
 
-def run_in_processes(
-    study: Study, jobs: Sequence[Job], commit: str, workers: int
-) -> Iterator[tuple[Job, Case]]:
-    """Run cases in processes of their own; yields them as they end, in any order.
+def run_case(path: str, commit: str, job: Job) -> Case:
+    """Run a case of the study in a file, in a process that stays for others.
 
-    One worker is a process of its own too: linear algebra on one thread rounds differently than on
-    many, and the numbers must not depend on the workers.
-
-    Raises
-    ------
-    ConfigError
-        If a case fails by anything but a :class:`UserError`, or its process dies.
+    A :class:`UserError` of the study is its message.
     """
-    try:
-        with processes(min(workers, len(jobs)), _load, study.path) as pool:
-            futures = {pool.submit(_run_loaded, job, commit): job for job in jobs}
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-    except WorkerError:
-        raise ConfigError(
-            "A process died that ran cases of this study.",
-            file=study.path,
-            expected="cases that return, and memory enough for one in each worker",
-        ) from None
-
-
-def run_job(study: Study, job: Job, commit: str) -> Case:
-    """Run a case here; a :class:`UserError` of the study is its message."""
+    study = _study_in(path)
     start = time.perf_counter()
     values, message = {}, ""
     seed = seed_of_case(job.seed, job.row, job.index)
@@ -369,30 +348,6 @@ def files_of_study(study: Study, jobs: Sequence[Job]) -> list[str]:
     """Path of the study file and of every file that the rows of these cases name."""
     named = (path for job in jobs for path in study.files(job.table))
     return list(dict.fromkeys([str(study.path), *named]))
-
-
-def run_of_file(path: str, commit: str, job: Job) -> Case:
-    """Run a case of the study in a file, in a process that stays for others."""
-    return run_job(_study_in(path), job, commit)
-
-
-@cache
-def _study_in(path: str) -> Study:
-    return load_study(path)
-
-
-_loaded: Study | None = None
-"""The study of this worker process."""
-
-
-def _load(path: Path) -> None:
-    global _loaded
-    _loaded = load_study(path)
-
-
-def _run_loaded(job: Job, commit: str) -> Case:
-    assert _loaded is not None
-    return run_job(_loaded, job, commit)
 
 
 TABLE_FILE = "table.csv"
@@ -465,7 +420,6 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
 
 def describe(config: StudyConfig, plan: Plan) -> None:
     """What would run, in words."""
-    plan.add("output", partial(require_output, config.run.output))
     plan.add("study", partial(_in_words, config))
 
 
@@ -617,13 +571,7 @@ def _finish(
     if options.progress is not None:
         row = by_name[jobs[0].row]
         options.progress(row.name, len(row.cases), row.count)
-    if config.run.scheduler is None:
-        ended = run_in_processes(study, jobs, git_commit(), config.run.workers)
-    else:
-        run_case = partial(run_of_file, str(study.path), git_commit())
-        files = files_of_study(study, jobs)
-        ended = run_on_cluster(run_case, jobs, files, config.run.scheduler, options.say)
-    for job, case in ended:
+    for job, case in _ended(study, jobs, config, options.say):
         row = by_name[job.row]
         work.keep("case", row.address(case.index), case)
         if case.message and not any(other.message for other in row.cases.values()):
@@ -631,6 +579,21 @@ def _finish(
         row.cases[case.index] = case
         if options.progress is not None:
             options.progress(row.name, len(row.cases), row.count)
+
+
+def _ended(
+    study: Study, jobs: Sequence[Job], config: StudyConfig, say: Callable[[str], None]
+) -> Iterator[tuple[Job, Case]]:
+    """Cases as they end, in any order."""
+    run, files = partial(run_case, str(study.path), git_commit()), files_of_study(study, jobs)
+    try:
+        yield from run_jobs(run, jobs, files, config.run, say, "cases")
+    except WorkerError:
+        raise ConfigError(
+            "A process died that ran cases of this study.",
+            file=study.path,
+            expected="cases that return, and memory enough for one in each worker",
+        ) from None
 
 
 def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import Literal, TypedDict
 
 import numpy as np
 import xarray as xr
@@ -31,15 +31,11 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, attributes, dataset, labels, table
+from bayesbl.results.variables import Group, attributes, columns, dataset, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
-from bayesbl.runs.workflow import Options, Plan, require_affordable, require_output, run_into_folder
-
-if TYPE_CHECKING:
-    from bayesbl.progress import StageProgress
-
+from bayesbl.runs.workflow import Options, Plan, require_affordable
 
 EXAMPLE_GAPS = 6
 
@@ -111,9 +107,7 @@ def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
 
 def degree_group(nominal: SweepRow) -> xr.Dataset:
     """How well polynomials of several degrees describe the sweep."""
-    reports = degree_reports(nominal)
-    names = [variable.name for variable in (*DEGREES.variables, *DEGREES.coordinates)]
-    return dataset(DEGREES, {name: [getattr(r, name) for r in reports] for name in names})
+    return dataset(DEGREES, columns(DEGREES, degree_reports(nominal)))
 
 
 def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
@@ -210,18 +204,8 @@ BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
 """What simulating and fitting takes, roughly: all recordings of a row are held at once."""
 
 
-def run(config: SweepConfig, options: Options) -> SweepSummary:
-    """Sweep, and write the output folder; the rows are kept for other sweeps."""
-
-    def make(_: WorkStore) -> xr.DataTree:
-        return run_sweep(config, options.progress, fresh=options.force)
-
-    return run_into_folder(config, options, make, summarise_sweep)
-
-
 def describe(config: SweepConfig, plan: Plan) -> None:
     """Which bench would be swept, and over which gaps."""
-    plan.add("output", partial(require_output, config.run.output))
     bench = bench_from(config.bench)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
     plan.add("gaps", partial(_gaps, config, bench))
@@ -243,17 +227,11 @@ def _gaps(config: SweepConfig, bench: Bench) -> str:
     return f"{gap.count} from {gap.low:g} to {gap.high:g} rad, {config.sweep.bench_draws} draws"
 
 
-def run_sweep(
-    config: SweepConfig, progress: StageProgress | None = None, *, fresh: bool = False
-) -> xr.DataTree:
+def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Sweep a bench and regress its gap curve.
 
-    Rows that the same code made of the same problem are taken from the cache.
-
-    Parameters
-    ----------
-    fresh
-        Make all rows anew.
+    Rows that the same code made of the same problem are taken from a cache that all sweeps share,
+    in place of ``work``, unless ``options.force`` asks for new ones.
 
     Raises
     ------
@@ -263,15 +241,15 @@ def run_sweep(
     bench = bench_from(config.bench)
     require_flank_change(bench)
     require_drawable(config, bench)
-    work = WorkStore.shared(config.run.output.parent / CACHE, fresh=fresh)
-    problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, work)
+    rows = WorkStore.shared(config.run.output.parent / CACHE, fresh=options.force)
+    problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, rows)
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
-    work.keep_latest(size_bytes=CACHE_BYTES)
+    rows.keep_latest(size_bytes=CACHE_BYTES)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
-    swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, progress)
+    swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, options.progress)
     recording = _sampled(config, bench)
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
     curve, regression = swept_curve(

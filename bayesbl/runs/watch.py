@@ -42,7 +42,7 @@ from bayesbl.fleet.measured_joint import (
     measure_recording,
 )
 from bayesbl.fleet.message import encoded_answer
-from bayesbl.fleet.plant_tables import Level, recording_row
+from bayesbl.fleet.plant_tables import recording_row
 from bayesbl.fleet.recording_table import RecordingTable
 from bayesbl.results.atomic import PrivateFolder, sibling
 from bayesbl.results.work import WorkStore
@@ -288,9 +288,8 @@ class _Measuring:
         return self.store.recall("optimum", (one.joint, sha256), RecordingAnswer)
 
     def _put(self, one: Found, sha256: str | None, answer: RecordingAnswer) -> None:
-        level = Level(self.config.interval.level, self.config.interval.kind)
         used = False if answer.outcome == REFUSED else None
-        row = recording_row(answer, self.joints.get(one.joint), used, level)
+        row = recording_row(answer, self.joints.get(one.joint), used, self.config.interval)
         row |= identity(one, sha256)
         if self.table.knows(row):
             return

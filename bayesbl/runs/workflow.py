@@ -25,7 +25,6 @@ from bayesbl.results.folder import (
     require_no_file,
 )
 from bayesbl.results.work import WorkStore, problem_of
-from bayesbl.sentences import told
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -106,8 +105,8 @@ class Plan:
 class Workflow(Protocol):
     """The module of a kind of run."""
 
-    def run(self, config: Any, options: Options) -> Any:
-        """Run a configuration and write its output folder; the summary that was stored."""
+    def make(self, config: Any, options: Options, work: WorkStore) -> xr.DataTree:
+        """The result of a configuration; what takes long goes through ``work``."""
 
     def describe(self, config: Any, plan: Plan) -> None:
         """Ask everything that can be asked before the first expensive step.
@@ -116,10 +115,17 @@ class Workflow(Protocol):
         """
 
 
+class OwnWorkflow(Protocol):
+    """A kind whose output folder is added to, so that it writes it itself."""
+
+    def run(self, config: Any, options: Options) -> Any:
+        """Run a configuration and write its output folder; the summary that was stored."""
+
+
 def run_into_folder(
     config: RunConfig,
     options: Options,
-    make: Callable[[WorkStore], xr.DataTree],
+    make: Callable[[RunConfig, Options, WorkStore], xr.DataTree],
     summarise: Callable[[xr.DataTree], S],
 ) -> S:
     """Make a result, going on where an unfinished run of the same problem was left, and write it.
@@ -127,9 +133,9 @@ def run_into_folder(
     Parameters
     ----------
     make
-        Makes the result; what takes long goes through the store that it is given.
+        As of :class:`Workflow`.
     summarise
-        From the result to its ``summary.json``, but for the sentences of its reasons.
+        From the result to its ``summary.json``.
 
     Raises
     ------
@@ -147,7 +153,7 @@ def run_into_folder(
         if work.resumes:
             options.say("This goes on where an unfinished run was left.")
         try:
-            tree = make(work)
+            tree = make(config, options, work)
         except ResultError:
             raise  # a full disk may have room the next time
         except UserError:
@@ -156,7 +162,7 @@ def run_into_folder(
         texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench", "")}
         if "identified_bench" in tree.attrs:
             texts[IDENTIFIED_BENCH] = tree.attrs["identified_bench"]
-        summary: S = told(summarise(tree))
+        summary = summarise(tree)
         write_result(tree, summary, config, options, texts, work)
     return summary
 

@@ -10,8 +10,8 @@ from scipy import stats
 
 from bayesbl.curve.gap_curve import GapCurve, published_curve
 from bayesbl.errors import CurveError
-from bayesbl.measurement.change import MeasuredRinging, changes, gaps
-from bayesbl.measurement.stored import as_stored
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
+from bayesbl.measurement.stored import change_group
 from bayesbl.sentences import sentence
 
 PAPER_AMPLITUDES_RPM = np.array([30.9033, 39.2197])
@@ -153,13 +153,12 @@ def test_what_is_wrong_with_the_curve_is_shared_and_largely_cancels_in_the_chang
     alone = [gaps(uncertain, [first], seed(1))[0], gaps(uncertain, [last], seed(2))[0]]
     for shared, single in zip(together, alone, strict=True):
         assert np.isclose(shared.delta_rad.std(), single.delta_rad.std(), rtol=0.1)
-    tight, _ = changes({"first": together[0].delta_rad, "last": together[1].delta_rad})
-    loose, _ = changes({"first": alone[0].delta_rad, "last": alone[1].delta_rad})
+    tight, loose = (last.delta_rad - first.delta_rad for first, last in (together, alone))
     # A shared scale leaves 10 % of the change; independent ones 10 % of both gaps.
-    assert np.isclose(tight.change_rad.mean(), 2e-5 * 4.0, rtol=0.05)
-    assert tight.change_rad.std() < 0.2 * loose.change_rad.std()
-    assert tight.probability_increase > 0.99
-    assert loose.probability_increase < 0.9
+    assert np.isclose(tight.mean(), 2e-5 * 4.0, rtol=0.05)
+    assert tight.std() < 0.2 * loose.std()
+    assert np.mean(tight > 0.0) > 0.99
+    assert np.mean(loose > 0.0) < 0.9
 
 
 def test_start_angle_scatter_belongs_to_each_snapshot_alone() -> None:
@@ -178,7 +177,7 @@ def test_an_answer_beyond_the_curve_is_withheld_with_a_one_sided_bound() -> None
     snapshot = measured(120.0, 5.0, 1)
     (withheld,) = gaps(curve(), [snapshot], seed())
     (reason,) = withheld.reasons
-    assert f"δ is above {high:.3g} rad with 90" in sentence(as_stored(reason))
+    assert f"δ is above {high:.3g} rad with 90" in sentence(reason.stored)
     assert np.mean(withheld.outside == 1.0) > 0.99
     (asked_for,) = gaps(curve(), [snapshot], seed(), allow_extrapolation=True)
     assert asked_for.reasons == ()
@@ -186,7 +185,7 @@ def test_an_answer_beyond_the_curve_is_withheld_with_a_one_sided_bound() -> None
 
     (below,) = gaps(curve(), [measured(2.0, 0.2, 1)], seed())
     (reason,) = below.reasons
-    assert "δ is below 0.0001 rad with 90" in sentence(as_stored(reason))
+    assert "δ is below 0.0001 rad with 90" in sentence(reason.stored)
     assert below.upper_bound_rad == np.quantile(below.delta_rad, 0.95)
     assert withheld.upper_bound_rad is None, "a gap that is told from none has no bound"
 
@@ -220,13 +219,12 @@ def test_changes_go_from_first_to_last_and_step_by_step() -> None:
     drawn = {
         name: np.full((2, 3), value) for name, value in zip("abc", (1.0, 3.0, 2.0), strict=True)
     }
-    total, steps = changes(drawn)
-    assert (total.first, total.last) == ("a", "c")
-    assert np.all(total.change_rad == 1.0)
-    assert [(s.first, s.last, s.probability_increase) for s in steps] == [
-        ("a", "b", 1.0),
-        ("b", "c", 0.0),
-    ]
+    stored = change_group(drawn, None)
+    assert np.all(stored["change_rad"] == 1.0)
+    steps = zip(*(stored[name].values.tolist() for name in ("step_from", "step_to")), strict=True)
+    assert list(steps) == [("a", "b"), ("b", "c")]
+    assert np.all(stored["step_change_rad"][0] == 2.0)
+    assert np.all(stored["step_change_rad"][1] == -1.0)
 
 
 def test_the_same_seed_gives_the_same_gaps() -> None:

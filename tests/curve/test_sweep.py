@@ -17,15 +17,16 @@ from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
 from bayesbl.curve.swept_curve import SweptDraws, degree_reports, swept_curve, virtual_departures
 from bayesbl.errors import ConfigError, CurveError, UserError
-from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset, read_curve
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
+from bayesbl.results.work import NOTHING_KEPT
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.objective import Objective
@@ -33,8 +34,9 @@ from bayesbl.ringing.optimum import find_optimum
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
 from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
-from bayesbl.runs.kinds import check, declared_groups
-from bayesbl.runs.sweep import run_sweep
+from bayesbl.runs.kinds import check, declared_groups, result_of_run
+from bayesbl.runs.sweep import make
+from bayesbl.runs.workflow import Options
 
 SETTINGS = SweepSettings(count=14, start_angles=3)
 TOLERANT = (
@@ -439,7 +441,7 @@ def test_virtual_draws_reproduce_what_depends_linearly_on_the_parameters() -> No
 def tolerant_sweep(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
     folder = tmp_path_factory.mktemp("sweep")
     config = sweep_config(folder, draws=24)
-    return folder, config, run_sweep(config)
+    return folder, config, result_of_run(config)
 
 
 @pytest.mark.long
@@ -451,9 +453,9 @@ def test_a_second_sweep_takes_its_rows_from_the_cache_and_two_workers_make_the_s
     cache = folder / "out" / ".sweep-cache"
     made = {path.name: path.stat().st_mtime_ns for path in cache.iterdir()}
     assert len(made) == 25
-    again = run_sweep(config)
+    again = result_of_run(config)
     assert {path.name: path.stat().st_mtime_ns for path in cache.iterdir()} == made
-    elsewhere = run_sweep(sweep_config(tmp_path, workers=2, draws=6))
+    elsewhere = result_of_run(sweep_config(tmp_path, workers=2, draws=6))
     few = elsewhere["bench_draws"]["departure"].values
     np.testing.assert_array_equal(few, first["bench_draws"]["departure"].values[:6])
     np.testing.assert_array_equal(again["sweep"]["amplitude_rpm"], first["sweep"]["amplitude_rpm"])
@@ -467,7 +469,7 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = sweep_config(tmp_path, draws=0)
-    first = run_sweep(config)
+    first = result_of_run(config)
     made: list[str] = []
 
     def counted(*arguments: object) -> SweepRow:
@@ -475,13 +477,13 @@ def test_rows_made_by_other_code_or_asked_for_anew_are_not_taken_from_the_cache(
         return sweep_nominal(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr("bayesbl.measurement.curves.sweep_nominal", counted)
-    run_sweep(config)
+    result_of_run(config)
     assert not made
     with monkeypatch.context() as edited:
         edited.setattr("bayesbl.results.work.code_sha256", lambda: "another code")
-        other = run_sweep(config)
+        other = result_of_run(config)
     assert len(made) == 1
-    anew = run_sweep(config, fresh=True)
+    anew = make(config, Options(force=True), NOTHING_KEPT)
     assert len(made) == 2
     for swept in (other, anew):
         np.testing.assert_array_equal(
@@ -493,7 +495,7 @@ def test_a_torn_cache_entry_is_made_again(tolerant_sweep) -> None:  # type: igno
     folder, config, first = tolerant_sweep
     entry = sorted((folder / "out" / ".sweep-cache").iterdir())[0]
     entry.write_bytes(entry.read_bytes()[:100])
-    again = run_sweep(config)
+    again = result_of_run(config)
     np.testing.assert_array_equal(
         again["bench_draws"]["departure"], first["bench_draws"]["departure"]
     )
@@ -527,7 +529,7 @@ def test_draws_without_a_tolerance_are_refused(tmp_path: Path) -> None:
     config = sweep_config(tmp_path, draws=3)
     (tmp_path / "bench.toml").write_text(dump_bench(reference_bench()))
     with pytest.raises(UserError, match="nothing to draw"):
-        run_sweep(config)
+        result_of_run(config)
     assert not (tmp_path / "out").exists()  # refused before anything was simulated
     (problem,) = check(tmp_path / "sweep.toml").problems
     assert "nothing to draw" in str(problem)

@@ -33,7 +33,7 @@ from bayesbl.presentation.diagnosis import headline, residuals_in_words, wear
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.runs.diagnose import run_diagnose
+from bayesbl.runs.kinds import result_of_run
 from bayesbl.sampling.chains import SamplerSettings
 
 BENCH = reference_bench()
@@ -494,7 +494,7 @@ def test_the_bounds_that_must_stand_still_are_those_asked_for(folder, monkeypatc
     (folder / "config.toml").write_text(CONFIG + extra)
     config = load_config(folder / "config.toml", kind="diagnose")
     with pytest.raises(AskedError, match=r"0\.99"):
-        run_diagnose(config)
+        result_of_run(config)
 
 
 @pytest.mark.long

@@ -31,9 +31,9 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.results.store import read_tree, write_tree
+from bayesbl.runs.kinds import result_of_run
 from bayesbl.runs.study import prepare, stored_rows
 from bayesbl.runs.study import run as run_study
-from bayesbl.runs.sweep import run_sweep
 from bayesbl.runs.workflow import Options
 
 pytestmark = pytest.mark.long
@@ -203,7 +203,7 @@ def folder(tmp_path_factory) -> Path:
     """Where a curve was swept that all small studies use."""
     folder = tmp_path_factory.mktemp("calibration")
     (folder / "sweep.toml").write_text(SWEEP)
-    write_tree(run_sweep(load_config(folder / "sweep.toml"), None), folder / "curve.nc")
+    write_tree(result_of_run(load_config(folder / "sweep.toml")), folder / "curve.nc")
     return folder
 
 

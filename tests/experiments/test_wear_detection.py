@@ -13,8 +13,8 @@ from scipy.stats import norm
 from bayesbl.config.loading import load_config
 from bayesbl.errors import ConfigError
 from bayesbl.results.store import write_tree
+from bayesbl.runs.kinds import result_of_run
 from bayesbl.runs.study import load_study, prepare
-from bayesbl.runs.sweep import run_sweep
 
 pytestmark = pytest.mark.long
 
@@ -43,7 +43,7 @@ def table(tmp_path_factory):
     """A row with a curve of its own: no wear and much, at little noise."""
     folder = tmp_path_factory.mktemp("sweep")
     (folder / "sweep.toml").write_text(SWEEP)
-    write_tree(run_sweep(load_config(folder / "sweep.toml"), None), folder / "result.nc")
+    write_tree(result_of_run(load_config(folder / "sweep.toml")), folder / "result.nc")
     return {
         "name": "small",
         "bench": str(ROOT / "configs/bench.toml"),

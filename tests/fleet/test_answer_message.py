@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from bayesbl.config.sections import Interval
 from bayesbl.fleet.inventory import Joint
 from bayesbl.fleet.measured_joint import RecordingAnswer
 from bayesbl.fleet.message import (
@@ -16,7 +17,7 @@ from bayesbl.fleet.message import (
     decoded_answer,
     encoded_answer,
 )
-from bayesbl.fleet.plant_tables import Level, recording_row
+from bayesbl.fleet.plant_tables import recording_row
 
 JOINT = Joint("R1-J2", limit_rad=1.2e-3)
 WHICH = {"joint": "R1-J2", "date": "2025-01-01", "file": "a.csv", "sha256": "a" * 64}
@@ -24,7 +25,7 @@ GAP = np.random.default_rng(1).normal(1e-3, 1e-5, 500)
 
 
 def row_of(answer: RecordingAnswer) -> dict[str, object]:
-    return recording_row(answer, JOINT, None, Level(0.9, "hdi")) | WHICH
+    return recording_row(answer, JOINT, None, Interval(level=0.9, kind="hdi")) | WHICH
 
 
 def given_of(row: dict[str, object]) -> dict[str, object]:

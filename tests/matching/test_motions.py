@@ -23,7 +23,6 @@ from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fit_directly
 from bayesbl.measurement.motion_verdict import unknown_start
-from bayesbl.measurement.stored import as_stored
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.moving import cycle_of, moves
@@ -196,7 +195,7 @@ def test_a_reference_that_a_drive_holds_is_found_so() -> None:
     seed = np.random.SeedSequence(1)
     found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed)
     assert abs(z_of(found.posterior.fit)) < 4.0
-    assert any("held" in sentence(as_stored(note)) for note in direct_verdict(found, 0).reasons)
+    assert any("held" in sentence(note.stored) for note in direct_verdict(found, 0).reasons)
 
 
 def test_what_begins_unknown_is_left_out() -> None:
@@ -234,8 +233,8 @@ def test_a_motion_without_a_change_of_flank_tells_no_gap() -> None:
     assert verdict.outcome == "withheld"
     (reason,) = verdict.withholding
     assert reason.code == "gap_unseen"
-    assert "never passes from one tooth flank" in sentence(as_stored(reason))
-    assert "bayesbl plan" in sentence(as_stored(reason))
+    assert "never passes from one tooth flank" in sentence(reason.stored)
+    assert "bayesbl plan" in sentence(reason.stored)
 
 
 def test_a_change_of_flank_is_a_passage_of_the_whole_gap() -> None:

@@ -16,8 +16,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.measurement.amplitude_route import prepare
-from bayesbl.measurement.change import MeasuredRinging, gaps
 from bayesbl.measurement.curves import BenchCurves
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.measurement import Seeds, Task
 from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore

@@ -16,7 +16,6 @@ from stored_measurement import stored_comparison
 
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.measurement import Answer, Reason, Verdict
-from bayesbl.measurement.stored import as_stored
 from bayesbl.measurement.wear import (
     HAZARD,
     KINDS,
@@ -476,7 +475,7 @@ def compared(
     if limit is not None:
         tree.attrs["limit_rad"] = limit
     found = summarise_wear(group, names, config.interval, limit)
-    return tree, found | {"reason": None if reason is None else summary_told(as_stored(reason))}
+    return tree, found | {"reason": None if reason is None else summary_told(reason.stored)}
 
 
 def told(found, count):

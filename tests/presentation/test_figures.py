@@ -41,8 +41,7 @@ from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
-from bayesbl.runs.kinds import declared_groups
-from bayesbl.runs.sweep import run_sweep
+from bayesbl.runs.kinds import declared_groups, result_of_run
 
 FIXED = ("window_start_s", "window_end_s")
 FREE = tuple(name for name in SYMBOLS if name not in FIXED)
@@ -396,7 +395,7 @@ def sweep_file(tmp_path_factory):
         bench = bench.replace(head, f"{head}relative_tolerance = 0.05\n")
     (folder / "bench.toml").write_text(bench)
     (folder / "sweep.toml").write_text(SWEEP)
-    write_tree(run_sweep(load_config(folder / "sweep.toml")), folder / "result.nc")
+    write_tree(result_of_run(load_config(folder / "sweep.toml")), folder / "result.nc")
     return folder / "result.nc"
 
 

@@ -31,7 +31,6 @@ from bayesbl.presentation.page.build import page
 from bayesbl.presentation.page.templates import prose
 from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
-from bayesbl.results.provenance import provenance
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.runs.kinds import summarise
 
@@ -227,7 +226,8 @@ def test_a_study_with_a_hostile_row_is_shown(tmp_path):
     )
     tree = xr.DataTree.from_dict({"row_1": row})
     tree.attrs = {"kind": "study", "study": "coverage", "outcome": "done"}
-    tree.attrs |= provenance(CONFIG_OF_A_LOST_STUDY, 1, {})
+    tree.attrs |= {"bayesbl_version": "1", "git_commit": "abc", "seed": 1}
+    tree.attrs |= {"config": CONFIG_OF_A_LOST_STUDY, "input_sha256": "{}"}
     write_tree(tree, tmp_path / "result.nc")
     assert cli.status(["report", str(tmp_path)]) == 0
     text = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -22,10 +22,9 @@ from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.measurement.change import MeasuredRinging, gaps
+from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.routes import measure
 from bayesbl.measurement.same_joint import WITHOUT_CURRENT
-from bayesbl.measurement.stored import as_stored
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
@@ -710,6 +709,6 @@ def test_a_withheld_gap_beyond_the_curve_claims_no_certainty():
     (found,) = gaps(curve, [ringing], np.random.SeedSequence(1))
     assert np.all(found.outside == 1.0)
     (reason,) = found.reasons
-    told = sentence(as_stored(reason))
+    told = sentence(reason.stored)
     assert "More than 99 % of the posterior" in told
     assert "100" not in told

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -17,10 +18,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from bayesbl.config.loading import config_from_options, dump_config
 from bayesbl.errors import ResultError
 from bayesbl.results import folder
 from bayesbl.results.folder import is_finished, new_result, require_free
-from bayesbl.results.provenance import git_commit, provenance
+from bayesbl.results.provenance import git_commit, provenance_of
 from bayesbl.results.store import read_tree, seal, write_json, write_text, write_tree
 
 
@@ -439,14 +441,18 @@ def test_json_is_plain_and_what_is_not_finite_is_null(tmp_path: Path) -> None:
 
 
 def test_provenance_can_be_stored_and_tells_version_commit_and_inputs(tmp_path: Path) -> None:
-    attributes = provenance("schema = 1\n", 7, {"before.csv": "ab12"})
+    recording = tmp_path / "before.csv"
+    recording.write_bytes(b"time_s,motor_speed_rpm")
+    config = config_from_options("fit", [recording], seed=7)
+    attributes = provenance_of(config)
     assert attributes["seed"] == 7
-    assert json.loads(str(attributes["input_sha256"])) == {"before.csv": "ab12"}
+    sha256 = hashlib.sha256(recording.read_bytes()).hexdigest()
+    assert json.loads(str(attributes["input_sha256"])) == {str(recording): sha256}
     assert "numpy" in json.loads(str(attributes["dependency_versions"]))
     marked = tree()
     marked.attrs |= attributes
     write_tree(marked, tmp_path / "result.nc")
-    assert read_tree(tmp_path).attrs["config"] == "schema = 1\n"
+    assert read_tree(tmp_path).attrs["config"] == dump_config(config)
 
 
 def test_the_commit_is_that_of_the_packages_own_checkout_even_inside_a_hook(

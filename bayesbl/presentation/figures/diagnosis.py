@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -286,15 +286,8 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
     for index, name in enumerate(("simulated before", "simulated after")):
         look = style.look(index)
         handles += panel.plot([], [], color=look.colour, linestyle=look.dashes, label=name)
-    handles.append(
-        Line2D(
-            [],
-            [],
-            color=_NOISE,
-            linewidth=0.8,
-            label=f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)",
-        )
-    )
+    limit = f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)"
+    handles.append(Line2D([], [], color=_NOISE, linewidth=0.8, label=limit))
     found = {
         str(name)
         for stage in stages
@@ -303,17 +296,9 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
     }
     for name, marker in _MARKS.items():
         if name in found:
-            handles.append(
-                Line2D(
-                    [],
-                    [],
-                    linestyle="none",
-                    marker=marker,
-                    markerfacecolor="none",
-                    markeredgecolor=style.NEUTRAL,
-                    label=f"significant: {_NAMES[name]}",
-                )
-            )
+            shown: dict[str, Any] = {"marker": marker, "markerfacecolor": "none"}
+            shown |= {"linestyle": "none", "markeredgecolor": style.NEUTRAL}
+            handles.append(Line2D([], [], label=f"significant: {_NAMES[name]}", **shown))
     figure.legend(handles=handles, loc="upper center", ncols=4, columnspacing=1.2)
 
 
@@ -351,8 +336,7 @@ def lines_over_speed(tree: xr.DataTree) -> Figure:
     laws = [str(lines["law"].values[lines["order"].values == order][0]) for order in orders]
     titles = [f"order {order:.4g}: {_TITLES[law]}" for order, law in zip(orders, laws, strict=True)]
     style.head_panels(axes, titles)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    style.legend_over(figure, axes[0])
     return figure
 
 
@@ -548,10 +532,6 @@ def _quantity(name: str) -> str:
     return words[0].upper() + words[1:]
 
 
-_LINE_IN = 0.3
-_LEFT_IN, _RIGHT_IN, _TOP_IN, _BOTTOM_IN = 1.55, 1.75, 0.35, 0.45
-
-
 def is_identified(tree: xr.DataTree) -> bool:
     """Whether the result is of an identification."""
     return "identification" in tree.attrs
@@ -562,16 +542,9 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     """Per cent from the data sheet's value: its tolerance, and median and interval found."""
     answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
     found = answer["parameters"]
-    height = _TOP_IN + _BOTTOM_IN + _LINE_IN * len(found)
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, height)
-    panel = figure.add_axes(
-        (
-            _LEFT_IN / style.DOUBLE_COLUMN_IN,
-            _BOTTOM_IN / height,
-            1.0 - (_LEFT_IN + _RIGHT_IN) / style.DOUBLE_COLUMN_IN,
-            1.0 - (_TOP_IN + _BOTTOM_IN) / height,
-        )
-    )
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.8 + 0.3 * len(found))
+    place = style.grid(figure, 1, 1, left=1.55, right=1.75, top=0.35, bottom=0.45)
+    panel = figure.add_subplot(place[0, 0])
     for line, entry in enumerate(found.values()):
         _draw_parameter(panel, line, entry)
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6, zorder=0)

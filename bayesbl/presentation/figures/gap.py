@@ -309,8 +309,7 @@ def amplitude_to_gap(tree: xr.DataTree) -> Figure:
     overview = figure.add_subplot(outer[0, 1])
     _draw_overview(overview, main, tree, parts)
     style.head_panels([above, overview], ["from amplitude to gap", "the whole curve; grey: (a)"])
-    handles, labels = main.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=2)
+    style.legend_over(figure, main, 2)
     return figure
 
 
@@ -481,8 +480,7 @@ def wear(tree: xr.DataTree) -> Figure:
         panel.xaxis.set_major_formatter(formatter)
         panel.set_xlabel("Date")
     style.head_panels(panels, titles)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    style.legend_over(figure, panels[0])
     return figure
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
@@ -17,6 +16,10 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
 
 _BLOCK_IN = 2.4
+_LOOKS = {
+    "measured": {"color": style.MEASURED},
+    "simulated at the optimum": {"color": style.MODEL},
+}
 _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
 
 
@@ -46,14 +49,7 @@ def overlay(tree: xr.DataTree) -> Figure:
             moves = "flank_changes" in snapshot.groups["predictive"]
             titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
     style.head_panels(heads, titles)
-    figure.legend(
-        handles=[
-            Line2D([], [], color=style.MEASURED, label="measured"),
-            Line2D([], [], color=style.MODEL, label="simulated at the optimum"),
-        ],
-        loc="upper center",
-        ncols=2,
-    )
+    style.legend_of(figure, _LOOKS)
     return figure
 
 
@@ -109,15 +105,8 @@ def cycles(tree: xr.DataTree) -> Figure:
         panels.append(figure.add_subplot(spec[row, 0]))
         _draw_cycles(panels[-1], snapshot)
     style.head_panels(panels, [part.name for part in parts])
-    figure.legend(
-        handles=[
-            Line2D([], [], color=style.MEASURED, label="measured"),
-            Line2D([], [], color=style.MODEL, label="simulated at the optimum"),
-            Line2D([], [], color=style.LIMIT, linewidth=3.0, label="the load crosses the gap"),
-        ],
-        loc="upper center",
-        ncols=3,
-    )
+    crossed = {"color": style.LIMIT, "linewidth": 3.0}
+    style.legend_of(figure, {**_LOOKS, "the load crosses the gap": crossed})
     return figure
 
 

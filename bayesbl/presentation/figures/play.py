@@ -36,8 +36,7 @@ def ramp_loops(tree: xr.DataTree) -> Figure:
         _draw_ramp_loops(panel, tree, snapshot, index)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
     most = max(axes, key=lambda panel: len(panel.lines))
-    handles, labels = most.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4 // lines)
+    style.legend_over(figure, most, 4 // lines)
     return figure
 
 
@@ -97,8 +96,7 @@ def flank_paths(tree: xr.DataTree) -> Figure:
     for index, (panel, snapshot) in enumerate(zip(axes, parts, strict=True)):
         _draw_flank_paths(panel, tree, snapshot, index)
     style.head_panels(axes, [gap_in_words(tree, snapshot) for snapshot in parts])
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=4)
+    style.legend_over(figure, axes[0])
     return figure
 
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from bayesbl.declared import declared
 from bayesbl.errors import ResultError
-from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summary_of
+from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_style, save
 from bayesbl.recording.types import FloatArray
@@ -45,11 +45,6 @@ def group_of(tree: xr.DataTree, group: str) -> xr.Dataset:
     route = None if group in tree.children else route_holding(tree, group)
     node = tree.children[group] if route is None else tree.children[route].children[group]
     return node.to_dataset()
-
-
-def change_is_withheld(tree: xr.DataTree) -> bool:
-    """Whether the change from first to last must not be read."""
-    return summary_of(tree)["change_rad"] is None
 
 
 def gap_colour(snapshot: Snapshot, index: int) -> str:

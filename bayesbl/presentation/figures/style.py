@@ -22,6 +22,7 @@ from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from bayesbl.recording.types import FloatArray
@@ -146,6 +147,18 @@ def legend_above(panel: Axes) -> None:
         handletextpad=0.4,
         borderaxespad=0.2,
     )
+
+
+def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
+    """What a panel shows, above all panels."""
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=columns)
+
+
+def legend_of(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
+    """Above all panels, a legend of lines by what they show, in one row."""
+    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
+    figure.legend(handles=handles, loc="upper center", ncols=len(handles))
 
 
 def _letters(index: int) -> str:

@@ -1,10 +1,9 @@
-"""From posteriors of the ringing to draws of δ, and from snapshots of δ to its change."""
+"""From posteriors of the ringing to draws of δ."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,39 +272,3 @@ def _budget(chosen: CurveDraws, amplitude_rpm: FloatArray) -> dict[str, float]:
 def _log_variance(delta_rad: FloatArray) -> float:
     positive = delta_rad[delta_rad > 0.0]
     return float(np.var(np.log(positive))) if positive.size else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Change of δ between two snapshots, draw by draw through the same curve.
-
-    Attributes
-    ----------
-    first, last
-        Names of the snapshots.
-    change_rad
-        δ_last − δ_first, shape (chain, draw), rad.
-    """
-
-    first: str
-    last: str
-    change_rad: FloatArray
-
-    @property
-    def probability_increase(self) -> float:
-        """Share of draws in which δ grew."""
-        return float(np.mean(self.change_rad > 0.0))
-
-
-def changes(delta_rad: Mapping[str, FloatArray]) -> tuple[Change, list[Change]]:
-    """The change from first to last snapshot, and every step between neighbours.
-
-    Parameters
-    ----------
-    delta_rad
-        Draws per snapshot name in order of time, each (chain, draw), paired by draw.
-    """
-    names = list(delta_rad)
-    steps = [Change(a, b, delta_rad[b] - delta_rad[a]) for a, b in pairwise(names)]
-    first, last = names[0], names[-1]
-    return Change(first, last, delta_rad[last] - delta_rad[first]), steps
