@@ -117,8 +117,8 @@ class DirectPosterior:
         ``recording``: ``None`` for the one gap that all recordings share.
 
         Where a parameter lies at the edge of its tolerance, its true value may lie beyond. If half
-        the tolerance more would move δ, by the regression of δ on the parameter, further than half
-        its interval, the tolerance and not the recording decides δ.
+        the tolerance more, or what is left above zero, would move δ, by the regression of δ on the
+        parameter, further than half its interval, the tolerance and not the recording decides δ.
         """
         model = self.fit.model
         gap = self.values(GAP, recording).ravel()
@@ -127,7 +127,10 @@ class DirectPosterior:
             unknown, own = model.unknowns[i], self.draws[..., i].ravel()
             variance = float(own.var(ddof=1))
             slope = float(np.cov(own, gap)[0, 1]) / variance if variance > 0.0 else 0.0
-            shift = abs(slope) * 0.5 * (unknown.high - unknown.low)
+            reach = 0.5 * (unknown.high - unknown.low)
+            if side == "lower" and unknown.low > 0.0 and not unknown.logarithmic:
+                reach = min(reach, unknown.low)  # and no further: nothing of it is below zero
+            shift = abs(slope) * reach
             if shift > 0.5 * (high - low):
                 effect, dot, parameter = unknown.name.partition("__")
                 if dot:
