@@ -289,7 +289,8 @@ def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> Recordin
         file=path,
         where="header",
         found=_listed(names),
-        expected=f'a column "{wanted}", or another name for it under [columns]',
+        expected=f'a column "{wanted}", or another name for it under [columns] '
+        f"(`bayesbl init {path.name}` writes them)",
     )
 
 
