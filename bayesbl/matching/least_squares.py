@@ -200,7 +200,11 @@ def fit_simulated(
             damping *= 10.0
         was_new, holds = not holds, gained > KEPT_PROMISE * promised
         enough = max(least, share * (value - residual.size))
-        if gained < enough and (was_new or holds):
+        ended = gained < enough and (was_new or holds)
+        if ended and known is not None:
+            # Derivatives of elsewhere may see no way on where there is one.
+            holds = False
+        elif ended:
             if near is model:
                 break
             exact = model.whitened(point)[0]
@@ -218,7 +222,7 @@ def fit_simulated(
             if rounds >= MOST_ROUNDS:
                 break
             jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
-            value_there, rounds = value, rounds + 1
+            value_there, rounds, known = value, rounds + 1, None
     if not rough and value_there - value > NEAR:
         jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
         curvature, value_there = jacobian.T @ jacobian, value
