@@ -58,7 +58,7 @@ def beyond_curve(
     part = "More than 99 %" if share > 0.99 else f"{100.0 * share:.0f} %"
     side = "above" if is_above else "below"
     return (
-        f"{part} of the posterior lies beyond the range of the gap curve ({low_rad:.3g} to "
+        f"{part} of the posterior is beyond the range of the gap curve ({low_rad:.3g} to "
         f"{high_rad:.3g} rad). δ is {side} {bound_rad:.3g} rad with {100.0 * level:g} % "
         "probability. Use a curve that reaches farther, or ask for extrapolation by [curve] "
         "allow_extrapolation = true."
@@ -204,7 +204,7 @@ def held_by_weight(share: float) -> str:
     return (
         f"The load's weight is above its friction {100.0 * share:.0f} % of the time, so it rests "
         "on one flank in both directions and hides the play. Record with the load balanced or "
-        "the axis upright, or take it through the top and back."
+        "the axis upright, or move it over the top and back."
     )
 
 
@@ -254,7 +254,7 @@ def motor_at_output() -> str:
 def channels_skewed(skew_ms: float) -> str:
     """A skew worth mending."""
     late = "late" if skew_ms > 0.0 else "early"
-    return f"The load's stamps are {abs(skew_ms):.2g} ms {late}; this was taken out."
+    return f"The load's stamps are {abs(skew_ms):.2g} ms {late}; this was corrected."
 
 
 def load_coasts(misfit_mrad: float, lost_mrad: float) -> str:
@@ -262,7 +262,7 @@ def load_coasts(misfit_mrad: float, lost_mrad: float) -> str:
     return (
         "The load does not rest on a flank from one reversal to the next: it coasts, bounces or "
         f"winds up by {misfit_mrad:.2g} mrad beside the {lost_mrad:.2g} mrad between both "
-        "directions, and the interval of δ is wide for it. Move more slowly, or with friction or "
+        "directions, so the interval of δ is wide. Move more slowly, or with friction or "
         "a brake at the load."
     )
 
@@ -317,7 +317,7 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     "other_bench": lambda quantity, measured, expected, unit: (
         f"The recording is not of the curve's bench: the {quantity} is {measured:.4g} {unit}, and "
         f"{expected:.4g} {unit} by the bench. Correct the bench file, or give what is not known "
-        "exactly a tolerance (`bayesbl identify` finds its values)."
+        "exactly a tolerance (`bayesbl identify` finds the values)."
     ),
     "recording_contradicts_bench": lambda: (
         "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
@@ -330,7 +330,7 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     ),
     "routes_disagree": lambda names: (
         "Simulation of the bench and the ringing's amplitude disagree beyond their intervals in "
-        f"{', '.join(names)}, though they rest on one bench, so the change is withheld: the bench "
+        f"{', '.join(names)}, although both use one bench, so the change is withheld: the bench "
         "lacks an effect or has wrong values (`bayesbl diagnose` looks for what is missing)."
     ),
     # What limits an answer.

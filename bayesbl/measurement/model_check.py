@@ -108,7 +108,7 @@ def against_the_bench(found: JointFindings) -> str | None:
     contradiction = (
         f"The recordings contradict the bench: with {told} it would explain them."
         f"{_others(found, found.changed)} Correct the bench file (`bayesbl diagnose` writes one "
-        "with what is missing), or give what is not known exactly a tolerance."
+        "with what is missing), or give uncertain values a tolerance."
     )
     return with_bench_file_hint(contradiction, (c.name.partition(".")[0] for c in found.changed))
 
@@ -127,7 +127,7 @@ def motor_orders_in_words(found: JointFindings) -> str | None:
     return (
         f"What the bench lacks repeats with the motor's angle, at order{'s' if several else ''} "
         f"{orders}: an error of the motor's encoder, a torque ripple or a transmission error. "
-        "Recordings of one speed do not tell these apart: run `bayesbl diagnose FORWARD REVERSE "
+        "Recordings at one speed cannot separate these: run `bayesbl diagnose FORWARD REVERSE "
         "SLOW --bench FILE` on recordings of both directions and two speeds, and give --bench the "
         "bench that it writes."
     )
@@ -186,7 +186,7 @@ def _undecided(
     differs = "is not as the bench file says" if found.against_bench else "changed in the joint"
     record = "Record a second" if with_current else "Record the motor current too, record a second"
     return (
-        f"Something other than the gap {differs}, and the recordings do not tell what: "
+        f"Something other than the gap {differs}, and the recordings do not show what: "
         f"if it is {chosen}, {what} is {1e3 * chosen_rad:.3g} mrad; if it is "
         f"{other}, {1e3 * value:.3g} mrad. {record} speed, direction or motion, or give "
         "what is known of the recording in [[recordings]] bench."

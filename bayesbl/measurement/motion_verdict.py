@@ -118,9 +118,7 @@ def motion_notes(fit: SimulatedFit, index: int) -> list[str]:
     begin = begin_of(seen)
     stands = standstills(seen, fit.model.bench)[begin:]
     if seen.excluded is not None and stands.any() and seen.excluded[begin:][stands].all():
-        notes.append(
-            "Standstills are left out, as friction there is not as the bench has it in motion."
-        )
+        notes.append("Standstills are left out, because friction at rest is not that of motion.")
     if begin > 0:
         notes.append(
             f"The first {begin / seen.sampling_hz:.2g} s are left out: how the teeth and "

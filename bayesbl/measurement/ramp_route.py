@@ -77,7 +77,7 @@ TOLD = {
 }
 
 
-NOT_TOLD = "ramps do not tell it from play"
+NOT_TOLD = "ramps cannot distinguish it from play"
 SOFTER = BlindSpot("flanks that became softer at small torque alone", NOT_TOLD)
 
 
@@ -134,7 +134,7 @@ def _in_words(item: CheckItem) -> str:
 def _deviations(last: Sequence[FloatArray], first: Sequence[FloatArray]) -> float:
     """The change by its scatter (Student's t), as standard deviations of equal probability.
 
-    Positions round the turn are paired by their order, as their widths are: a pattern that stays
+    Positions around the turn are paired by their order, as their widths are: a pattern that stays
     then hides no change. Where nothing tells the scatter, no change is told.
     """
     after, before = observations(last), observations(first)
@@ -211,7 +211,7 @@ class RampMeasurer(Measurer):
                     "twice.",
                     file=source.file,
                     found=f"the content of {seen[source.sha256]}",
-                    expected="a file for each position round the turn",
+                    expected="a file for each position around the turn",
                 )
             seen[source.sha256] = source.file
         return _joined(entry.name, parts)
@@ -610,9 +610,9 @@ POSTERIOR = Group(
             width_rad (chain, draw) | rad
                 | between the positions that ramps leave on either flank, at zero torque
             scatter_rad (chain, draw) | rad
-                | standard deviation of that width round the turn, or of repeated ramps of one file
+                | standard deviation of that width around the turn, or of repeated ramps of one file
             shared_pattern? (chain, draw) | 1
-                | correlation of the widths round the turn between snapshots
+                | correlation of the widths around the turn between snapshots
             lost_motion_rad (chain, draw) | rad
                 | between the middles of the loop of the largest ramps at the stated torques
             compliance_rad_per_nm (chain, draw) | rad/(N m) | of the loaded joint at the output

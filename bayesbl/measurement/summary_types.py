@@ -148,7 +148,7 @@ class _FromSimulation(TypedDict, total=False):
 
 
 class RampsSummary(TypedDict):
-    """The ramps that tell the play; ``width_rad`` is the mean of each position round the turn."""
+    """The ramps that tell the play; ``width_rad`` is the mean of each position around the turn."""
 
     positions: int
     cycles: int

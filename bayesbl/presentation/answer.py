@@ -184,7 +184,7 @@ def ringing_headline(summary: MeasuredSummary) -> str:
         told = words.change_of("The ringing", change, "%", 100.0)
         told += f"; probability that it grew: {words.probability(grew)}"
         if not summary["same_joint"]["agrees"]:
-            told += ". Something other than the gap changed, so this says nothing of wear"
+            told += ". Something other than the gap changed, so this is no evidence of wear"
         elif (unseen := wear.unseen_without_current(summary)) is not None:
             told += (
                 f". This says something of the gap only if {unseen} did not change: no motor "

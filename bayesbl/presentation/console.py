@@ -181,7 +181,7 @@ def what_next(
         )
     return (
         f"Written to {path}. Correct it there, fill in gear_ratio, limit_rad (the gap at which "
-        f"the joint is to be repaired, in rad) and bench (what is known of the joint), then: "
+        f"the joint is to be repaired, in rad) and bench (a file that describes the joint), then: "
         f"bayesbl run {shlex.quote(str(path))}"
     )
 

@@ -159,7 +159,7 @@ def effects(summary: DiagnosisSummary) -> Iterator[str]:
         text = f"{in_words(effect['name'])}: {parameters}; {_beyond_noise(effect['z'])}."
         alike = effect["indistinguishable_from"]
         if alike:
-            text += f" Cannot be told apart from {', '.join(in_words(name) for name in alike)}."
+            text += f" Cannot be distinguished from {', '.join(in_words(name) for name in alike)}."
         yield words.capitalised(text)
 
 
@@ -187,10 +187,10 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         size = f"{words.significant(1e3 * found['amplitude_rad'])} mrad"
     else:
         size = f"{words.significant(found['amplitude_nm'])} N m"
-    text = f"Learned, as no effect that was tried explains it: {dependence(found)}, {size}."
+    text = f"Learned, because no effect that was tried explains it: {dependence(found)}, {size}."
     if found["alike"]:
         others = "; ".join(dependence(other) for other in found["alike"])
-        text += f" It cannot be told apart from {others}."
+        text += f" It cannot be distinguished from {others}."
     yield text
     share = found["gap_share"]
     if found["gap_withheld"]:
@@ -365,7 +365,7 @@ def advice(summary: DiagnosisSummary) -> Advice:
         return Advice("watch", "Correct the bench before you rely on it.", (withheld,))
     match summary["verdict"]:
         case "named" if has_augmented_bench(summary):
-            return Advice("note", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
+            return Advice("note", f"Continue with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "named":
             names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
             return Advice(
@@ -376,11 +376,11 @@ def advice(summary: DiagnosisSummary) -> Advice:
         case "parameter_error":
             wrong = tuple(parameter_errors(summary))
             if has_augmented_bench(summary):
-                title = f"Go on with {AUGMENTED_BENCH}."
+                title = f"Continue with {AUGMENTED_BENCH}."
                 return Advice("note", title, (*wrong, *_go_on(summary)))
             return Advice("note", "Correct the bench before you rely on it.", wrong)
         case "unexplained" if has_augmented_bench(summary):
-            return Advice("watch", f"Go on with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
+            return Advice("watch", f"Continue with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "unexplained":
             return Advice(
                 "watch",
@@ -399,7 +399,7 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
         f"{AUGMENTED_BENCH}, in the folder of this page, is your bench file with what was added."
     )
     if any(effect["indistinguishable_from"] for effect in summary["effects"]):
-        yield "These recordings cannot tell all effects apart."
+        yield "These recordings cannot separate all effects."
         yield from suggestion(summary)
     if learned_of(summary) and summary["delta_rad_after"] is None:
         return

@@ -51,7 +51,7 @@ def blocks(summary: IdentificationSummary) -> Iterator[Block]:
     for effect in summary["effects"]:
         found = ", ".join(sized(name, value) for name, value in effect["parameters"].items())
         alike = effect["indistinguishable_from"]
-        told = f" Cannot be told apart from {', '.join(map(in_words, alike))}." if alike else ""
+        told = f" Cannot be distinguished from {', '.join(map(in_words, alike))}." if alike else ""
         yield Sentence(words.capitalised(f"{in_words(effect['name'])}: {found}.{told}"))
     is_found = summary["outcome"] != "withheld"
     for together in summary["not_told_apart"] if is_found else []:
@@ -59,7 +59,7 @@ def blocks(summary: IdentificationSummary) -> Iterator[Block]:
     unlearned = [n for n, p in summary["parameters"].items() if p["learned"] < LITTLE]
     if unlearned and is_found:
         names = ", ".join(map(in_words, unlearned))
-        yield Sentence(f"These recordings tell no more than the data sheet about: {names}.")
+        yield Sentence(f"These recordings add nothing to the data sheet for: {names}.")
     yield disagreement_table(summary["disagreement"])
     yield Sentence(compared(summary), "aside")
     if summary["suggested_recording"] is not None and is_found:

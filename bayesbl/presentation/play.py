@@ -75,7 +75,7 @@ def _ramp_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
 
 
 def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
-    """A sentence for each snapshot on the widths that its positions round the turn have."""
+    """A sentence for each snapshot on the widths that its positions around the turn have."""
     for name, part in parts:
         if part["delta_rad"] is None:
             continue
@@ -83,7 +83,7 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
         each = ", ".join(words.significant(500.0 * w, 3) for w in found["width_rad"])
         where = "1 position" if found["positions"] == 1 else f"{found['positions']} positions"
         yield (
-            f"Half the width at zero torque{words.of(name)}, at {where} round the turn: {each} "
+            f"Half the width at zero torque{words.of(name)}, at {where} around the turn: {each} "
             f"mrad ({found['cycles']} cycles of ±{found['torque_nm']:.3g} N m)."
         )
     for name, part in parts:
@@ -169,7 +169,7 @@ def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
     yield words.bounds(part["channel_skew_s"], 1e3)
     ratio = part["gear_ratio"]
     yield number(ratio["median"], words.decimals(ratio))
-    yield "no play told" if no_play_by_encoders(part) else part["diagnostics"]["outcome"]
+    yield "no play found" if no_play_by_encoders(part) else part["diagnostics"]["outcome"]
 
 
 def encoder_blocks(part: RouteSummary) -> Iterator[Block]:

@@ -249,7 +249,7 @@ def law(wear: WearSummary) -> str:
     """How probable each law of wear is, the likeliest first."""
     ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
     told = ", ".join(f"{LAWS[name]} {words.probability(share)}" for name, share in ranked)
-    return f"If the joint wears, its wear by age is now: {told}."
+    return f"If the joint wears, its wear with age is now: {told}."
 
 
 def notes(wear: WearSummary) -> Iterator[str]:

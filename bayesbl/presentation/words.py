@@ -32,7 +32,7 @@ _SOURCES = {
     "bench": "tolerances of the bench",
     "repeated_ramps": "scatter of repeated ramps",
     "held_windup": "wind-up that friction holds",
-    "positions_round_the_turn": "positions round the turn",
+    "positions_round_the_turn": "positions around the turn",
 }
 
 

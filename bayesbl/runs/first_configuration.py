@@ -147,7 +147,7 @@ gear_ratio = 1.0        # motor turns per turn of the output; 1.0 where position
 _ASKED_SPEED = "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
 
 _MORE_FILES = (
-    '# files = ["…", "…"]          # in place of file: ramps at several positions round the turn\n'
+    '# files = ["…", "…"]          # in place of file: ramps at several positions around the turn\n'
 )
 
 _ESTIMATOR = """\

@@ -159,7 +159,7 @@ def test_files_of_positions_are_compared_with_dates_and_a_limit(tmp_path: Path) 
     assert new["ramps"]["positions"] == 3
     assert new["lost_motion_torque_nm"] == pytest.approx(0.6)
     assert sum(new["budget"].values()) == pytest.approx(1.0)
-    # The pattern round the turn stayed: the change is sharper than either gap.
+    # The pattern around the turn stayed: the change is sharper than either gap.
     change = summary["change_rad"]
     assert change["low"] < 3e-3 < change["high"]
     gap_width = worn["delta_rad"]["high"] - worn["delta_rad"]["low"]

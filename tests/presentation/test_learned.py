@@ -66,6 +66,6 @@ def test_it_is_told_by_what_it_depends_on_and_drawn(term: LearnedTerm, figure, t
 
 def test_what_it_is_not_told_from_is_said() -> None:
     sentences = " ".join(learned(answer_of(diagnosis(ERROR, TORQUE), 0.9, "equal_tailed")))
-    assert "cannot be told apart from a torque at the motor" in sentences
+    assert "cannot be distinguished from a torque at the motor" in sentences
     assert " mrad." in sentences
     assert "No gap is given." in sentences

@@ -21,7 +21,7 @@ from bayesbl.presentation.figures.style import GAP
 
 
 @stored_figure(
-    "Position over torque at each position round the turn, the loop of play, compliance and "
+    "Position over torque at each position around the turn, the loop of play, compliance and "
     "friction, and the play.",
     10,
     holding("loop"),
