@@ -501,7 +501,7 @@ def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
         " ".join(advice(diagnosed_summary("named", alike)).sentences)
         for alike in ((), ("motor_coulomb_friction",))
     )
-    assert "tell all effects apart" in unsure
+    assert "separate all effects" in unsure
     assert "apart" not in sure
 
 
