@@ -73,7 +73,7 @@ from bayesbl.results.variables import (
     table,
 )
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit, PointEstimate
+from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
 from bayesbl.ringing.pointwise import log_likelihood, predicted
@@ -873,18 +873,9 @@ class FitJob:
     work: WorkStore = field(default=NOTHING_KEPT, compare=False)
 
     def run(self, progress: StageProgress | None = None) -> Fit:
-        """Fit the recording, or restore the fit that an unfinished run had finished."""
+        """Fit the recording, or recall the fit that an unfinished run had finished."""
         step = of_stage(progress, f"Sampling {self.recording.name}")
-        made: list[Fit] = []
-
-        def finished() -> FinishedFit:
-            made.append(self._made(step))
-            return made[0].finished
-
-        kept = self.work.get("fit", self, finished, FinishedFit)
-        if made:
-            return made[0]
-        return self.estimator.restored(kept, self.recording, self.gear_ratio)
+        return self.work.get("fit", self, lambda: self._made(step), Fit)
 
     def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve

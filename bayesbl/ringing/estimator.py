@@ -11,11 +11,12 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from bayesbl.errors import ConfigError, RecordingError, ResultError
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise import outside_lines
 from bayesbl.noise.impact_scatter import normal_quantiles
 from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
@@ -58,11 +59,8 @@ It averages out as noise does; what stays is a ringing that is smaller by (ωσ)
 LEAST_LEFT = 0.05
 """Share of A that shaking leaves at least."""
 
-AGREEMENT = 1e-9
-"""Largest relative difference between a stored sum of squares and the same one evaluated again."""
 
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, for what is made of it once
 class PointEstimate:
     """Optimum, noise and covariance of one recording: all but the sampling.
 
@@ -85,7 +83,6 @@ class PointEstimate:
     """
 
     recording: Recording
-    objective: Objective
     optimum: Optimum
     noise: Noise
     spread: Covariance
@@ -96,6 +93,11 @@ class PointEstimate:
     mended: bool = False
     lines: tuple[MotorLine, ...] = ()
     shaking: tuple[OutsideLine, ...] = ()
+
+    @cached_property
+    def objective(self) -> Objective:
+        """Sum of squares between the recording and the optimum's model."""
+        return objective_of(self.optimum.model, self.recording)
 
     def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
         """Beside lines that were removed: A may be another by their RMS in the speed."""
@@ -146,44 +148,6 @@ class Fit:
     point: PointEstimate
     posterior: Posterior
     check: SamplerCheck | None = None
-
-    @property
-    def finished(self) -> FinishedFit:
-        """What of the fit is kept."""
-        point = self.point
-        mended = point.recording if point.mended else None
-        return FinishedFit(
-            point.optimum,
-            self.posterior,
-            self.check,
-            point.notes,
-            point.start,
-            point.contenders,
-            mended,
-            point.lines,
-            point.shaking,
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class FinishedFit:
-    """What of a fit takes time, and what is said of it; :meth:`Estimator.restored` makes the rest.
-
-    Attributes
-    ----------
-    mended
-        The recording that was fitted, where faults were taken out of the one given.
-    """
-
-    optimum: Optimum
-    posterior: Posterior
-    check: SamplerCheck | None
-    notes: tuple[str, ...]
-    start: str
-    contenders: tuple[Contender, ...] | None
-    mended: Recording | None
-    lines: tuple[MotorLine, ...] = ()
-    shaking: tuple[OutsideLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +251,7 @@ class Estimator:
         earlier: EarlierOptimum | None,
     ) -> PointEstimate:
         """The optimum of a recording as it is, from an earlier one if that still fits."""
-        objective = self._objective(recording)
+        objective = objective_of(self.model, recording)
         start = ""
         if earlier is not None:
             try:
@@ -307,14 +271,6 @@ class Estimator:
             require_no_drift(recording)  # the search mistakes one for part of a long rotation
             raise in_file(recording, error) from None
         return replace(point, start=start)
-
-    def _objective(self, recording: Recording) -> Objective:
-        return Objective(
-            self.model,
-            recording.time_s,
-            recording.motor_speed_rpm,
-            excluded=recording.excluded,
-        )
 
     def _warm(
         self, recording: Recording, objective: Objective, earlier: EarlierOptimum
@@ -342,7 +298,7 @@ class Estimator:
             speed_steps(recording.motor_speed_rpm),
         )
         spread = covariance(optimum, objective.time_s, residual, noise)
-        return PointEstimate(recording, objective, optimum, noise, spread, residual)
+        return PointEstimate(recording, optimum, noise, spread, residual)
 
     def fit(
         self,
@@ -389,42 +345,12 @@ class Estimator:
         second = check_sampler(point.objective, point.optimum, point.spread, posterior, check_seed)
         return Fit(point, posterior, second)
 
-    def restored(
-        self, finished: FinishedFit, recording: Recording, gear_ratio: float | None = None
-    ) -> Fit:
-        """The whole fit around a finished optimum, which is evaluated again.
 
-        Parameters
-        ----------
-        recording, gear_ratio
-            As :meth:`fit` had them.
-
-        Raises
-        ------
-        ResultError
-            If the recording gives another sum of squares at the optimum.
-        """
-        optimum = finished.optimum
-        ready = ready_for_fit(recording, gear_ratio)
-        recording = finished.mended or even(ready, EVEN_TOLERANCE, HARMLESS_JITTER_S)
-        objective = self._objective(recording)
-        found = float(objective.sum_of_squares(optimum.searched[None])[0])
-        if not abs(found - optimum.sum_of_squares) <= AGREEMENT * optimum.sum_of_squares:
-            raise ResultError(
-                "The optimum that an unfinished run stored does not agree with the recording.",
-                found=f"a sum of squares of {found:.12g} rpm² where "
-                f"{optimum.sum_of_squares:.12g} rpm² was stored",
-                expected="the same value; --force starts over",
-            )
-        point = replace(
-            self.around(recording, objective, optimum),
-            notes=finished.notes,
-            start=finished.start,
-            contenders=finished.contenders,
-            mended=finished.mended is not None,
-            lines=finished.lines,
-        ).shaken(finished.shaking)
-        return Fit(point, finished.posterior, finished.check)
+def objective_of(model: DisturbanceModel, recording: Recording) -> Objective:
+    """Sum of squares between a recording and a model, without excluded samples."""
+    return Objective(
+        model, recording.time_s, recording.motor_speed_rpm, excluded=recording.excluded
+    )
 
 
 def nominal_speed_rpm(recording: Recording) -> float:
