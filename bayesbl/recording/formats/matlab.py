@@ -35,7 +35,7 @@ _NUMERIC = frozenset(
 _BYTES_OF_CLASS = {1: 64.0, 2: 64.0, 4: 4.0, 7: 4.0}
 """In memory: of cells and structures what Python's objects take, of text and single 4, else 8."""
 
-_HINT = "tables and timetables: save their columns as plain vectors"
+_OTHERWISE = "save the columns of tables and timetables as plain vectors"
 
 
 def read_matlab(file: Path, data: bytes) -> ArrayTable:
@@ -46,22 +46,21 @@ def read_matlab(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no MATLAB file, holds no vector, or is v7.3 and shows what it does not hold itself.
     """
-    from bayesbl.recording.array_table import ArrayTable, readable
+    from bayesbl.recording.array_table import ArrayTable
 
-    with readable(file, "MATLAB", _HINT):
-        if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
-            variables = _hdf5_variables(file, data)
-        else:
-            variables = _mat5_variables(file, data)
-        if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
-            variables = only
-        arrays = dict(_columns(variables))
+    if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
+        variables = _hdf5_variables(file, data)
+    else:
+        variables = _mat5_variables(file, data)
+    if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
+        variables = only
+    arrays = dict(_columns(variables))
     if not arrays:
         raise RecordingError(
             "The file holds no vector of numbers.",
             file=file,
             found=", ".join(f'"{name}"' for name in variables) or "nothing",
-            expected=f"a vector for each channel; {_HINT}",
+            expected=f"a vector for each channel, or {_OTHERWISE}",
         )
     return ArrayTable(str(file), arrays)
 
@@ -232,4 +231,5 @@ FORMAT = Format(
     (".mat",),
     read_matlab,
     signatures=((126, b"IM"), (126, b"MI"), *SIGNATURES, *_V4, (0, b"\x00\x00\x03\xe8")),
+    otherwise=_OTHERWISE,
 )
