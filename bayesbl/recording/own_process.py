@@ -23,7 +23,7 @@ from typing import IO, TYPE_CHECKING, Any, BinaryIO
 from bayesbl.errors import RecordingError, UnavailableError, UserError, shortened
 from bayesbl.libraries import absent
 from bayesbl.recording import formats
-from bayesbl.recording.input_bytes import beyond_memory, memory_bytes
+from bayesbl.recording.input_bytes import beyond_memory, memory_bytes, require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
@@ -137,7 +137,10 @@ def answer(request: dict[str, object]) -> None:
     try:
         # pandas and xarray import them where they are there; no reader needs them for that.
         with absent(*({"dask", "matplotlib", "numba", "pyarrow"} - {format_.library})):
-            result = format_.read(file, sys.stdin.buffer.read())
+            table: ArrayTable = format_.read(file, sys.stdin.buffer.read())
+        values = sum(column.size for column in table.arrays.values())
+        require_memory(file, 8.0 * values, f"{values} numbers")
+        result = table
     except UserError as error:
         result = error
     except MemoryError:
