@@ -160,14 +160,12 @@ class Objective:
         coefficients[:, 0] += self.offset_rpm
         return LinearSolution(sse, coefficients, factor)
 
-    def symbols(self, searched: FloatArray, solution: LinearSolution) -> dict[str, FloatArray]:
-        """All nine symbols by name, shape (m,) each."""
-        rows = np.atleast_2d(searched)
-        values = {n: np.full(len(rows), v) for n, v in self.model.fixed.items()}
-        values |= {n: rows[:, i] for i, n in enumerate(self.searched)}
-        values[AMPLITUDE] = solution.coefficients[:, -1]
-        values[MEAN] = solution.coefficients[:, 0]
-        return {name: values[name] for name in SYMBOLS}
+    def solved(self, point: FloatArray) -> tuple[dict[str, float], LinearSolution]:
+        """All nine symbols by name at one point, (d,), and the solution there (m = 1)."""
+        solution = self.solve(point[None])
+        amplitude, mean = solution.coefficients[0, [-1, 0]].tolist()
+        values = self.model.named(point) | {AMPLITUDE: amplitude, MEAN: mean}
+        return {name: values[name] for name in SYMBOLS}, solution
 
     def columns(self, symbols: Mapping[str, float]) -> FloatArray:
         """Design matrix ``[1, cos, sin, …, q]`` of the linear symbols, shape (n, c)."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from bayesbl.errors import ConfigError
+from bayesbl.recording.types import FloatArray
 
 AMPLITUDE = "amplitude_rpm"
 START = "start_time_s"
@@ -128,6 +129,10 @@ class DisturbanceModel:
     def free(self) -> tuple[str, ...]:
         """All free symbols, in the paper's order."""
         return tuple(n for n in SYMBOLS if n not in self.fixed)
+
+    def named(self, point: Sequence[float] | FloatArray) -> dict[str, float]:
+        """The searched symbols of a point, (d,), and the fixed ones."""
+        return dict(zip(self.searched, map(float, point), strict=True)) | dict(self.fixed)
 
     @property
     def lasting_ranges(self) -> dict[str, tuple[float, float]]:
