@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from bayesbl.errors import ConfigError
-from bayesbl.recording.types import FloatArray
 
 AMPLITUDE = "amplitude_rpm"
 START = "start_time_s"
@@ -130,7 +129,7 @@ class DisturbanceModel:
         """All free symbols, in the paper's order."""
         return tuple(n for n in SYMBOLS if n not in self.fixed)
 
-    def named(self, point: Sequence[float] | FloatArray) -> dict[str, float]:
+    def named(self, point: Iterable[float]) -> dict[str, float]:
         """The searched symbols of a point, (d,), and the fixed ones."""
         return dict(zip(self.searched, map(float, point), strict=True)) | dict(self.fixed)
 
