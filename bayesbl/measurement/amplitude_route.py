@@ -81,7 +81,7 @@ from bayesbl.ringing.posterior import SamplerCheck, require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch
-from bayesbl.ringing.waveform import jacobian_columns
+from bayesbl.ringing.waveform import jacobian_columns, model_speed
 
 NAME = "amplitude"
 
@@ -752,9 +752,7 @@ def _prediction_variance(fit: Fit) -> FloatArray:
     centre = point.optimum.predict(objective.time_s)
     for i in picked:
         symbols = {**point.optimum.symbols, **{n: float(v[i]) for n, v in flat.items()}}
-        columns = objective.columns(symbols)
-        linear = np.r_[symbols["mean_speed_rpm"], baseline[i], symbols["amplitude_rpm"]]
-        difference = columns @ linear - centre
+        difference = model_speed(objective.time_s, symbols, baseline[i]) - centre
         total += difference
         square += difference**2
     return np.asarray(square / picked.size - (total / picked.size) ** 2)

@@ -24,7 +24,6 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.waveform import baseline_columns, pulse_train
 
 FURTHEST_START = 1e-3 / float(np.finfo(np.float64).eps)
 """Largest distance of the first impact from time zero, in sampling periods.
@@ -166,15 +165,6 @@ class Objective:
         amplitude, mean = solution.coefficients[0, [-1, 0]].tolist()
         values = self.model.named(point) | {AMPLITUDE: amplitude, MEAN: mean}
         return {name: values[name] for name in SYMBOLS}, solution
-
-    def columns(self, symbols: Mapping[str, float]) -> FloatArray:
-        """Design matrix ``[1, cos, sin, …, q]`` of the linear symbols, shape (n, c)."""
-        return np.column_stack(
-            [
-                baseline_columns(self.time_s, symbols[ROTATION], self.model.baseline_harmonics),
-                pulse_train(self.time_s, symbols, self.period_s),
-            ]
-        )
 
     def _matrix(self, searched: FloatArray) -> FloatArray:
         """Kernel columns from the searched symbols and the fixed ones."""

@@ -107,7 +107,7 @@ class Optimum:
 
     def predict(self, time_s: FloatArray) -> FloatArray:
         """The model h(t) of eq. 6 with its baseline, shape (n,), rpm."""
-        return model_speed(time_s, self.symbols, self.baseline_rpm.tolist())
+        return model_speed(time_s, self.symbols, self.baseline_rpm)
 
 
 def find_optimum(

@@ -30,6 +30,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_END,
     WINDOW_START,
 )
+from bayesbl.ringing.waveform import model_speed
 
 
 def rotations_of(point: PointEstimate) -> NDArray[np.int64]:
@@ -153,8 +154,7 @@ def predicted(
     rows = []
     for number, baseline in enumerate(baseline_rpm):
         symbols = {**point.optimum.symbols, **{n: float(v[number]) for n, v in draws.items()}}
-        linear = np.r_[symbols[MEAN], baseline, symbols[AMPLITUDE]]
-        model = objective.columns(symbols) @ linear
+        model = model_speed(objective.time_s, symbols, baseline)
         rows.append(model + repeats + _drawn(point.noise, model.size, generator))
     return np.array(rows)
 

@@ -319,7 +319,9 @@ def test_samples_left_out_count_for_nothing(harmonics: int) -> None:
     solution = objective.solve(points)
     for row in range(len(points)):
         symbols, _ = objective.solved(points[row])
-        kept = objective.columns(symbols)[~excluded]
+        baseline = baseline_columns(time_s, symbols["rotation_period_s"], harmonics)
+        pulses = pulse_train(time_s, symbols, objective.period_s)
+        kept = np.column_stack([baseline, pulses])[~excluded]
         expected, left, *_ = np.linalg.lstsq(kept, speed[~excluded])
         np.testing.assert_allclose(solution.coefficients[row], expected, atol=1e-8)
         np.testing.assert_allclose(solution.sum_of_squares[row], left[0], rtol=1e-10)
