@@ -50,7 +50,7 @@ from bayesbl.ramps.flanks import (
 from bayesbl.ramps.loop import LoopModel
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
-from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps
+from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
@@ -743,32 +743,27 @@ def _loop(answer: RampAnswer) -> xr.Dataset:
     parts: dict[str, list[FloatArray]] = {
         name: [] for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
     }
-    misfit, low, high = [], [], []
+    misfit, left = [], []
     for n, cycles in enumerate(level.files):
         if not cycles:
             continue
         torque, position, last = _path(cycles)
         model = LoopModel.fitted(cycles, torque, position)
         modelled = model.follow(torque, position[0])
-        left = {
-            side: [e.left_rad for c in cycles for e in (c.first, c.last) if e.side == side]
-            for side in (-1, 1)
-        }
         parts["torque_nm"].append(torque)
         parts["position_rad"].append(position)
         parts["model_rad"].append(modelled)
         parts["file"].append(np.full(torque.size, float(n)))
         parts["last"].append(last)
         misfit.append(float(np.sqrt(np.mean((position - modelled) ** 2))))
-        low.append(float(np.mean(left[-1])))
-        high.append(float(np.mean(left[1])))
+        left.append(left_rad(cycles))
     return dataset(
         LOOP,
         {
             **{name: np.concatenate(values) for name, values in parts.items()},
             "model_misfit_rad": np.array(misfit),
-            "left_low_rad": np.array(low),
-            "left_high_rad": np.array(high),
+            "left_low_rad": np.array([low for low, _ in left]),
+            "left_high_rad": np.array([high for _, high in left]),
         },
     )
 

@@ -237,7 +237,7 @@ def _log_relative(level: Level, largest: Level) -> FloatArray:
             found.append(np.log(np.maximum(own / reference, 1e-6)))
     if not found:
         return np.array([np.log(level.compliance_between / largest.compliance_over_all)])
-    return found[0] if len(found) == 1 else np.array([each.mean() for each in found])
+    return observations(found)
 
 
 def _probability_positive(values: FloatArray) -> float:

@@ -193,6 +193,13 @@ def _torque_between(cycle: Cycle) -> float:
     return float(torque[way][np.argmax(b.side * (position[way] - middle) >= 0.0)])
 
 
+def left_rad(cycles: Sequence[Cycle]) -> tuple[float, float]:
+    """Mean positions that excursions to the negative and to the positive side leave."""
+    excursions = [e for c in cycles for e in (c.first, c.last)]
+    low, high = (np.mean([e.left_rad for e in excursions if e.side == side]) for side in (-1, 1))
+    return float(low), float(high)
+
+
 def crossing(torque_nm: FloatArray, level_nm: float, begin: int, stop: int, side: int) -> int:
     """The first sample from ``begin`` on at which side · torque is not above side · level."""
     beyond = np.flatnonzero(side * (torque_nm[begin:stop] - level_nm) <= 0.0)
