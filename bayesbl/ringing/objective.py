@@ -52,6 +52,21 @@ class LinearSolution:
     factor: FloatArray
 
 
+def kernel_parameters(values: Mapping[str, float | FloatArray]) -> FloatArray:
+    """Symbols by name, of one shape (…) or one for all, as columns of the kernel, (…, 8)."""
+    columns = {
+        kernel.AMPLITUDE: values[AMPLITUDE],
+        kernel.FIRST_IMPACT: values[START] + values[WINDOW_START],
+        kernel.DECAY: values[DECAY],
+        kernel.FREQUENCY: values[FREQUENCY],
+        kernel.MEAN: values[MEAN],
+        kernel.WINDOW: values[WINDOW_END] - values[WINDOW_START],
+        kernel.SEPARATION: values[SEPARATION],
+        kernel.ROTATION: values[ROTATION],
+    }
+    return np.stack(np.broadcast_arrays(*(columns[i] for i in range(8))), axis=-1)
+
+
 class Objective:
     """Sum of squared residuals of one recording as a function of the searched symbols.
 
@@ -169,18 +184,11 @@ class Objective:
     def _matrix(self, searched: FloatArray) -> FloatArray:
         """Kernel columns from the searched symbols and the fixed ones."""
         rows = np.atleast_2d(np.asarray(searched, dtype=np.float64))
-        values = {n: np.full(len(rows), v) for n, v in self.model.fixed.items()}
+        values: dict[str, float | FloatArray] = {AMPLITUDE: np.zeros(len(rows)), MEAN: 0.0}
+        values |= self.model.fixed
         values |= {n: rows[:, i] for i, n in enumerate(self.searched)}
-        zero = np.zeros(len(rows))
-        matrix = np.empty((len(rows), 8))
-        matrix[:, kernel.AMPLITUDE] = values.get(AMPLITUDE, zero)
-        matrix[:, kernel.FIRST_IMPACT] = values[START] + values[WINDOW_START]
-        matrix[:, kernel.DECAY] = values[DECAY]
-        matrix[:, kernel.FREQUENCY] = values[FREQUENCY]
-        matrix[:, kernel.MEAN] = values.get(MEAN, zero) - self.offset_rpm
-        matrix[:, kernel.WINDOW] = values[WINDOW_END] - values[WINDOW_START]
-        matrix[:, kernel.SEPARATION] = values[SEPARATION]
-        matrix[:, kernel.ROTATION] = values[ROTATION]
+        matrix = kernel_parameters(values)
+        matrix[:, kernel.MEAN] -= self.offset_rpm
         is_far = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
         is_short = matrix[:, kernel.ROTATION] < self.shortest_rotation_s
         matrix[is_far | is_short, kernel.ROTATION] = np.nan
