@@ -184,8 +184,8 @@ class Objective:
     def _matrix(self, searched: FloatArray) -> FloatArray:
         """Kernel columns from the searched symbols and the fixed ones."""
         rows = np.atleast_2d(np.asarray(searched, dtype=np.float64))
-        values: dict[str, float | FloatArray] = {AMPLITUDE: np.zeros(len(rows)), MEAN: 0.0}
-        values |= self.model.fixed
+        given = {AMPLITUDE: 0.0, MEAN: 0.0} | dict(self.model.fixed)
+        values = {n: np.full(len(rows), v) for n, v in given.items()}
         values |= {n: rows[:, i] for i, n in enumerate(self.searched)}
         matrix = kernel_parameters(values)
         matrix[:, kernel.MEAN] -= self.offset_rpm
