@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,25 +23,19 @@ _OWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit
 _DEEPEST = 32
 
 
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """A dataset of an HDF5 file, by what its header declares.
-
-    ``bytes``: of all its values, or of one chunk where that is larger: either is allocated whole.
-    """
-
-    path: str
-    dimensions: int
-    bytes: float
-
-
 def require_whole(
-    content: bytes | Path, refusal: Callable[..., Exception], is_read: Callable[[Stored], bool]
+    content: bytes | Path,
+    refusal: Callable[..., Exception],
+    is_read: Callable[[str, int], bool] = lambda path, dimensions: True,
 ) -> float:
-    """Bytes that reading a file takes, of the datasets for which ``is_read``.
+    """Bytes that reading a file takes, by what it declares.
+
+    Of every dataset all values, or one chunk where that is larger: either is allocated whole.
 
     Parameters
     ----------
+    is_read
+        Whether the dataset at a path, of so many dimensions, is read; all are by default.
     refusal
         Makes the error for the first object that is not stored in the file itself, once, without
         foreign filters; takes what a :class:`bayesbl.errors.UserError` takes.
@@ -63,7 +56,7 @@ def require_whole(
             "save a copy of the values",
         )
 
-    def stored(dataset: Any, path: str) -> Stored:
+    def size_of(dataset: Any, path: str) -> float:
         made = dataset.get_create_plist()
         layout = made.get_layout()
         if layout == h5py.h5d.VIRTUAL:
@@ -78,7 +71,7 @@ def require_whole(
         values, chunk = float(dataset.get_space().get_simple_extent_npoints()), 0.0
         if layout == h5py.h5d.CHUNKED:
             chunk = math.prod(map(float, made.get_chunk()))
-        return Stored(path, dataset.rank, size * max(values, chunk))
+        return size * max(values, chunk)
 
     name = io.BytesIO(content) if isinstance(content, bytes) else str(content)
     with h5py.File(name, "r", locking=False) as opened:
@@ -99,8 +92,8 @@ def require_whole(
                     raise outside(where, "a soft link" if soft else "a link to another file")
                 item = h5py.h5o.open(group, link)
                 if isinstance(item, h5py.h5d.DatasetID):
-                    dataset = stored(item, where)
-                    read_bytes += dataset.bytes if is_read(dataset) else 0.0
+                    size = size_of(item, where)
+                    read_bytes += size if is_read(where, item.rank) else 0.0
                 elif isinstance(item, h5py.h5g.GroupID):
                     address = h5py.h5o.get_info(item).addr
                     if address in groups:

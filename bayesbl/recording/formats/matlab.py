@@ -130,7 +130,7 @@ def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
     import h5py
     import numpy as np
 
-    size = require_whole(data, partial(RecordingError, file=file), lambda dataset: True)
+    size = require_whole(data, partial(RecordingError, file=file))
     require_memory(file, 2.0 * size, "its variables, unpacked")
 
     def variables(group: Any, depth: int) -> dict[str, Any]:

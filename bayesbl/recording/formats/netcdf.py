@@ -39,7 +39,7 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
         size = require_whole(
             data,
             partial(RecordingError, file=file),
-            lambda dataset: dataset.dimensions == 1 and dataset.path.count("/") == 1,
+            lambda path, dimensions: dimensions == 1 and path.count("/") == 1,
         )
         require_memory(file, _DECODED * size, "its variables, unpacked and decoded")
     stored = netCDF4.Dataset("recording", memory=data)
