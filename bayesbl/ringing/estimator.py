@@ -23,7 +23,7 @@ from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
 from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.progress import Progress
-from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
+from bayesbl.recording.checks import ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.evenly import UNEVEN_STAMPS, even
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.cleaning import MotorLine, in_words, without_drift, without_motor_lines
@@ -269,7 +269,8 @@ class Estimator:
             point = self.around(recording, objective, optimum)
         except RecordingError as error:
             require_no_drift(recording)  # the search mistakes one for part of a long rotation
-            raise in_file(recording, error) from None
+            error.name_file(recording.place)
+            raise
         return replace(point, start=start)
 
     def _warm(
