@@ -873,7 +873,8 @@ class FitJob:
     def run(self, progress: StageProgress | None = None) -> Fit:
         """Fit the recording, or recall the fit that an unfinished run had finished."""
         step = of_stage(progress, f"Sampling {self.recording.name}")
-        return self.work.get("fit", self, lambda: self._made(step), Fit)
+        kept = self.work.get("fit", self, lambda: self._made(step), Fit)
+        return kept.of(self.recording, self.gear_ratio)
 
     def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve

@@ -60,14 +60,17 @@ LEAST_LEFT = 0.05
 """Share of A that shaking leaves at least."""
 
 
+NO_RECORDING = Recording("", np.zeros(0), {})
+
+
 @dataclass(frozen=True)  # without slots, for what is made of it once
 class PointEstimate:
     """Optimum, noise and covariance of one recording: all but the sampling.
 
     Attributes
     ----------
-    residual_rpm
-        Recording minus optimum, shape (n,), rpm; NaN at samples left out.
+    recording
+        As it was fitted. It is not kept with a finished fit: what was read is there already.
     notes
         What the reader should know about how the optimum was found.
     start
@@ -75,22 +78,21 @@ class PointEstimate:
     contenders
         Other optima weighed against this one; by their likelihood alone where ``None``.
     mended
-        Whether ``recording`` is not the one given: lines or drift were removed.
+        The recording that was fitted, where it is not the one given: lines or drift were removed.
     lines
         Of the motor that were removed.
     shaking
         Lines in time that were removed.
     """
 
-    recording: Recording
     optimum: Optimum
     noise: Noise
     spread: Covariance
-    residual_rpm: FloatArray
+    recording: Recording = field(default=NO_RECORDING, compare=False)
     notes: tuple[str, ...] = ()
     start: str = ""
     contenders: tuple[Contender, ...] | None = None
-    mended: bool = False
+    mended: Recording | None = None
     lines: tuple[MotorLine, ...] = ()
     shaking: tuple[OutsideLine, ...] = ()
 
@@ -98,6 +100,11 @@ class PointEstimate:
     def objective(self) -> Objective:
         """Sum of squares between the recording and the optimum's model."""
         return objective_of(self.optimum.model, self.recording)
+
+    @cached_property
+    def residual_rpm(self) -> FloatArray:
+        """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
+        return residual_of(self.objective, self.optimum)
 
     def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
         """Beside lines that were removed: A may be another by their RMS in the speed."""
@@ -148,6 +155,13 @@ class Fit:
     point: PointEstimate
     posterior: Posterior
     check: SamplerCheck | None = None
+
+    def of(self, recording: Recording, gear_ratio: float | None = None) -> Fit:
+        """The finished fit of a recording that was kept, with that recording as it was fitted."""
+        fitted = self.point.mended or even(
+            ready_for_fit(recording, gear_ratio), EVEN_TOLERANCE, HARMLESS_JITTER_S
+        )
+        return replace(self, point=replace(self.point, recording=fitted))
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +254,8 @@ class Estimator:
                 recording, note = steady
                 point = self._optimal(recording, seed, gear_ratio, earlier)
                 notes.append(note)
-        point = replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
+        mended = point.recording if notes else None
+        point = replace(point, notes=tuple(notes), mended=mended, lines=lines)
         return point.shaken(shaking)
 
     def _optimal(
@@ -288,8 +303,7 @@ class Estimator:
 
     def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
         """Noise and covariance around an optimum already found."""
-        residual = objective.speed_rpm - optimum.predict(objective.time_s)
-        residual[~objective.used] = np.nan
+        residual = residual_of(objective, optimum)
         noise = estimate_noise(
             residual,
             optimum.symbols[ROTATION],
@@ -299,7 +313,7 @@ class Estimator:
             speed_steps(recording.motor_speed_rpm),
         )
         spread = covariance(optimum, objective.time_s, residual, noise)
-        return PointEstimate(recording, optimum, noise, spread, residual)
+        return PointEstimate(optimum, noise, spread, recording)
 
     def fit(
         self,
@@ -352,6 +366,12 @@ def objective_of(model: DisturbanceModel, recording: Recording) -> Objective:
     return Objective(
         model, recording.time_s, recording.motor_speed_rpm, excluded=recording.excluded
     )
+
+
+def residual_of(objective: Objective, optimum: Optimum) -> FloatArray:
+    """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
+    residual = objective.speed_rpm - optimum.predict(objective.time_s)
+    return np.where(objective.used, residual, np.nan)
 
 
 def nominal_speed_rpm(recording: Recording) -> float:
