@@ -96,15 +96,6 @@ _NUMBER_BEFORE = re.compile(
     r"\s*[x*]?\s*(?P<unit>[^\d\s/].*|1/min)"
 )
 
-_DIMENSION_OF_SUFFIX = {
-    "_s": "time",
-    "_rpm": "speed",
-    "_rad": "angle",
-    "_a": "current",
-    "_nm": "torque",
-}
-
-
 _UNIT_OF_ENDING = {
     "_nm_s2_per_rad2": "N m s²/rad²",
     "_nm_s_per_rad": "N m s/rad",
@@ -142,17 +133,14 @@ def in_words(name: str) -> str:
 
 
 def dimension_of(channel: str) -> str | None:
-    """The dimension of a channel by its unit suffix, ``None`` if that is unknown."""
-    for suffix, dimension in _DIMENSION_OF_SUFFIX.items():
-        if channel.endswith(suffix):
-            return dimension
-    return None
+    """The dimension of a channel by the unit that its name ends in, ``None`` if there is none."""
+    unit = unit_of(channel)
+    return next((d for d, units in _FACTORS.items() if next(iter(units)) == unit), None)
 
 
 def unit_of(channel: str) -> str:
     """The package's own unit of a channel, empty if its suffix is unknown."""
-    units = accepted_units(channel)
-    return units[0] if units else ""
+    return quantity_and_unit(channel)[1]
 
 
 def accepted_units(channel: str) -> tuple[str, ...]:
@@ -291,16 +279,6 @@ def is_unit(text: str) -> bool:
 LimitUnit = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "mm"]
 LimitKind = Literal["delta", "play", "lost_motion"]
 
-_LIMIT_UNITS: dict[str, float] = {
-    "rad": 1.0,
-    "mrad": 1e-3,
-    "deg": math.pi / 180.0,
-    "arcmin": math.pi / 10_800.0,
-    "arcsec": math.pi / 648_000.0,
-}
-
-_LIMIT_SPELLINGS = {"°": "deg", "′": "arcmin", "'": "arcmin", "″": "arcsec", '"': "arcsec"}
-
 LIMIT_EXAMPLES = (
     'VALUE UNIT KIND: "3 arcmin play", "0.2 mrad delta", "0.5 mm play at 0.4 m" or '
     '"1 arcmin lost_motion at 3 %" (of the rated torque)'
@@ -383,7 +361,7 @@ class Limit:
             problem = "A limit says whether it is of δ, of play (2 δ) or of lost motion."
             raise LimitError(problem, f'"{text}"', LIMIT_EXAMPLES)
         kind = parts["of"].lower().replace(" ", "_").replace("δ", "delta")
-        unit = _LIMIT_SPELLINGS.get(parts["unit"], parts["unit"])
+        unit = spelled(parts["unit"])
         at_m, percent = (None if x is None else float(x) for x in parts.group("at_m", "percent"))
         share = None if percent is None else percent / 100.0
         return cls(float(parts["value"]), unit, kind, at_m, share)  # type: ignore[arg-type]
@@ -440,7 +418,7 @@ class Limit:
 
     @property
     def _rad(self) -> float:
-        return _LIMIT_UNITS[self.unit] if self.at_m is None else 1e-3 / self.at_m
+        return _FACTORS["angle"][self.unit] if self.at_m is None else 1e-3 / self.at_m
 
 
 def number(value: float, places: int) -> str:

@@ -143,8 +143,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
 
 def _held(files: Sequence[Found], flanks: Flanks) -> float:
     """``held_windup_rad`` of a snapshot."""
-    found = of_every_cycle(files, flanks, 0.0)
-    draws = described(found, files, flanks, (1,), np.random.default_rng(1))
+    found = of_every_cycle(flanks, 0.0)
+    draws = described(found, flanks, (1,), np.random.default_rng(1))
     return float(draws["held_windup_rad"].item())
 
 

@@ -43,8 +43,6 @@ class Regression:
         Posterior mean of g at the knots, relative, shape (g,).
     lack_of_fit_size, lack_of_fit_length
         Standard deviation (relative) and length (in ln A) of the process.
-    rms_departure
-        RMS relative departure of δ from the polynomial alone, over the sweep points.
     log_evidence
         Restricted log likelihood, for comparing degrees.
     """
@@ -54,7 +52,6 @@ class Regression:
     lack_of_fit: FloatArray
     lack_of_fit_size: float
     lack_of_fit_length: float
-    rms_departure: float
     log_evidence: float
     _coefficient_root: FloatArray
     _sensitivity: FloatArray
@@ -140,7 +137,6 @@ def regress(
         lack_of_fit=pull @ (ones - columns @ scaled),
         lack_of_fit_size=float(size),
         lack_of_fit_length=float(length),
-        rms_departure=_rms_departure(amplitude_rpm, gap_rad, degree),
         log_evidence=float(evidence),
         _coefficient_root=back[:, None] * np.linalg.cholesky(covariance),
         _sensitivity=-(pull @ columns) / back,
@@ -151,11 +147,6 @@ def regress(
 def relative_fit(amplitude_rpm: FloatArray, gap_rad: FloatArray, degree: int) -> FloatArray:
     """Coefficients of plain relative least squares, without lack of fit, shape (degree + 1,)."""
     return np.asarray(polynomial.polyfit(amplitude_rpm, gap_rad, degree, w=1.0 / gap_rad))
-
-
-def _rms_departure(amplitude_rpm: FloatArray, gap_rad: FloatArray, degree: int) -> float:
-    fitted = polynomial.polyval(amplitude_rpm, relative_fit(amplitude_rpm, gap_rad, degree))
-    return float(np.sqrt(np.mean((fitted / gap_rad - 1.0) ** 2)))
 
 
 def _kernel(x: FloatArray, y: FloatArray, size: float, length: float) -> FloatArray:

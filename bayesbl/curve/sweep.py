@@ -8,8 +8,8 @@ it finds the same least-squares optimum.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -116,14 +116,8 @@ class SweepRow:
                 found=f"{self.gap_rad[kept].size} gaps",
                 expected=f"at least {FEWEST_GAPS}; larger gaps, or another bench",
             )
-        return SweepRow(
-            self.gap_rad[kept],
-            self.start_angle_rad[kept],
-            self.searched[kept],
-            self.amplitude_rpm[kept],
-            self.rmse_rpm[kept],
-            self.names,
-        )
+        rows = {f.name: getattr(self, f.name)[kept] for f in fields(self) if f.name != "names"}
+        return replace(self, **rows)
 
     def symbol(self, name: str, fixed: Mapping[str, float]) -> FloatArray:
         """A searched or fixed symbol, shape (g, s)."""
@@ -152,8 +146,8 @@ def sweep_nominal(
     require_flank_change(bench)
     angles = settings.start_angle_rad
     objectives = _objectives(bench, model, settings, settings.gap_rad, angles, workers)
-    row = _Row(model, settings.gap_rad, angles)
     point = find_optimum(objectives[-1][0], "guess", generator).searched
+    searched = np.empty((*angles.shape, point.size))
     trend = np.zeros_like(point)
     for g in reversed(range(settings.count)):
         first, last = objectives[g][0], point
@@ -169,8 +163,9 @@ def sweep_nominal(
         trend = point - last if is_same else np.zeros_like(point)
         for s, angle in enumerate(angles[g]):
             start = _turned(model, point, angle - angles[g, 0], bench)
-            row.set(g, s, objectives[g][s], point if s == 0 else refine(objectives[g][s], start))
-    return row.done().on_one_branch(model.fixed)
+            searched[g, s] = point if s == 0 else refine(objectives[g][s], start)
+    row = _row(model, settings.gap_rad, angles, objectives, searched)
+    return row.on_one_branch(model.fixed)
 
 
 def sweep_like(
@@ -185,42 +180,41 @@ def sweep_like(
     """
     angles = nominal.start_angle_rad[:, :1]
     objectives = _objectives(bench, model, settings, nominal.gap_rad, angles, 1)
-    row = _Row(model, nominal.gap_rad, angles)
+    searched = np.empty_like(nominal.searched[:, :1])
     shift = np.zeros(nominal.searched.shape[2])
     for g in reversed(range(nominal.gap_rad.size)):
         there = nominal.searched[g, 0]
         point = refine(objectives[g][0], there + shift)
         shift = point - there
-        row.set(g, 0, objectives[g][0], point)
-    return row.done()
+        searched[g, 0] = point
+    return _row(model, nominal.gap_rad, angles, objectives, searched)
 
 
-class _Row:
-    """A sweep row being filled."""
-
-    def __init__(
-        self, model: DisturbanceModel, gap_rad: FloatArray, start_angle_rad: FloatArray
-    ) -> None:
-        shape = start_angle_rad.shape
-        self._gap, self._angles, self._model = gap_rad, start_angle_rad, model
-        self._searched = np.empty((*shape, len(model.searched)))
-        self._amplitude, self._rmse = np.empty(shape), np.empty(shape)
-
-    def set(self, g: int, s: int, objective: Objective, point: FloatArray) -> None:
-        solution = objective.solve(point[None])
-        self._searched[g, s] = point
-        self._amplitude[g, s] = abs(solution.coefficients[0, -1])
-        self._rmse[g, s] = math.sqrt(solution.sum_of_squares[0] / objective.samples_used)
-
-    def done(self) -> SweepRow:
-        return SweepRow(
-            self._gap,
-            self._angles,
-            self._searched,
-            self._amplitude,
-            self._rmse,
-            self._model.searched,
-        )
+def _row(
+    model: DisturbanceModel,
+    gap_rad: FloatArray,
+    start_angle_rad: FloatArray,
+    objectives: Sequence[Sequence[Objective]],
+    searched: FloatArray,
+) -> SweepRow:
+    """The row of optima (g, s, d)."""
+    found = [
+        objective.solve(point[None])
+        for of_gap, points in zip(objectives, searched, strict=True)
+        for objective, point in zip(of_gap, points, strict=True)
+    ]
+    shape = start_angle_rad.shape
+    amplitude = np.abs([solution.coefficients[0, -1] for solution in found])
+    squares = np.array([solution.sum_of_squares[0] for solution in found])
+    rmse = np.sqrt(squares / objectives[0][0].samples_used)
+    return SweepRow(
+        gap_rad,
+        start_angle_rad,
+        searched,
+        amplitude.reshape(shape),
+        rmse.reshape(shape),
+        model.searched,
+    )
 
 
 def _objectives(

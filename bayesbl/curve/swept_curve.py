@@ -123,9 +123,8 @@ def swept_curve(
     regression_seed, bench_seed = seed.spawn(2)
     mean = nominal.amplitude_rpm.mean(axis=1)
     _require_growing(name, nominal.gap_rad, mean)
-    knots = np.geomspace(mean[0], mean[-1], KNOTS)
-    sd = start_angle_scatter(nominal.amplitude_rpm)
-    regression = _regression(nominal, sd, knots, degree)
+    regression = _regression(nominal, degree)
+    knots = regression.knots_rpm
     by_coefficients, by_lack_of_fit = regression.draws(
         REGRESSION_DRAWS, np.random.default_rng(regression_seed)
     )
@@ -144,7 +143,7 @@ def swept_curve(
         knots_rpm=knots,
         correction=regression.log_gap - np.log(polynomial.polyval(knots, coefficients)),
         sources=sources,
-        start_angle_sd_rpm=np.interp(knots, mean, sd),
+        start_angle_sd_rpm=np.interp(knots, mean, start_angle_scatter(nominal.amplitude_rpm)),
         fingerprint=fingerprint,
         ringing=ringing,
     )
@@ -154,23 +153,15 @@ def swept_curve(
 def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
     """Polynomials of several degrees, so that a cubic is a result and no assumption."""
     mean = nominal.amplitude_rpm.mean(axis=1)
-    knots = np.geomspace(mean[0], mean[-1], KNOTS)
-    sd = start_angle_scatter(nominal.amplitude_rpm)
     reports = []
     for degree in DEGREES:
         if nominal.gap_rad.size < degree + 3:
             break
         coefficients = relative_fit(mean, nominal.gap_rad, degree)
         departure = polynomial.polyval(mean, coefficients) / nominal.gap_rad - 1.0
-        evidence = _regression(nominal, sd, knots, degree).log_evidence
-        reports.append(
-            DegreeReport(
-                degree,
-                float(np.sqrt(np.mean(departure**2))),
-                float(np.abs(departure).max()),
-                evidence,
-            )
-        )
+        rms, largest = float(np.sqrt(np.mean(departure**2))), float(np.abs(departure).max())
+        evidence = _regression(nominal, degree).log_evidence
+        reports.append(DegreeReport(degree, rms, largest, evidence))
     return reports
 
 
@@ -186,17 +177,17 @@ def start_angle_scatter(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.convolve(variance, np.full(5, 0.2), "valid") + 1e-18))
 
 
-def _regression(
-    nominal: SweepRow, sd_rpm: FloatArray, knots_rpm: FloatArray, degree: int
-) -> Regression:
+def _regression(nominal: SweepRow, degree: int) -> Regression:
+    """Of the gaps on all amplitudes, at knots that reach over them."""
     mean = nominal.amplitude_rpm.mean(axis=1)
+    sd_rpm = start_angle_scatter(nominal.amplitude_rpm)
     slope = np.gradient(np.log(nominal.gap_rad), mean)
     shape = nominal.amplitude_rpm.shape
     return regress(
         nominal.amplitude_rpm.ravel(),
         np.broadcast_to(nominal.gap_rad[:, None], shape).ravel(),
         np.broadcast_to((slope * sd_rpm)[:, None], shape).ravel(),
-        knots_rpm,
+        np.geomspace(mean[0], mean[-1], KNOTS),
         degree,
     )
 

@@ -73,7 +73,7 @@ from bayesbl.results.variables import (
     table,
 )
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.estimator import Estimator, FinishedFit, Fit, PointEstimate
+from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
 from bayesbl.ringing.pointwise import log_likelihood, predicted
@@ -81,7 +81,7 @@ from bayesbl.ringing.posterior import SamplerCheck, require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch
-from bayesbl.ringing.waveform import jacobian_columns
+from bayesbl.ringing.waveform import jacobian_columns, model_speed
 
 NAME = "amplitude"
 
@@ -752,9 +752,7 @@ def _prediction_variance(fit: Fit) -> FloatArray:
     centre = point.optimum.predict(objective.time_s)
     for i in picked:
         symbols = {**point.optimum.symbols, **{n: float(v[i]) for n, v in flat.items()}}
-        columns = objective.columns(symbols)
-        linear = np.r_[symbols["mean_speed_rpm"], baseline[i], symbols["amplitude_rpm"]]
-        difference = columns @ linear - centre
+        difference = model_speed(objective.time_s, symbols, baseline[i]) - centre
         total += difference
         square += difference**2
     return np.asarray(square / picked.size - (total / picked.size) ** 2)
@@ -873,18 +871,10 @@ class FitJob:
     work: WorkStore = field(default=NOTHING_KEPT, compare=False)
 
     def run(self, progress: StageProgress | None = None) -> Fit:
-        """Fit the recording, or restore the fit that an unfinished run had finished."""
+        """Fit the recording, or recall the fit that an unfinished run had finished."""
         step = of_stage(progress, f"Sampling {self.recording.name}")
-        made: list[Fit] = []
-
-        def finished() -> FinishedFit:
-            made.append(self._made(step))
-            return made[0].finished
-
-        kept = self.work.get("fit", self, finished, FinishedFit)
-        if made:
-            return made[0]
-        return self.estimator.restored(kept, self.recording, self.gear_ratio)
+        kept = self.work.get("fit", self, lambda: self._made(step), Fit)
+        return kept.of(self.recording, self.gear_ratio)
 
     def _made(self, progress: Progress | None) -> Fit:
         curve = self.curve

@@ -50,7 +50,7 @@ from bayesbl.ramps.flanks import (
 from bayesbl.ramps.loop import LoopModel
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
-from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps
+from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
@@ -284,12 +284,12 @@ class RampMeasurer(Measurer):
         none = generator.uniform(size=width.shape) > flanks.probability_of_play
         delta = np.where(none, delta * generator.uniform(size=width.shape), delta)
         stated_nm = LOST_MOTION_SHARE * self._rated(flanks)
-        found = of_every_cycle(files, flanks, stated_nm)
+        found = of_every_cycle(flanks, stated_nm)
         draws = {
             "delta_rad": delta,
             "width_rad": width,
             "scatter_rad": scatter,
-            **described(found, files, flanks, width.shape, generator),
+            **described(found, flanks, width.shape, generator),
         }
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
@@ -508,9 +508,7 @@ def _joined(name: str, parts: Sequence[Recording]) -> Recording:
     )
 
 
-def of_every_cycle(
-    files: Sequence[Ramps], flanks: Flanks, stated_nm: float
-) -> dict[str, list[FloatArray]]:
+def of_every_cycle(flanks: Flanks, stated_nm: float) -> dict[str, list[FloatArray]]:
     """Everything but the play, by file and cycle, rad and N m.
 
     Lost motion at ±``stated_nm`` N m, compliance, friction, windup that friction holds.
@@ -524,8 +522,8 @@ def of_every_cycle(
     beyond = 2.0 * (largest.amplitude_nm - level.friction_nm)
     compliance = flank / beyond if largest is not level and beyond > 0.0 else 0.0
     return {
-        "lost_motion_rad": lost_motion(files, largest, stated_nm),
-        "stiffness_nm_per_rad": stiffness(files, largest),
+        "lost_motion_rad": of_cycles(largest, lambda c: lost_motion(c, stated_nm)),
+        "stiffness_nm_per_rad": of_cycles(largest, stiffness),
         "compliance_rad_per_nm": of_cycles(
             largest, lambda c: max(c.range_rad - width, 0.0) / (2.0 * c.amplitude_nm)
         ),
@@ -538,7 +536,6 @@ def of_every_cycle(
 
 def described(
     found: Mapping[str, Sequence[FloatArray]],
-    files: Sequence[Ramps],
     flanks: Flanks,
     shape: tuple[int, ...],
     generator: np.random.Generator,
@@ -552,7 +549,7 @@ def described(
     draws["preload_torque_nm"] = np.zeros(shape)
     if flanks.finding == "preloaded":
         assert flanks.largest is not None
-        lifts = lifting_torque(files, flanks.largest)
+        lifts = lifting_torque(flanks.largest)
         draws["preload_torque_nm"] = (
             _mean_draws(lifts, shape, generator) if lifts else np.full(shape, np.nan)
         )
@@ -746,40 +743,35 @@ def _loop(answer: RampAnswer) -> xr.Dataset:
     parts: dict[str, list[FloatArray]] = {
         name: [] for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
     }
-    misfit, low, high = [], [], []
-    for n, (ramps, cycles) in enumerate(zip(answer.files, level.files, strict=True)):
+    misfit, left = [], []
+    for n, cycles in enumerate(level.files):
         if not cycles:
             continue
-        torque, position, last = _path(ramps, cycles)
+        torque, position, last = _path(cycles)
         model = LoopModel.fitted(cycles, torque, position)
         modelled = model.follow(torque, position[0])
-        left = {
-            side: [e.left_rad for c in cycles for e in (c.first, c.last) if e.side == side]
-            for side in (-1, 1)
-        }
         parts["torque_nm"].append(torque)
         parts["position_rad"].append(position)
         parts["model_rad"].append(modelled)
         parts["file"].append(np.full(torque.size, float(n)))
         parts["last"].append(last)
         misfit.append(float(np.sqrt(np.mean((position - modelled) ** 2))))
-        low.append(float(np.mean(left[-1])))
-        high.append(float(np.mean(left[1])))
+        left.append(left_rad(cycles))
     return dataset(
         LOOP,
         {
             **{name: np.concatenate(values) for name, values in parts.items()},
             "model_misfit_rad": np.array(misfit),
-            "left_low_rad": np.array(low),
-            "left_high_rad": np.array(high),
+            "left_low_rad": np.array([low for low, _ in left]),
+            "left_high_rad": np.array([high for _, high in left]),
         },
     )
 
 
-def _path(ramps: Ramps, cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _path(cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Torque and position of all cycles of a file in order, thinned, and which are of the last."""
     path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
-    torque, position = ramps.torque_nm[path], ramps.position_rad[path]
+    torque, position = cycles[0].torque_nm[path], cycles[0].position_rad[path]
     step = max(1, -(-torque.size // MOST_POINTS))
     last = np.arange(path.start, path.stop) >= cycles[-1].first.begin
     return torque[::step], position[::step], last[::step].astype(float)

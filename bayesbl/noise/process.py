@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from bayesbl.errors import BenchError
-from bayesbl.noise.rotation_noise import autocorrelation, recursion
+from bayesbl.noise.rotation_noise import autocorrelation, innovation_share, recursion
 from bayesbl.recording.types import FloatArray
 
 
@@ -51,48 +52,39 @@ class NoiseModel:
                 found=self.degrees_of_freedom,
                 expected="above 2",
             )
-        if self.coefficients:
-            roots = np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients))))
-            if not np.all(np.abs(roots) < 1.0):
-                raise BenchError(
-                    "Autoregressive noise with these coefficients grows without bound.",
-                    where="coefficients",
-                    found=list(self.coefficients),
-                    expected="roots of z^p - φ_1 z^(p-1) - … inside the unit circle",
-                )
-
-    def autocorrelation(self, lags: int) -> FloatArray:
-        """Autocorrelation at lags 0 … ``lags``, shape (lags + 1,)."""
-        return autocorrelation(np.asarray(self.coefficients), lags + 1)
+        if not np.all(np.abs(self._roots) < 1.0):
+            raise BenchError(
+                "Autoregressive noise with these coefficients grows without bound.",
+                where="coefficients",
+                found=list(self.coefficients),
+                expected="roots of z^p - φ_1 z^(p-1) - … inside the unit circle",
+            )
 
     def draw(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Stationary from the first sample on, shape (size,), the channel's unit."""
-        order = len(self.coefficients)
-        rho = self.autocorrelation(order)
-        innovation = math.sqrt(1.0 - float(np.dot(self.coefficients, rho[1:])))
-        if self.degrees_of_freedom is not None:
-            return self._draw_with_outliers(size, rng, self.degrees_of_freedom, innovation)
+        coefficients = np.asarray(self.coefficients, dtype=np.float64)
+        order, freedom = coefficients.size, self.degrees_of_freedom
+        innovation = math.sqrt(innovation_share(coefficients))
+        if freedom is not None:
+            # Run in from zero: the stationary law has no closed form.
+            slowest = float(np.max(np.abs(self._roots), initial=0.0))
+            run_in = math.ceil(math.log(1e-6) / math.log(slowest)) if slowest > 0.0 else 0
+            white = rng.standard_t(freedom, run_in + size) * math.sqrt((freedom - 2.0) / freedom)
+            drive = self.standard_deviation * innovation * white
+            return np.asarray(recursion(coefficients, drive, np.zeros(order))[run_in:])
         white = rng.standard_normal(size)
         if order == 0:
             return self.standard_deviation * white
-        start = linalg.cholesky(linalg.toeplitz(rho[:order]), lower=True) @ rng.standard_normal(
-            order
+        rho = autocorrelation(coefficients, order)
+        start = linalg.cholesky(linalg.toeplitz(rho), lower=True) @ rng.standard_normal(order)
+        return np.asarray(
+            self.standard_deviation * recursion(coefficients, innovation * white, start)
         )
-        coefficients = np.asarray(self.coefficients, dtype=np.float64)
-        noise = recursion(coefficients, innovation * white, start)
-        return np.asarray(self.standard_deviation * noise)
 
-    def _draw_with_outliers(
-        self, size: int, rng: np.random.Generator, freedom: float, innovation: float
-    ) -> FloatArray:
-        """Like :meth:`draw`, but run in from zero: the stationary law has no closed form."""
-        roots = np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients))))
-        slowest = float(np.max(np.abs(roots), initial=0.0))
-        run_in = math.ceil(math.log(1e-6) / math.log(slowest)) if slowest > 0.0 else 0
-        white = rng.standard_t(freedom, run_in + size) * math.sqrt((freedom - 2.0) / freedom)
-        coefficients = np.asarray(self.coefficients, dtype=np.float64)
-        drive = self.standard_deviation * innovation * white
-        return np.asarray(recursion(coefficients, drive, np.zeros(coefficients.size))[run_in:])
+    @property
+    def _roots(self) -> NDArray[np.complex128]:
+        """Of z^p − φ_1 z^(p−1) − …, shape (p,)."""
+        return np.asarray(np.roots(np.concatenate(([1.0], -np.asarray(self.coefficients)))))
 
 
 NO_NOISE = NoiseModel(0.0)

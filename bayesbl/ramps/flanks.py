@@ -196,7 +196,7 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
             skipped.append(level.amplitude_nm)
             continue
         if level.compliance_between >= STUCK * largest.compliance_over_all:
-            relative = _log_relative(files, level, largest)
+            relative = _log_relative(level, largest)
             probability = _probability_positive(relative)
             return Flanks(
                 "play" if probability > 0.5 else "preloaded",
@@ -215,7 +215,7 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
     return Flanks("play" if arrived else "too_small", largest, largest, tuple(skipped), needed)
 
 
-def _log_relative(files: Sequence[Ramps], level: Level, largest: Level) -> FloatArray:
+def _log_relative(level: Level, largest: Level) -> FloatArray:
     """ln of the relative compliance, by file with both kinds of ramps; of one file by cycle.
 
     Where no file has both, that of all together, once.
@@ -223,11 +223,11 @@ def _log_relative(files: Sequence[Ramps], level: Level, largest: Level) -> Float
     small = level.amplitude_nm
     high = min(BEYOND * small, 0.9 * largest.amplitude_nm)
     found: list[FloatArray] = []
-    for ramps, cycles, larger in zip(files, level.files, largest.files, strict=True):
+    for cycles, larger in zip(level.files, largest.files, strict=True):
         if not (cycles and larger):
             continue
         slopes = [
-            abs(_lost(ramps, c, high) - _lost(ramps, c, small)) / (2.0 * (high - small))
+            abs(lost_motion(c, high) - lost_motion(c, small)) / (2.0 * (high - small))
             for c in larger
         ]
         over_all = Level((larger,)).compliance_over_all
@@ -237,7 +237,7 @@ def _log_relative(files: Sequence[Ramps], level: Level, largest: Level) -> Float
             found.append(np.log(np.maximum(own / reference, 1e-6)))
     if not found:
         return np.array([np.log(level.compliance_between / largest.compliance_over_all)])
-    return found[0] if len(found) == 1 else np.array([each.mean() for each in found])
+    return observations(found)
 
 
 def _probability_positive(values: FloatArray) -> float:
@@ -249,48 +249,30 @@ def _probability_positive(values: FloatArray) -> float:
     return float(stdtr(values.size - 1, mean / error))
 
 
-def lost_motion(files: Sequence[Ramps], level: Level, torque_nm: float) -> list[FloatArray]:
-    """Between the middles of the loop at ±torque, by file and cycle, rad: as makers state it.
+def lost_motion(cycle: Cycle, torque_nm: float) -> float:
+    """Between the middles of the loop at ±torque, rad: as makers state it.
 
     The middle is the mean of the position on the way to larger torque and on the way back.
     """
-    return [
-        np.array([_lost(ramps, cycle, torque_nm) for cycle in cycles])
-        for ramps, cycles in zip(files, level.files, strict=True)
-        if cycles
-    ]
-
-
-def _lost(ramps: Ramps, cycle: Cycle, torque_nm: float) -> float:
-    torque, position = ramps.torque_nm, ramps.position_rad
+    torque, position = cycle.torque_nm, cycle.position_rad
     middles: dict[int, float] = {}
-    for excursion in (cycle.first, cycle.last):
-        side, begin, stop = excursion.side, excursion.begin, excursion.back + 1
-        top = begin + int(np.argmax(side * torque[begin:stop]))
-        there = crossing(-torque, -side * torque_nm, begin, top + 1, side)
-        back = crossing(torque, side * torque_nm, top, stop, side)
-        middles[side] = 0.5 * float(position[there] + position[back])
+    for e in (cycle.first, cycle.last):
+        there = crossing(-torque, -e.side * torque_nm, e.begin, e.top + 1, e.side)
+        back = crossing(torque, e.side * torque_nm, e.top, e.back + 1, e.side)
+        middles[e.side] = 0.5 * float(position[there] + position[back])
     return middles[1] - middles[-1]
 
 
-def stiffness(files: Sequence[Ramps], level: Level) -> list[FloatArray]:
-    """Torque over position as test reports state it, by file and cycle, N m/rad.
+def stiffness(cycle: Cycle) -> float:
+    """Torque over position as test reports state it, N m/rad.
 
     The mean over both sides of 1/slope, the slope that of the position over the torque by least
     squares along a whole ramp there and back: softer than a flank, by what lies between the flanks.
     """
-    return [
-        np.array([_stiffness(ramps, cycle) for cycle in cycles])
-        for ramps, cycles in zip(files, level.files, strict=True)
-        if cycles
-    ]
-
-
-def _stiffness(ramps: Ramps, cycle: Cycle) -> float:
     slopes = []
     for excursion in (cycle.first, cycle.last):
         part = slice(excursion.begin, excursion.back + 1)
-        slopes.append(float(np.polyfit(ramps.torque_nm[part], ramps.position_rad[part], 1)[0]))
+        slopes.append(float(np.polyfit(cycle.torque_nm[part], cycle.position_rad[part], 1)[0]))
     return float(np.mean([1.0 / slope if slope > 0.0 else np.inf for slope in slopes]))
 
 

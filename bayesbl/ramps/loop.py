@@ -23,7 +23,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayesbl.ramps.torque_cycles import Cycle
+from bayesbl.ramps.torque_cycles import Cycle, left_rad
 from bayesbl.recording.types import FloatArray
 
 POINTS_FITTED = 400
@@ -62,17 +62,13 @@ class LoopModel:
 
     @classmethod
     def _of(cls, cycles: Sequence[Cycle]) -> LoopModel:
-        left = [
-            np.mean([e.left_rad for c in cycles for e in (c.first, c.last) if e.side == side])
-            for side in (-1, 1)
-        ]
         width, reach, elastic, friction, amplitude = (
             float(np.mean([getattr(c, name) for c in cycles]))
             for name in ("width_rad", "range_rad", "elastic_nm", "friction_nm", "amplitude_nm")
         )
         compliance = max(reach - width, 0.0) / (2.0 * amplitude)
         return cls(
-            float(np.mean(left)),
+            float(np.mean(left_rad(cycles))),
             max(0.5 * width, 1e-9),
             max(0.25 * elastic, 1e-3 * amplitude),
             compliance,

@@ -12,12 +12,10 @@ It is 1 where the compliance stays, and has its maximum where it rises: 2 for li
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from bayesbl.ramps.flanks import Level
-from bayesbl.ramps.torque_cycles import Cycle, Ramps
+from bayesbl.ramps.flanks import Level, of_cycles
+from bayesbl.ramps.torque_cycles import Cycle
 from bayesbl.recording.types import FloatArray
 
 SEEN = 4.0 / 3.0
@@ -34,25 +32,21 @@ AT_THE_END = 0.9
 """Of the largest torque tried: a maximum beyond may be a rise that is farther up."""
 
 
-def lifting_torque(files: Sequence[Ramps], largest: Level) -> list[FloatArray]:
+def lifting_torque(largest: Level) -> list[FloatArray]:
     """At which one flank lifts, by file and large cycle, N m; empty unless every cycle shows it."""
-    found = [
-        np.array([_lifts(ramps, cycle) for cycle in cycles])
-        for ramps, cycles in zip(files, largest.files, strict=True)
-        if cycles
-    ]
+    found = of_cycles(largest, _lifts)
     return found if np.all(np.isfinite(np.concatenate(found))) else []
 
 
-def _lifts(ramps: Ramps, cycle: Cycle) -> float:
+def _lifts(cycle: Cycle) -> float:
     """NaN where the compliance does not rise, or farther up than the ramps show."""
     # Nearer to the turn the way back is not that of the sliding joint.
     most = 0.5 * (cycle.amplitude_nm - 2.0 * cycle.friction_nm)
     if most <= SMALLEST * cycle.amplitude_nm:
         return np.nan
     elastic = np.geomspace(SMALLEST * cycle.amplitude_nm, most, TRIED)
-    width = _width(ramps, cycle, elastic)
-    rise = _width(ramps, cycle, 2.0 * elastic) - width
+    width = _width(cycle, elastic)
+    rise = _width(cycle, 2.0 * elastic) - width
     # Where the joint has not moved yet, nothing is told.
     ratio = np.divide(rise, width, out=np.zeros_like(width), where=width > 0.0)
     top = int(np.argmax(ratio))
@@ -60,13 +54,11 @@ def _lifts(ramps: Ramps, cycle: Cycle) -> float:
     return float(elastic[top]) if seen else np.nan
 
 
-def _width(ramps: Ramps, cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
+def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:
     """Between the positions at ± each torque without friction, rad, same shape."""
-    torque, position = ramps.torque_nm, ramps.position_rad
+    torque, position = cycle.torque_nm, cycle.position_rad
     first, last = cycle.first, cycle.last
-    leaves, arrives = (
-        e.begin + int(np.argmax(e.side * torque[e.begin : e.back + 1])) for e in (first, last)
-    )
+    leaves, arrives = first.top, last.top
     low, high = sorted((float(position[leaves]), float(position[arrives])))
     way = np.arange(leaves, arrives + 1)
     other = np.concatenate((np.arange(arrives, last.back + 1), np.arange(first.begin, leaves + 1)))

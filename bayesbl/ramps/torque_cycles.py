@@ -9,7 +9,7 @@ leave the two flanks, and nothing is assumed of the shape of the loop between th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -48,6 +48,8 @@ class Excursion:
         +1 or −1.
     begin, back
         Samples between which the torque is on that side; at ``back`` it is zero again.
+    top
+        The sample between them at which it is largest.
     torque_nm
         The largest, positive.
     reached_rad
@@ -59,6 +61,7 @@ class Excursion:
     side: int
     begin: int
     back: int
+    top: int
     torque_nm: float
     reached_rad: float
     left_rad: float
@@ -82,6 +85,8 @@ class Cycle:
         torques, each at the end where the other one is zero.
     friction_nm
         Half the mean height of the loop, ∮ τ dθ/(2 range).
+    torque_nm, position_rad
+        Of the whole file, as in :class:`Ramps`.
     """
 
     first: Excursion
@@ -91,6 +96,8 @@ class Cycle:
     range_rad: float
     elastic_nm: float
     friction_nm: float
+    torque_nm: FloatArray = field(repr=False)
+    position_rad: FloatArray = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +169,7 @@ def _offset(ramps: Ramps) -> float:
     largest = max((cycle.amplitude_nm for cycle in ramps.cycles), default=0.0)
     large = [cycle for cycle in ramps.cycles if cycle.amplitude_nm > LARGE * largest]
     found = [
-        (_torque_between(ramps, a.first, a.last) + _torque_between(ramps, b.first, b.last)) / 2.0
+        (_torque_between(a) + _torque_between(b)) / 2.0
         for a, b in pairwise(large)
         if a.last is b.first
     ]
@@ -173,21 +180,24 @@ def _offset(ramps: Ramps) -> float:
     return float(np.median(found)) if beyond else 0.0
 
 
-def _torque_between(ramps: Ramps, a: Excursion, b: Excursion) -> float:
+def _torque_between(cycle: Cycle) -> float:
     """On the way from one flank to the other, at the middle between them.
 
     It is between the positions at equal torques: a joint without play then has it at zero torque.
     """
-    torque, position = ramps.torque_nm, ramps.position_rad
+    a, b, torque, position = cycle.first, cycle.last, cycle.torque_nm, cycle.position_rad
     equal = min(a.torque_nm, b.torque_nm)
-    tops = [e.begin + int(np.argmax(e.side * torque[e.begin : e.back + 1])) for e in (a, b)]
-    there = [
-        crossing(-torque, -e.side * equal, e.begin, top + 1, e.side)
-        for e, top in zip((a, b), tops, strict=True)
-    ]
+    there = [crossing(-torque, -e.side * equal, e.begin, e.top + 1, e.side) for e in (a, b)]
     middle = 0.5 * float(position[there[0]] + position[there[1]])
-    way = slice(tops[0], tops[1] + 1)
+    way = slice(a.top, b.top + 1)
     return float(torque[way][np.argmax(b.side * (position[way] - middle) >= 0.0)])
+
+
+def left_rad(cycles: Sequence[Cycle]) -> tuple[float, float]:
+    """Mean positions that excursions to the negative and to the positive side leave."""
+    excursions = [e for c in cycles for e in (c.first, c.last)]
+    low, high = (np.mean([e.left_rad for e in excursions if e.side == side]) for side in (-1, 1))
+    return float(low), float(high)
 
 
 def crossing(torque_nm: FloatArray, level_nm: float, begin: int, stop: int, side: int) -> int:
@@ -248,7 +258,8 @@ def _excursion(
         return None
     back = unloads + int(home[0]) if home.size else torque.size - 1
     reached = side * float(np.max(side * position[first : back + 1]))
-    return Excursion(side, begin, back, peak, reached, float(position[back]))
+    top = begin + int(np.argmax(side * torque[begin : back + 1]))
+    return Excursion(side, begin, back, top, peak, reached, float(position[back]))
 
 
 def _cycle(torque: FloatArray, position: FloatArray, a: Excursion, b: Excursion) -> Cycle:
@@ -271,4 +282,6 @@ def _cycle(torque: FloatArray, position: FloatArray, a: Excursion, b: Excursion)
         reach,
         0.5 * abs(at_second - at_first),
         max(work, 0.0) / (2.0 * reach) if reach > 0.0 else 0.0,
+        torque,
+        position,
     )

@@ -4,12 +4,8 @@ sampled in groups, each by its own clock (bags, MDF, TDMS, Scope).
 
 from __future__ import annotations
 
-import io
-import logging
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.errors import RecordingError, UserError, shortened
+from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.channels import TIME
 from bayesbl.recording.timestamps import is_date, seconds_of_calendar, seconds_of_dates
 from bayesbl.recording.types import FloatArray
@@ -252,42 +248,6 @@ def table_of_groups(
         if TIME in columns:
             clocks |= dict.fromkeys(full.values(), full[TIME])
     return ArrayTable(str(file), arrays, units, clocks, withheld)
-
-
-@contextmanager
-def readable(file: Path, kind: str, hint: str = "") -> Iterator[None]:
-    """Whatever a foreign parser raises on a damaged file becomes one sentence.
-
-    Parsers of binary formats let nearly every exception out (KeyError, MemoryError,
-    zlib.error, struct.error, …), so there is no narrower list that would hold.
-    """
-    try:
-        with _without_words():
-            yield
-    except (UserError, MemoryError):
-        raise
-    except Exception as error:
-        lines = str(error).strip().splitlines()
-        raise RecordingError(
-            f"The file cannot be read as {kind}.",
-            file=file,
-            found=shortened(lines[0] if lines else type(error).__name__, 160),
-            expected=f"a whole {kind} file" + (f"; {hint}" if hint else ""),
-        ) from None
-
-
-@contextmanager
-def _without_words() -> Iterator[None]:
-    """Keep back what parsers print, log and complain of when a damaged file ends them."""
-    hook, level = sys.unraisablehook, logging.root.manager.disable
-    sys.unraisablehook = lambda _: None
-    logging.disable(logging.CRITICAL)
-    try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            yield
-    finally:
-        sys.unraisablehook = hook
-        logging.disable(level)
 
 
 def _text(value: object) -> str:

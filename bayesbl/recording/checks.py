@@ -514,19 +514,6 @@ def _time_in_ms(recording: Recording) -> str:
     )
 
 
-def in_file(recording: Recording, error: RecordingError) -> RecordingError:
-    """An error of a step that saw only the samples, with the recording's file added."""
-    if error.file is not None:
-        return error
-    return RecordingError(
-        error.problem,
-        file=recording.place,
-        where=error.where,
-        found=error.found,
-        expected=error.expected,
-    )
-
-
 def without_rails(recording: Recording, channel: str) -> Recording:
     """The recording with samples at a detached rail bridged, excluded and noted.
 

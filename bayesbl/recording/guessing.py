@@ -11,6 +11,7 @@ import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 
@@ -120,10 +121,11 @@ class Guess:
     two_encoders: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, for values that are read once
 class _Named:
     """What a column's name and the file say of it."""
 
+    table: Table
     index: int
     name: str
     words: frozenset[str]
@@ -132,6 +134,29 @@ class _Named:
     def is_called(self, words: str) -> bool:
         """Whether its name has any of these words."""
         return not self.words.isdisjoint(words.split())
+
+    @cached_property
+    def values(self) -> FloatArray:
+        """Its values, shape (n,), NaN where one is missing; all NaN where it holds text."""
+        stamps = self.stamps
+        if stamps is not None:
+            return stamps
+        try:
+            values, _ = stamps_and_values(self.table, self.index)
+        except RecordingError:
+            return np.full(2, np.nan)
+        return np.where(np.isfinite(values), values, np.nan)
+
+    @property
+    def stamps(self) -> FloatArray | None:
+        """Seconds since the first date, where it holds dates."""
+        return self.table.timestamps(self.index)
+
+    @property
+    def increases(self) -> bool:
+        """Whether it may be time."""
+        there = self.values[np.isfinite(self.values)]
+        return there.size > 2 and bool(np.all(np.diff(there) > 0.0))
 
 
 def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> Guess:
@@ -151,29 +176,27 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
         chosen[TIME] = next(column for column in named if column.index == clock)
     clocks = [column for column in named if _channel(column) == TIME]
     if len(clocks) > 1 and not tied and chosen[TIME].name != TIME:
-        finer = (c for c in clocks if not c.stated.unknown and _increases(_numbers(table, c)))
+        finer = (c for c in clocks if not c.stated.unknown and c.increases)
         chosen[TIME] = next(finer, chosen[TIME])
     if TIME not in chosen:
         rest = [column for column in named if column not in chosen.values()]
-        found = next((column for column in rest if _increases(_numbers(table, column))), None)
+        found = next((column for column in rest if column.increases), None)
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
     if MOTOR_SPEED not in chosen:
-        chosen |= _pair_of_positions(table, named, chosen)
-    both = _is_of_two_encoders(table, chosen)
-    ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(table, chosen)
+        chosen |= _pair_of_positions(named, chosen)
+    both = _is_of_two_encoders(chosen)
+    ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(chosen)
     bare = MOTOR_SPEED not in chosen
     if bare and not ramps and not both and MOTOR_POSITION not in chosen:
         raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
-        channel: _series(path, table, column)
-        if channel in (TIME, MOTOR_SPEED)
-        else _numbers(table, column)
+        channel: _series(path, column) if channel in (TIME, MOTOR_SPEED) else column.values
         for channel, column in chosen.items()
     }
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
-    units = _units(table, chosen, held)
+    units = _units(chosen, held)
     guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
     if bare or both:
         guesses = [_unknown(column) for column in guesses]
@@ -228,11 +251,11 @@ def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]
     return [column for group, column in pairs if group in ("", chosen)]
 
 
-def _is_of_ramps(table: Table, chosen: Mapping[str, _Named]) -> bool:
+def _is_of_ramps(chosen: Mapping[str, _Named]) -> bool:
     """Whether there is a position, and a torque that is as large on one side as on the other."""
     if not {MOTOR_POSITION, MOTOR_TORQUE} <= chosen.keys():
         return False
-    torque = _numbers(table, chosen[MOTOR_TORQUE])
+    torque = chosen[MOTOR_TORQUE].values
     torque = torque[np.isfinite(torque)]
     if torque.size == 0:
         return False
@@ -240,9 +263,7 @@ def _is_of_ramps(table: Table, chosen: Mapping[str, _Named]) -> bool:
     return 0.0 < max(low, high) <= _SIDES_ALIKE * min(low, high)
 
 
-def _pair_of_positions(
-    table: Table, named: Sequence[_Named], chosen: Mapping[str, _Named]
-) -> dict[str, _Named]:
+def _pair_of_positions(named: Sequence[_Named], chosen: Mapping[str, _Named]) -> dict[str, _Named]:
     """Motor and load among positions that the names do not tell apart: what follows the first one.
 
     The motor is the one that is called so, or that turns further.
@@ -254,10 +275,10 @@ def _pair_of_positions(
     if len(there) != 1:
         return {}
     others = [c for c in named if c is not there[0] and _channel(c) in kinds]
-    first = _numbers(table, there[0])
+    first = there[0].values
     follows: dict[float, _Named] = {}
     for column in others:
-        values = _numbers(table, column)
+        values = column.values
         good = np.isfinite(first) & np.isfinite(values) if values.size == first.size else False
         pair = (np.unwrap(first[good]), np.unwrap(values[good])) if np.any(good) else None
         if pair and min(map(np.ptp, pair)) > 0.0:
@@ -265,16 +286,16 @@ def _pair_of_positions(
     if not follows or max(follows) < _FOLLOWS:
         return {}
     both = [there[0], follows[max(follows)]]
-    ways = [float(np.nanmax(v) - np.nanmin(v)) for v in (_numbers(table, c) for c in both)]
+    ways = [float(np.nanmax(c.values) - np.nanmin(c.values)) for c in both]
     swapped = not both[0].is_called(_MOTOR) and (both[1].is_called(_MOTOR) or ways[1] > ways[0])
     return dict(zip(sides, reversed(both) if swapped else both, strict=True))
 
 
-def _is_of_two_encoders(table: Table, chosen: Mapping[str, _Named]) -> bool:
+def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:
     """Whether there are both positions, and the motor goes to and fro."""
     if not {MOTOR_POSITION, LOAD_POSITION} <= chosen.keys():
         return False
-    motor, load = (_numbers(table, chosen[c]) for c in (MOTOR_POSITION, LOAD_POSITION))
+    motor, load = (chosen[c].values for c in (MOTOR_POSITION, LOAD_POSITION))
     if motor.size != load.size:
         return False
     good = np.isfinite(motor) & np.isfinite(load)
@@ -343,7 +364,7 @@ def _named(table: Table, index: int, group: str = "") -> _Named:
     stated = stated_unit(table, index, name.removeprefix(f"{group}/"))
     if stated.unknown and table.timestamps(index) is not None:  # time [hh:mm:ss]
         stated = replace(stated, unknown=None)
-    return _Named(index, name, _words(stated.bare), stated)
+    return _Named(table, index, name, _words(stated.bare), stated)
 
 
 def _split(text: str) -> list[str]:
@@ -419,11 +440,11 @@ def _stated(channel: str, column: _Named) -> GuessedColumn:
 
 
 def _units(
-    table: Table, chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
+    chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> dict[str, tuple[str, str]]:
     """Channel to (unit, reason), where the numbers show it."""
     found: dict[str, tuple[str, str]] = {}
-    time = _time_unit(table, chosen[TIME], values[TIME])
+    time = _time_unit(chosen[TIME])
     if time is not None:
         found[TIME] = time
     unit = time[0] if time else _stated(TIME, chosen[TIME]).unit
@@ -497,13 +518,13 @@ def _possible(channel: str, column: _Named) -> Iterable[str]:
     return (stated.unit,) if stated.sure else accepted_units(channel)
 
 
-def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str] | None:
+def _time_unit(column: _Named) -> tuple[str, str] | None:
     """The unit in which stamps are of these years, or else have a usual rate, if it is one."""
-    if table.timestamps(column.index) is not None:
+    if column.stamps is not None:
         return "datetime", "holds dates"
     if _stated(TIME, column).sure:
         return None
-    there = time[np.isfinite(time)]
+    there = column.values[np.isfinite(column.values)]
     steps = np.diff(there)
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     usual: dict[str, float] = {}
@@ -524,17 +545,17 @@ def _time_unit(table: Table, column: _Named, time: FloatArray) -> tuple[str, str
     return next(((unit, f"a sampling rate of {rate:.4g} Hz") for unit, rate in usual.items()), None)
 
 
-def _series(path: str | Path, table: Table, column: _Named) -> FloatArray:
-    """Values of a column that every recording needs, shape (n,); NaN where one is missing.
+def _series(path: str | Path, column: _Named) -> FloatArray:
+    """Values of a column that every recording needs, shape (n,).
 
     Raises
     ------
     RecordingError
         If it holds text, or fewer than two numbers.
     """
-    values = table.timestamps(column.index)
-    if values is None:
-        values = stamps_and_values(table, column.index)[0]
+    if column.stamps is None:
+        stamps_and_values(column.table, column.index)  # says where a text is
+    values = column.values
     count = int(np.isfinite(values).sum())
     if count < 2:
         raise RecordingError(
@@ -544,24 +565,7 @@ def _series(path: str | Path, table: Table, column: _Named) -> FloatArray:
             found=f"{count} finite numbers in {values.size} samples",
             expected="a finite number in every sample",
         )
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _numbers(table: Table, column: _Named) -> FloatArray:
-    """Values of a column, shape (n,); NaN where it does not hold numbers."""
-    stamps = table.timestamps(column.index)
-    if stamps is not None:
-        return stamps
-    try:
-        values = stamps_and_values(table, column.index)[0]
-    except RecordingError:
-        return np.full(2, np.nan)
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _increases(values: FloatArray) -> bool:
-    there = values[np.isfinite(values)]
-    return there.size > 2 and bool(np.all(np.diff(there) > 0.0))
+    return values
 
 
 def _missing(path: str | Path, table: Table, channel: str, what: str) -> RecordingError:

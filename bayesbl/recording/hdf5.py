@@ -8,8 +8,8 @@ they open or read a file, so its structure is walked first, with calls that foll
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,41 +23,59 @@ _OWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit
 _DEEPEST = 32
 
 
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """A dataset of an HDF5 file, by what its header declares.
+def require_whole(
+    content: bytes | Path,
+    refusal: Callable[..., Exception],
+    is_read: Callable[[str, int], bool] = lambda path, dimensions: True,
+) -> float:
+    """Bytes that reading a file takes, by what it declares.
 
-    ``bytes``: of all its values, or of one chunk where that is larger: either is allocated whole.
-    """
+    Of every dataset all values, or one chunk where that is larger: either is allocated whole.
 
-    path: str
-    dimensions: int
-    bytes: float
-
-
-class OutsideError(Exception):
-    """An HDF5 file that does not hold all that it shows; ``path`` is the object's in the file."""
-
-    def __init__(self, path: str, found: str) -> None:
-        super().__init__(f"{path}: {found}")
-        self.path, self.found = path, found
-
-
-def walked(content: bytes | Path) -> list[Stored]:
-    """Every dataset of a file.
+    Parameters
+    ----------
+    is_read
+        Whether the dataset at a path, of so many dimensions, is read; all are by default.
+    refusal
+        Makes the error for the first object that is not stored in the file itself, once, without
+        foreign filters; takes what a :class:`bayesbl.errors.UserError` takes.
 
     Raises
     ------
-    OutsideError
-        At the first object that is not stored in the file itself, once, without foreign filters.
     OSError, RuntimeError, ValueError
         h5py's, for a damaged file.
     """
     import h5py
 
+    def outside(path: str, found: str) -> Exception:
+        return refusal(
+            "This file shows what it does not hold itself.",
+            where=f'"{path}"',
+            found=found,
+            expected="a file with all its values in it, each once, packed by HDF5's own filters; "
+            "save a copy of the values",
+        )
+
+    def size_of(dataset: Any, path: str) -> float:
+        made = dataset.get_create_plist()
+        layout = made.get_layout()
+        if layout == h5py.h5d.VIRTUAL:
+            raise outside(path, "a virtual dataset, whose values are elsewhere")
+        if made.get_external_count():
+            raise outside(path, "values in another file")
+        for index in range(made.get_nfilters()):
+            number = made.get_filter(index)[0]
+            if number not in _OWN_FILTERS:
+                raise outside(path, f"a filter that is not HDF5's own (number {number})")
+        size = max(1.0, float(dataset.get_type().get_size()))
+        values, chunk = float(dataset.get_space().get_simple_extent_npoints()), 0.0
+        if layout == h5py.h5d.CHUNKED:
+            chunk = math.prod(map(float, made.get_chunk()))
+        return size * max(values, chunk)
+
     name = io.BytesIO(content) if isinstance(content, bytes) else str(content)
     with h5py.File(name, "r", locking=False) as opened:
-        datasets: list[Stored] = []
+        read_bytes = 0.0
         root = h5py.h5g.open(opened.id, b"/")
         groups = {h5py.h5o.get_info(root).addr}
         # What is still to be looked at; no recursion, as a file may nest as it likes.
@@ -71,65 +89,17 @@ def walked(content: bytes | Path) -> list[Stored]:
                 kind = group.links.get_info(link).type
                 if kind != h5py.h5l.TYPE_HARD:
                     soft = kind == h5py.h5l.TYPE_SOFT
-                    raise OutsideError(where, "a soft link" if soft else "a link to another file")
+                    raise outside(where, "a soft link" if soft else "a link to another file")
                 item = h5py.h5o.open(group, link)
                 if isinstance(item, h5py.h5d.DatasetID):
-                    datasets.append(_looked_at(item, where, h5py))
+                    size = size_of(item, where)
+                    read_bytes += size if is_read(where, item.rank) else 0.0
                 elif isinstance(item, h5py.h5g.GroupID):
                     address = h5py.h5o.get_info(item).addr
                     if address in groups:
-                        raise OutsideError(where, "a group that the file shows at two places")
+                        raise outside(where, "a group that the file shows at two places")
                     if depth >= _DEEPEST:
-                        raise OutsideError(where, f"more than {_DEEPEST} groups in one another")
+                        raise outside(where, f"more than {_DEEPEST} groups in one another")
                     groups.add(address)
                     waiting.append((item, where, depth + 1))
-        return datasets
-
-
-def _looked_at(dataset: Any, path: str, h5py: Any) -> Stored:
-    made = dataset.get_create_plist()
-    layout = made.get_layout()
-    if layout == h5py.h5d.VIRTUAL:
-        raise OutsideError(path, "a virtual dataset, whose values are elsewhere")
-    if made.get_external_count():
-        raise OutsideError(path, "values in another file")
-    for index in range(made.get_nfilters()):
-        number = made.get_filter(index)[0]
-        if number not in _OWN_FILTERS:
-            raise OutsideError(path, f"a filter that is not HDF5's own (number {number})")
-    size = max(1.0, float(dataset.get_type().get_size()))
-    values, chunk = float(dataset.get_space().get_simple_extent_npoints()), 0.0
-    if layout == h5py.h5d.CHUNKED:
-        chunk = _product(made.get_chunk())
-    return Stored(path, dataset.rank, size * max(values, chunk))
-
-
-def _product(numbers: tuple[int, ...]) -> float:
-    product = 1.0
-    for number in numbers:
-        product *= number
-    return product
-
-
-def require_whole(
-    content: bytes | Path, refusal: Callable[..., Exception], is_read: Callable[[Stored], bool]
-) -> float:
-    """Bytes that reading a file takes, of the datasets for which ``is_read``.
-
-    Parameters
-    ----------
-    refusal
-        Makes the error for a file that shows what it does not hold; takes what a
-        :class:`bayesbl.errors.UserError` takes.
-    """
-    try:
-        datasets = walked(content)
-    except OutsideError as outside:
-        raise refusal(
-            "This file shows what it does not hold itself.",
-            where=f'"{outside.path}"',
-            found=outside.found,
-            expected="a file with all its values in it, each once, packed by HDF5's own filters; "
-            "save a copy of the values",
-        ) from None
-    return sum(dataset.bytes for dataset in datasets if is_read(dataset))
+        return read_bytes

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,12 +18,12 @@ import threading
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
-from bayesbl.errors import RecordingError, UnavailableError, UserError
+from bayesbl.errors import RecordingError, UnavailableError, UserError, shortened
 from bayesbl.libraries import absent
 from bayesbl.recording import formats
-from bayesbl.recording.input_bytes import beyond_memory, memory_bytes
+from bayesbl.recording.input_bytes import beyond_memory, memory_bytes, require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
@@ -37,6 +38,9 @@ _PROGRAM = (
     "import json, sys; request = json.loads(sys.argv[1]); sys.path[:] = request['path'];"
     "from bayesbl.recording.own_process import answer; answer(request)"
 )
+_IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
+"""What libraries call a file by that they were given in memory."""
+
 _ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
 
 
@@ -129,15 +133,28 @@ def answer(request: dict[str, object]) -> None:
     # Taken into account from here on: the file's bytes are part of what it takes.
     _limit(int(request["memory"]))  # type: ignore[call-overload]
     result: ArrayTable | UserError
+    format_: Any = import_module(str(request["module"])).FORMAT
     try:
-        format_ = import_module(str(request["module"])).FORMAT
         # pandas and xarray import them where they are there; no reader needs them for that.
         with absent(*({"dask", "matplotlib", "numba", "pyarrow"} - {format_.library})):
-            result = format_.read(file, sys.stdin.buffer.read())
+            table: ArrayTable = format_.read(file, sys.stdin.buffer.read())
+        values = sum(column.size for column in table.arrays.values())
+        require_memory(file, 8.0 * values, f"{values} numbers")
+        result = table
     except UserError as error:
         result = error
     except MemoryError:
         result = beyond_memory(file, f"more, reading it as {kind}")
+    except Exception as error:
+        # Parsers let nearly everything out on a damaged file: KeyError, zlib.error, struct.error, …
+        lines = _IN_MEMORY.sub("it", str(error)).strip().splitlines()
+        result = RecordingError(
+            f"The file cannot be read as {kind}.",
+            file=file,
+            found=shortened(lines[0] if lines else type(error).__name__, 160),
+            expected=f"a whole {kind} file"
+            + (f", or {format_.otherwise}" if format_.otherwise else ""),
+        )
     with suppress(BrokenPipeError), stream:
         _send(stream, result)
 

@@ -210,7 +210,7 @@ def _require_intact(file: Path) -> None:
 def _require_whole(file: Path) -> None:
     """The seal is no secret: whoever changes a file can seal it again."""
     try:
-        size = require_whole(file, partial(ResultError, file=file), lambda dataset: True)
+        size = require_whole(file, partial(ResultError, file=file))
     except (OSError, RuntimeError, ValueError):
         raise ResultError(
             "The result is damaged, or was changed after it was written.",

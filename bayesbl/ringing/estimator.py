@@ -11,18 +11,19 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from bayesbl.errors import ConfigError, RecordingError, ResultError
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise import outside_lines
 from bayesbl.noise.impact_scatter import normal_quantiles
 from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
 from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
 from bayesbl.progress import Progress
-from bayesbl.recording.checks import in_file, ready_for_fit, require_no_drift, require_rotations
+from bayesbl.recording.checks import ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.evenly import UNEVEN_STAMPS, even
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.cleaning import MotorLine, in_words, without_drift, without_motor_lines
@@ -58,18 +59,18 @@ It averages out as noise does; what stays is a ringing that is smaller by (ωσ)
 LEAST_LEFT = 0.05
 """Share of A that shaking leaves at least."""
 
-AGREEMENT = 1e-9
-"""Largest relative difference between a stored sum of squares and the same one evaluated again."""
+
+NO_RECORDING = Recording("", np.zeros(0), {})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, for what is made of it once
 class PointEstimate:
     """Optimum, noise and covariance of one recording: all but the sampling.
 
     Attributes
     ----------
-    residual_rpm
-        Recording minus optimum, shape (n,), rpm; NaN at samples left out.
+    recording
+        As it was fitted. It is not kept with a finished fit: what was read is there already.
     notes
         What the reader should know about how the optimum was found.
     start
@@ -77,25 +78,33 @@ class PointEstimate:
     contenders
         Other optima weighed against this one; by their likelihood alone where ``None``.
     mended
-        Whether ``recording`` is not the one given: lines or drift were removed.
+        The recording that was fitted, where it is not the one given: lines or drift were removed.
     lines
         Of the motor that were removed.
     shaking
         Lines in time that were removed.
     """
 
-    recording: Recording
-    objective: Objective
     optimum: Optimum
     noise: Noise
     spread: Covariance
-    residual_rpm: FloatArray
+    recording: Recording = field(default=NO_RECORDING, compare=False)
     notes: tuple[str, ...] = ()
     start: str = ""
     contenders: tuple[Contender, ...] | None = None
-    mended: bool = False
+    mended: Recording | None = None
     lines: tuple[MotorLine, ...] = ()
     shaking: tuple[OutsideLine, ...] = ()
+
+    @cached_property
+    def objective(self) -> Objective:
+        """Sum of squares between the recording and the optimum's model."""
+        return objective_of(self.optimum.model, self.recording)
+
+    @cached_property
+    def residual_rpm(self) -> FloatArray:
+        """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
+        return residual_of(self.objective, self.optimum)
 
     def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
         """Beside lines that were removed: A may be another by their RMS in the speed."""
@@ -147,43 +156,12 @@ class Fit:
     posterior: Posterior
     check: SamplerCheck | None = None
 
-    @property
-    def finished(self) -> FinishedFit:
-        """What of the fit is kept."""
-        point = self.point
-        mended = point.recording if point.mended else None
-        return FinishedFit(
-            point.optimum,
-            self.posterior,
-            self.check,
-            point.notes,
-            point.start,
-            point.contenders,
-            mended,
-            point.lines,
-            point.shaking,
+    def of(self, recording: Recording, gear_ratio: float | None = None) -> Fit:
+        """The finished fit of a recording that was kept, with that recording as it was fitted."""
+        fitted = self.point.mended or even(
+            ready_for_fit(recording, gear_ratio), EVEN_TOLERANCE, HARMLESS_JITTER_S
         )
-
-
-@dataclass(frozen=True, slots=True)
-class FinishedFit:
-    """What of a fit takes time, and what is said of it; :meth:`Estimator.restored` makes the rest.
-
-    Attributes
-    ----------
-    mended
-        The recording that was fitted, where faults were taken out of the one given.
-    """
-
-    optimum: Optimum
-    posterior: Posterior
-    check: SamplerCheck | None
-    notes: tuple[str, ...]
-    start: str
-    contenders: tuple[Contender, ...] | None
-    mended: Recording | None
-    lines: tuple[MotorLine, ...] = ()
-    shaking: tuple[OutsideLine, ...] = ()
+        return replace(self, point=replace(self.point, recording=fitted))
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +254,8 @@ class Estimator:
                 recording, note = steady
                 point = self._optimal(recording, seed, gear_ratio, earlier)
                 notes.append(note)
-        point = replace(point, notes=tuple(notes), mended=bool(notes), lines=lines)
+        mended = point.recording if notes else None
+        point = replace(point, notes=tuple(notes), mended=mended, lines=lines)
         return point.shaken(shaking)
 
     def _optimal(
@@ -287,7 +266,7 @@ class Estimator:
         earlier: EarlierOptimum | None,
     ) -> PointEstimate:
         """The optimum of a recording as it is, from an earlier one if that still fits."""
-        objective = self._objective(recording)
+        objective = objective_of(self.model, recording)
         start = ""
         if earlier is not None:
             try:
@@ -305,16 +284,9 @@ class Estimator:
             point = self.around(recording, objective, optimum)
         except RecordingError as error:
             require_no_drift(recording)  # the search mistakes one for part of a long rotation
-            raise in_file(recording, error) from None
+            error.name_file(recording.place)
+            raise
         return replace(point, start=start)
-
-    def _objective(self, recording: Recording) -> Objective:
-        return Objective(
-            self.model,
-            recording.time_s,
-            recording.motor_speed_rpm,
-            excluded=recording.excluded,
-        )
 
     def _warm(
         self, recording: Recording, objective: Objective, earlier: EarlierOptimum
@@ -331,8 +303,7 @@ class Estimator:
 
     def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
         """Noise and covariance around an optimum already found."""
-        residual = objective.speed_rpm - optimum.predict(objective.time_s)
-        residual[~objective.used] = np.nan
+        residual = residual_of(objective, optimum)
         noise = estimate_noise(
             residual,
             optimum.symbols[ROTATION],
@@ -342,7 +313,7 @@ class Estimator:
             speed_steps(recording.motor_speed_rpm),
         )
         spread = covariance(optimum, objective.time_s, residual, noise)
-        return PointEstimate(recording, objective, optimum, noise, spread, residual)
+        return PointEstimate(optimum, noise, spread, recording)
 
     def fit(
         self,
@@ -389,42 +360,18 @@ class Estimator:
         second = check_sampler(point.objective, point.optimum, point.spread, posterior, check_seed)
         return Fit(point, posterior, second)
 
-    def restored(
-        self, finished: FinishedFit, recording: Recording, gear_ratio: float | None = None
-    ) -> Fit:
-        """The whole fit around a finished optimum, which is evaluated again.
 
-        Parameters
-        ----------
-        recording, gear_ratio
-            As :meth:`fit` had them.
+def objective_of(model: DisturbanceModel, recording: Recording) -> Objective:
+    """Sum of squares between a recording and a model, without excluded samples."""
+    return Objective(
+        model, recording.time_s, recording.motor_speed_rpm, excluded=recording.excluded
+    )
 
-        Raises
-        ------
-        ResultError
-            If the recording gives another sum of squares at the optimum.
-        """
-        optimum = finished.optimum
-        ready = ready_for_fit(recording, gear_ratio)
-        recording = finished.mended or even(ready, EVEN_TOLERANCE, HARMLESS_JITTER_S)
-        objective = self._objective(recording)
-        found = float(objective.sum_of_squares(optimum.searched[None])[0])
-        if not abs(found - optimum.sum_of_squares) <= AGREEMENT * optimum.sum_of_squares:
-            raise ResultError(
-                "The optimum that an unfinished run stored does not agree with the recording.",
-                found=f"a sum of squares of {found:.12g} rpm² where "
-                f"{optimum.sum_of_squares:.12g} rpm² was stored",
-                expected="the same value; --force starts over",
-            )
-        point = replace(
-            self.around(recording, objective, optimum),
-            notes=finished.notes,
-            start=finished.start,
-            contenders=finished.contenders,
-            mended=finished.mended is not None,
-            lines=finished.lines,
-        ).shaken(finished.shaking)
-        return Fit(point, finished.posterior, finished.check)
+
+def residual_of(objective: Objective, optimum: Optimum) -> FloatArray:
+    """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
+    residual = objective.speed_rpm - optimum.predict(objective.time_s)
+    return np.where(objective.used, residual, np.nan)
 
 
 def nominal_speed_rpm(recording: Recording) -> float:

@@ -10,7 +10,9 @@ beforehand.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -28,6 +30,7 @@ from bayesbl.ringing.symbols import (
     START,
     WINDOW_END,
     WINDOW_START,
+    DisturbanceModel,
 )
 
 TEMPLATE_DECAY_PER_S = 12.0
@@ -243,7 +246,7 @@ def _neighbours(
     """Points around one fold: either phase a half ringing off, periods and shapes nearby."""
     half = math.pi / frequency
     step = 2.0 * half / SAMPLES_PER_RINGING
-    ranges, fixed = objective.model.ranges, objective.model.fixed
+    ranges = objective.model.ranges
     shifts = (-half, -2.0 * step, -step, 0.0, step, 2.0 * step, half)
     rotations = rotation_s + step * np.array([-0.5, 0.0, 0.5])
     axes = {
@@ -255,37 +258,59 @@ def _neighbours(
         WINDOW_START: [np.mean(ranges.get(WINDOW_START, (0.0, 0.102)))],
         WINDOW_END: [np.mean(ranges.get(WINDOW_END, (0.15, 0.204)))],
     }
-    searched = objective.searched
-    for name in fixed:
-        if name in axes:
-            axes[name] = [fixed[name]]
+    axes |= {name: [value] for name, value in objective.model.fixed.items() if name in axes}
     mesh = np.meshgrid(*[np.asarray(axes[name]) for name in axes], indexing="ij")
     values = {name: grid.ravel() for name, grid in zip(axes, mesh, strict=True)}
-    for name, begin in ((START, origin_s), (SEPARATION, 0.0)):
-        if name not in fixed:
-            begin = ranges[name][0] if name in ranges else begin
-            values[name] = begin + (values[name] - begin) % values[ROTATION]
-    return np.column_stack([values[name] for name in searched])
+    values = first_turn(objective.model, values, origin_s)
+    return np.column_stack([values[name] for name in objective.searched])
+
+
+Value = TypeVar("Value", float, FloatArray)
+
+
+def first_turn(
+    model: DisturbanceModel, values: dict[str, Value], begin_s: float
+) -> dict[str, Value]:
+    """t0 and T, where searched, moved by whole rotations to the start of their range.
+
+    Without one it is ``begin_s`` and 0.
+    """
+    begins = {START: begin_s, SEPARATION: 0.0} | range_begins(model)
+    return turned(values, {n: begin for n, begin in begins.items() if n in model.searched})
+
+
+def range_begins(model: DisturbanceModel) -> dict[str, float]:
+    """The start of the ranges of t0 and T, s, if they have one."""
+    return {name: model.ranges[name][0] for name in (START, SEPARATION) if name in model.ranges}
+
+
+def turned(values: dict[str, Value], begins: Mapping[str, float]) -> dict[str, Value]:
+    """Symbols moved by whole rotations into the one that starts at ``begins``, s."""
+    rotation = values[ROTATION]
+    return values | {n: begin + (values[n] - begin) % rotation for n, begin in begins.items()}
 
 
 def _distinct(objective: Objective, points: FloatArray, count: int) -> FloatArray:
     """The first ``count`` points of which no two are close in phase."""
-    names = objective.searched
     kept: list[FloatArray] = []
+    named: list[dict[str, float]] = []
     for point in points:
-        value = dict(zip(names, point, strict=True)) | dict(objective.model.fixed)
-        quarter = 0.5 * math.pi / value[FREQUENCY]
-        close = False
-        for other in kept:
-            o = dict(zip(names, other, strict=True)) | dict(objective.model.fixed)
-            rotation = value[ROTATION]
-            same_period = abs(o[ROTATION] - rotation) * objective.duration_s < quarter * rotation
-            first, second = ((value[n] - o[n]) % rotation for n in (START, SEPARATION))
-            if same_period and all(min(d, rotation - d) < quarter for d in (first, second)):
-                close = True
-                break
-        if not close:
+        value = objective.model.named(point)
+        quarter, rotation = 0.5 * math.pi / value[FREQUENCY], value[ROTATION]
+        if not any(
+            abs(other[ROTATION] - rotation) * objective.duration_s < quarter * rotation
+            and apart_s(value, other) < quarter
+            for other in named
+        ):
             kept.append(point)
+            named.append(value)
         if len(kept) == count:
             break
     return np.array(kept)
+
+
+def apart_s(a: Mapping[str, float], b: Mapping[str, float]) -> float:
+    """By how much t0 and T differ at most, whatever the rotation, s."""
+    rotation = a[ROTATION]
+    differences = [(a[n] - b[n]) % rotation for n in (START, SEPARATION)]
+    return max(min(d, rotation - d) for d in differences)

@@ -24,7 +24,6 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.waveform import baseline_columns, pulse_train
 
 FURTHEST_START = 1e-3 / float(np.finfo(np.float64).eps)
 """Largest distance of the first impact from time zero, in sampling periods.
@@ -51,6 +50,21 @@ class LinearSolution:
     sum_of_squares: FloatArray
     coefficients: FloatArray
     factor: FloatArray
+
+
+def kernel_parameters(values: Mapping[str, float | FloatArray]) -> FloatArray:
+    """Symbols by name, of one shape (…) or one for all, as columns of the kernel, (…, 8)."""
+    columns = {
+        kernel.AMPLITUDE: values[AMPLITUDE],
+        kernel.FIRST_IMPACT: values[START] + values[WINDOW_START],
+        kernel.DECAY: values[DECAY],
+        kernel.FREQUENCY: values[FREQUENCY],
+        kernel.MEAN: values[MEAN],
+        kernel.WINDOW: values[WINDOW_END] - values[WINDOW_START],
+        kernel.SEPARATION: values[SEPARATION],
+        kernel.ROTATION: values[ROTATION],
+    }
+    return np.stack(np.broadcast_arrays(*(columns[i] for i in range(8))), axis=-1)
 
 
 class Objective:
@@ -160,39 +174,21 @@ class Objective:
         coefficients[:, 0] += self.offset_rpm
         return LinearSolution(sse, coefficients, factor)
 
-    def symbols(self, searched: FloatArray, solution: LinearSolution) -> dict[str, FloatArray]:
-        """All nine symbols by name, shape (m,) each."""
-        rows = np.atleast_2d(searched)
-        values = {n: np.full(len(rows), v) for n, v in self.model.fixed.items()}
-        values |= {n: rows[:, i] for i, n in enumerate(self.searched)}
-        values[AMPLITUDE] = solution.coefficients[:, -1]
-        values[MEAN] = solution.coefficients[:, 0]
-        return {name: values[name] for name in SYMBOLS}
-
-    def columns(self, symbols: Mapping[str, float]) -> FloatArray:
-        """Design matrix ``[1, cos, sin, …, q]`` of the linear symbols, shape (n, c)."""
-        return np.column_stack(
-            [
-                baseline_columns(self.time_s, symbols[ROTATION], self.model.baseline_harmonics),
-                pulse_train(self.time_s, symbols, self.period_s),
-            ]
-        )
+    def solved(self, point: FloatArray) -> tuple[dict[str, float], LinearSolution]:
+        """All nine symbols by name at one point, (d,), and the solution there (m = 1)."""
+        solution = self.solve(point[None])
+        amplitude, mean = solution.coefficients[0, [-1, 0]].tolist()
+        values = self.model.named(point) | {AMPLITUDE: amplitude, MEAN: mean}
+        return {name: values[name] for name in SYMBOLS}, solution
 
     def _matrix(self, searched: FloatArray) -> FloatArray:
         """Kernel columns from the searched symbols and the fixed ones."""
         rows = np.atleast_2d(np.asarray(searched, dtype=np.float64))
-        values = {n: np.full(len(rows), v) for n, v in self.model.fixed.items()}
+        given = {AMPLITUDE: 0.0, MEAN: 0.0} | dict(self.model.fixed)
+        values = {n: np.full(len(rows), v) for n, v in given.items()}
         values |= {n: rows[:, i] for i, n in enumerate(self.searched)}
-        zero = np.zeros(len(rows))
-        matrix = np.empty((len(rows), 8))
-        matrix[:, kernel.AMPLITUDE] = values.get(AMPLITUDE, zero)
-        matrix[:, kernel.FIRST_IMPACT] = values[START] + values[WINDOW_START]
-        matrix[:, kernel.DECAY] = values[DECAY]
-        matrix[:, kernel.FREQUENCY] = values[FREQUENCY]
-        matrix[:, kernel.MEAN] = values.get(MEAN, zero) - self.offset_rpm
-        matrix[:, kernel.WINDOW] = values[WINDOW_END] - values[WINDOW_START]
-        matrix[:, kernel.SEPARATION] = values[SEPARATION]
-        matrix[:, kernel.ROTATION] = values[ROTATION]
+        matrix = kernel_parameters(values)
+        matrix[:, kernel.MEAN] -= self.offset_rpm
         is_far = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
         is_short = matrix[:, kernel.ROTATION] < self.shortest_rotation_s
         matrix[is_far | is_short, kernel.ROTATION] = np.nan

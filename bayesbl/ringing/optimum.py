@@ -23,11 +23,10 @@ import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.guess import guesses, search_window
+from bayesbl.ringing.guess import apart_s, first_turn, guesses, range_begins, search_window, turned
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.search import SearchHistory, minimise, refine
 from bayesbl.ringing.symbols import (
-    AMPLITUDE,
     DECAY,
     DEFAULT_RANGES,
     FREQUENCY,
@@ -108,7 +107,7 @@ class Optimum:
 
     def predict(self, time_s: FloatArray) -> FloatArray:
         """The model h(t) of eq. 6 with its baseline, shape (n,), rpm."""
-        return model_speed(time_s, self.symbols, self.baseline_rpm.tolist())
+        return model_speed(time_s, self.symbols, self.baseline_rpm)
 
 
 def find_optimum(
@@ -164,8 +163,7 @@ def settled(
         )
     order = np.argsort(sse, kind="stable")
     points = [_canonical(objective, ends[i]) for i in order]
-    solution = objective.solve(points[0][None])
-    best = _named(objective, points[0])
+    best, solution = objective.solved(points[0])
     return Optimum(
         model=objective.model,
         symbols=best,
@@ -190,7 +188,7 @@ def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
     names = model.searched
     if not {START, SEPARATION} <= set(names):
         return []
-    value = dict(zip(names, point, strict=True)) | dict(model.fixed)
+    value = model.named(point)
     half = math.pi / value[FREQUENCY]
     moved = []
     for shift in (-half, half):
@@ -198,7 +196,7 @@ def exchanged(model: DisturbanceModel, point: FloatArray) -> list[FloatArray]:
             START: value[START] - value[SEPARATION] + shift,
             SEPARATION: -value[SEPARATION] % value[ROTATION],
         }
-        new = _turned(new, _begins(model))
+        new = turned(new, range_begins(model))
         moved.append(np.array([new[name] for name in names]))
     return moved
 
@@ -264,7 +262,7 @@ def _guess_search(
 
 def _local_scale(objective: Objective, start: FloatArray) -> FloatArray:
     """Initial step of each searched symbol around a guess."""
-    value = dict(zip(objective.searched, start, strict=True)) | dict(objective.model.fixed)
+    value = objective.model.named(start)
     eighth = 0.25 * math.pi / value[FREQUENCY]
     scale = {
         START: eighth,
@@ -285,66 +283,38 @@ def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
     not used.
     """
     names = objective.searched
-    fixed = objective.model.fixed
     movable = {START, SEPARATION} <= set(names)
-    value = dict(zip(names, (float(x) for x in point), strict=True)) | dict(fixed)
+    value = objective.model.named(point)
     amplitude = float(objective.solve(point[None]).coefficients[0, -1])
     forms = [value]
-    if movable and amplitude < 0.0 and AMPLITUDE not in fixed:
+    if movable and amplitude < 0.0 and objective.model.amplitude_is_free:
         separation = value[SEPARATION]
         forms.insert(0, value | {START: value[START] - separation, SEPARATION: -separation})
     ranges = {name: r for name, r in objective.model.ranges.items() if name in names}
     for form in forms:
-        placed = _first_turn(objective, form)
+        placed = first_turn(objective.model, form, objective.time_s[0] - form[WINDOW_START])
         if all(low <= placed[name] <= high for name, (low, high) in ranges.items()):
             return np.array([placed[name] for name in names])
     return point
 
 
-def _first_turn(objective: Objective, value: dict[str, float]) -> dict[str, float]:
-    """t0 and T, where searched, moved by whole rotations to the start of their range."""
-    begins = {START: objective.time_s[0] - value[WINDOW_START], SEPARATION: 0.0}
-    begins |= _begins(objective.model)
-    return _turned(value, {n: begins[n] for n in begins if n in objective.searched})
-
-
-def _begins(model: DisturbanceModel) -> dict[str, float]:
-    """The start of the ranges of t0 and T, s, if they have one."""
-    return {name: model.ranges[name][0] for name in (START, SEPARATION) if name in model.ranges}
-
-
-def _turned(value: dict[str, float], begins: dict[str, float]) -> dict[str, float]:
-    """Symbols moved by whole rotations into the one that starts at ``begins``, s."""
-    rotation = value[ROTATION]
-    return value | {n: begin + (value[n] - begin) % rotation for n, begin in begins.items()}
-
-
-def _named(objective: Objective, point: FloatArray) -> dict[str, float]:
-    solution = objective.solve(point[None])
-    return {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
-
-
 def _rivals(objective: Objective, points: list[FloatArray], sse: FloatArray) -> tuple[Rival, ...]:
     """Distinct ends of the search other than the optimum."""
-    quarter = 0.25 * 2.0 * math.pi
     found: list[Rival] = []
-    seen = [_named(objective, points[0])]
+    seen = [objective.solved(points[0])[0]]
     for point, value in zip(points[1:], sse[1:], strict=True):
-        symbols = _named(objective, point)
-        if not any(_same(symbols, other, quarter) for other in seen):
+        symbols, _ = objective.solved(point)
+        if not any(_same(symbols, other) for other in seen):
             found.append(Rival(symbols, float(value)))
             seen.append(symbols)
     return tuple(found)
 
 
-def _same(a: dict[str, float], b: dict[str, float], phase: float) -> bool:
-    """Whether two optima agree in phase to ``phase`` radians of ringing."""
-    rotation = a[ROTATION]
-    differences = [(a[n] - b[n]) % rotation for n in (START, SEPARATION)]
-    shift = max(min(d, rotation - d) for d in differences)
+def _same(a: dict[str, float], b: dict[str, float]) -> bool:
+    """Whether two optima are the same ringing, to a quarter of its period."""
     return (
-        shift * a[FREQUENCY] < phase
-        and abs(b[ROTATION] / rotation - 1.0) < 0.02
+        apart_s(a, b) * a[FREQUENCY] < 0.5 * math.pi
+        and abs(b[ROTATION] / a[ROTATION] - 1.0) < 0.02
         and abs(math.log(b[FREQUENCY] / a[FREQUENCY])) < 0.2
     )
 

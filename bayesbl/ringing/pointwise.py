@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +18,9 @@ from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import Noise, autocorrelation, innovation_share
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
-from bayesbl.ringing.symbols import (
-    AMPLITUDE,
-    DECAY,
-    FREQUENCY,
-    MEAN,
-    ROTATION,
-    SEPARATION,
-    START,
-    WINDOW_END,
-    WINDOW_START,
-)
+from bayesbl.ringing.objective import kernel_parameters
+from bayesbl.ringing.symbols import ROTATION
+from bayesbl.ringing.waveform import model_speed
 
 
 def rotations_of(point: PointEstimate) -> NDArray[np.int64]:
@@ -56,24 +47,8 @@ def log_likelihood(
     baseline_rpm
         Shape (…, 2k).
     """
-    symbols: dict[str, Any] = {**point.optimum.symbols, **draws}
-    shape = next(iter(draws.values())).shape
-    rows = np.stack(
-        [
-            np.broadcast_to(value, shape).ravel()
-            for value in (
-                symbols[AMPLITUDE],
-                symbols[START] + symbols[WINDOW_START],
-                symbols[DECAY],
-                symbols[FREQUENCY],
-                symbols[MEAN],
-                symbols[WINDOW_END] - symbols[WINDOW_START],
-                symbols[SEPARATION],
-                symbols[ROTATION],
-            )
-        ],
-        axis=1,
-    )
+    parameters = kernel_parameters({**point.optimum.symbols, **draws})
+    shape, rows = parameters.shape[:-1], parameters.reshape(-1, parameters.shape[-1])
     objective, noise = point.objective, point.noise
     repeats, _ = point.misfit.at(
         objective.time_s - objective.time_s[0], point.optimum.symbols[ROTATION]
@@ -86,7 +61,7 @@ def log_likelihood(
     count = int(rotation[-1]) + 1
     found = np.zeros((len(rows), count))
     _log_densities(
-        np.ascontiguousarray(rows),
+        rows,
         np.ascontiguousarray(baseline),
         objective.time_s,
         objective.period_s,
@@ -153,8 +128,7 @@ def predicted(
     rows = []
     for number, baseline in enumerate(baseline_rpm):
         symbols = {**point.optimum.symbols, **{n: float(v[number]) for n, v in draws.items()}}
-        linear = np.r_[symbols[MEAN], baseline, symbols[AMPLITUDE]]
-        model = objective.columns(symbols) @ linear
+        model = model_speed(objective.time_s, symbols, baseline)
         rows.append(model + repeats + _drawn(point.noise, model.size, generator))
     return np.array(rows)
 

@@ -347,9 +347,7 @@ def _box(
     """
     sd = np.sqrt(scale) * np.linalg.norm(scatter_root(objective, centre), axis=1)
     half = HALF_WIDTH_SD * sd
-    frequency = {**objective.model.fixed, **dict(zip(objective.searched, centre, strict=True))}[
-        FREQUENCY
-    ]
+    frequency = objective.model.named(centre)[FREQUENCY]
     for i, name in enumerate(objective.searched):
         if name in (START, SEPARATION):
             half[i] = min(half[i], 0.25 * np.pi / frequency)

@@ -196,8 +196,7 @@ def _minimum(coefficients: FloatArray, d: int) -> tuple[FloatArray, bool]:
 
 def scatter_root(objective: Objective, point: FloatArray) -> FloatArray:
     """Cholesky factor of the covariance of the searched symbols per rpm² of white noise, (d, d)."""
-    solution = objective.solve(point[None])
-    symbols = {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
+    symbols, solution = objective.solved(point)
     names = jacobian_columns(objective.model)
     columns = jacobian(objective.model, objective.time_s, symbols, solution.coefficients[0, 1:-1])
     norms = np.linalg.norm(columns, axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
@@ -128,6 +128,10 @@ class DisturbanceModel:
     def free(self) -> tuple[str, ...]:
         """All free symbols, in the paper's order."""
         return tuple(n for n in SYMBOLS if n not in self.fixed)
+
+    def named(self, point: Iterable[float]) -> dict[str, float]:
+        """The searched symbols of a point, (d,), and the fixed ones."""
+        return dict(zip(self.searched, map(float, point), strict=True)) | dict(self.fixed)
 
     @property
     def lasting_ranges(self) -> dict[str, tuple[float, float]]:

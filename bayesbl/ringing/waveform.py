@@ -61,11 +61,21 @@ def impact(
     Same shape as ``since_start_s``, dimensionless.
     """
     u = np.maximum(since_start_s, 0.0)
-    ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
+    ramp, near = _edges(since_start_s, window_length_s, sampling_period_s)
     ringing = np.exp(-decay_rate_per_s * u) * np.sin(angular_frequency_rad_per_s * u)
-    near = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
     corner = angular_frequency_rad_per_s * sampling_period_s * near**3 / 6.0
     return np.asarray(ramp * ringing + corner)
+
+
+def _edges(
+    since_start_s: FloatArray, window_length_s: float, sampling_period_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Share of the ringing that the window's end leaves, 0 before the impact, and how near to the
+    corner a sample is, from 0 to 1.
+    """
+    ramp = np.clip((window_length_s - since_start_s) / sampling_period_s + 0.5, 0.0, 1.0)
+    near = np.maximum(1.0 - np.abs(since_start_s) / sampling_period_s, 0.0)
+    return ramp * (since_start_s >= 0.0), near
 
 
 def impacts(
@@ -83,6 +93,16 @@ def impacts(
         highest = math.floor((end_s + edge - origin) / rotation)
         for i in range(lowest, highest + 1):
             yield sign, origin + rotation * i, i
+
+
+def _pulses(
+    time_s: FloatArray, symbols: Mapping[str, float], sampling_period_s: float
+) -> Iterator[tuple[float, int, slice, FloatArray]]:
+    """(sign, rotation, its samples, their time since its start in s) of every impact."""
+    reach = symbols[WINDOW_END] - symbols[WINDOW_START] + sampling_period_s
+    for sign, start, number in impacts(symbols, time_s[0], time_s[-1], sampling_period_s):
+        inside = slice(*np.searchsorted(time_s, (start - sampling_period_s, start + reach)))
+        yield sign, number, inside, time_s[inside] - start
 
 
 def pulse_train(
@@ -106,18 +126,9 @@ def pulse_train(
     """
     train = np.zeros_like(time_s)
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
-    for sign, start, _ in impacts(symbols, time_s[0], time_s[-1], sampling_period_s):
-        inside = slice(
-            *np.searchsorted(
-                time_s, (start - sampling_period_s, start + window + sampling_period_s)
-            )
-        )
+    for sign, _, inside, since in _pulses(time_s, symbols, sampling_period_s):
         train[inside] += sign * impact(
-            time_s[inside] - start,
-            symbols[DECAY],
-            symbols[FREQUENCY],
-            window,
-            sampling_period_s,
+            since, symbols[DECAY], symbols[FREQUENCY], window, sampling_period_s
         )
     return train
 
@@ -142,7 +153,9 @@ def baseline_columns(time_s: FloatArray, rotation_period_s: float, harmonics: in
 
 
 def model_speed(
-    time_s: FloatArray, symbols: Mapping[str, float], baseline_rpm: Sequence[float] = ()
+    time_s: FloatArray,
+    symbols: Mapping[str, float],
+    baseline_rpm: Sequence[float] | FloatArray = (),
 ) -> FloatArray:
     """The model h(t) of eq. 6 with its baseline, shape (n,), rpm.
 
@@ -186,19 +199,15 @@ def jacobian(
     period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
     amplitude, decay, frequency = symbols[AMPLITUDE], symbols[DECAY], symbols[FREQUENCY]
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
-    reach = window + period_s
 
     by: dict[str, FloatArray] = {
         name: np.zeros_like(time_s)
         for name in (AMPLITUDE, START, DECAY, FREQUENCY, SEPARATION, ROTATION, WINDOW_END)
     }
-    for sign, start, number in impacts(symbols, time_s[0], time_s[-1], period_s):
-        inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
-        u = time_s[inside] - start
-        ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
+    for sign, number, inside, u in _pulses(time_s, symbols, period_s):
+        ramp, near = _edges(u, window, period_s)
         envelope = sign * ramp * np.exp(-decay * u)
         sine, cosine = np.sin(frequency * u), np.cos(frequency * u)
-        near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
         corner = sign * period_s * near**3 / 6.0
         later = -amplitude * (
             envelope * (frequency * cosine - decay * sine)
@@ -253,15 +262,11 @@ def misfit_curvature(
     period_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
     exponent = complex(-symbols[DECAY], symbols[FREQUENCY])
     window = symbols[WINDOW_END] - symbols[WINDOW_START]
-    reach = window + period_s
     names = (DECAY, FREQUENCY, START, SEPARATION, ROTATION)
     total = np.zeros((5, 5))
-    for sign, start, number in impacts(symbols, time_s[0], time_s[-1], period_s):
-        inside = slice(*np.searchsorted(time_s, (start - period_s, start + reach)))
-        u = time_s[inside] - start
-        ramp = np.clip((window - u) / period_s + 0.5, 0.0, 1.0) * (u >= 0.0)
+    for sign, number, inside, u in _pulses(time_s, symbols, period_s):
+        ramp, near = _edges(u, window, period_s)
         weight = sign * symbols[AMPLITUDE] * residual_rpm[inside]
-        near = np.maximum(1.0 - np.abs(u) / period_s, 0.0)
         bend = symbols[FREQUENCY] / period_s * (weight @ near)
         turn = 0.5 * (weight @ np.copysign(near**2, u))
         wave = weight * ramp * np.exp(exponent * u)

@@ -430,8 +430,6 @@ def test_a_reader_that_breaks_down_costs_that_file_alone(
     from bayesbl.recording import formats, own_process
 
     code, sentence = ACTS[act]
-    if act == "words":
-        code = f"import bayesbl.recording.array_table as a\n    with a.readable(file, 'it'): {code}"
     if act == "a hang":
         monkeypatch.setattr(own_process, "LONGEST_S", 1.0)
     module = tmp_path / "modules" / "broken.py"

@@ -47,7 +47,7 @@ def loop(pressed_nm=0.0, *, friction=0.5, gap=0.0, softer=1.0, seed=0):
 def lifts_at(*loops):
     files = [find_ramps(*each) for each in loops]
     found = find_flanks(files)
-    return found, lifting_torque(files, found.largest)
+    return found, lifting_torque(found.largest)
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.5, 1.2])

@@ -15,7 +15,7 @@ import pytest
 from places import ROOT
 from scipy import stats
 
-from bayesbl.ramps.flanks import find_flanks, lost_motion
+from bayesbl.ramps.flanks import find_flanks, lost_motion, of_cycles
 from bayesbl.ramps.play import Widths, sample_play
 from bayesbl.ramps.torque_cycles import find_ramps
 from bayesbl.recording.readers import read_recording
@@ -164,7 +164,7 @@ def test_lost_motion_is_between_the_middles_of_the_loop():
     torque = triangles(*[LARGE] * 3)
     ramps = find_ramps(torque, operator(torque, friction=1e-6))
     level = find_flanks([ramps]).largest
-    (lost,) = lost_motion([ramps], level, 1.0)
+    (lost,) = of_cycles(level, lambda cycle: lost_motion(cycle, 1.0))
     assert lost == pytest.approx(2.0 * (GAP + COMPLIANCE * 1.0), rel=0.02)
 
 

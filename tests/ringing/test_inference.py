@@ -241,9 +241,8 @@ def test_optima_scatter_as_the_sandwich_predicts(noise: NoiseModel) -> None:
     found = []
     for seed in range(count):
         objective = objective_of(recording(noise, 100 + seed))
-        end = refine(objective, true_point(objective.model))[None]
-        values = objective.symbols(end, objective.solve(end))
-        found.append([values[n][0] for n in (AMPLITUDE, DECAY, FREQUENCY, START)])
+        values, _ = objective.solved(refine(objective, true_point(objective.model)))
+        found.append([values[n] for n in (AMPLITUDE, DECAY, FREQUENCY, START)])
     scatter = np.var(found, axis=0, ddof=1)
     predicted = [spread.standard_deviations[n] ** 2 for n in (AMPLITUDE, DECAY, FREQUENCY, START)]
     # Chi-square band of 99.8 % for each of the four: false alarm 0.8 %.

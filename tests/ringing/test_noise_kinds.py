@@ -53,8 +53,7 @@ def around(quiet: PointEstimate, speed_rpm: np.ndarray) -> PointEstimate:
     recording = recorded(speed_rpm, quiet.recording)
     objective = Objective(quiet.optimum.model, recording.time_s, speed_rpm)
     point = refine(objective, quiet.optimum.searched)
-    solution = objective.solve(point[None])
-    symbols = {n: float(v[0]) for n, v in objective.symbols(point[None], solution).items()}
+    symbols, solution = objective.solved(point)
     optimum = replace(
         quiet.optimum,
         symbols=symbols,

@@ -317,10 +317,11 @@ def test_samples_left_out_count_for_nothing(harmonics: int) -> None:
     low, high = [0.0, 5.0, 40.0, 0.0, 0.6], [3.0, 20.0, 90.0, 3.0, 3.9]
     points = generator.uniform(low, high, (30, 5))
     solution = objective.solve(points)
-    symbols = objective.symbols(points, solution)
     for row in range(len(points)):
-        one = {name: float(values[row]) for name, values in symbols.items()}
-        kept = objective.columns(one)[~excluded]
+        symbols, _ = objective.solved(points[row])
+        baseline = baseline_columns(time_s, symbols["rotation_period_s"], harmonics)
+        pulses = pulse_train(time_s, symbols, objective.period_s)
+        kept = np.column_stack([baseline, pulses])[~excluded]
         expected, left, *_ = np.linalg.lstsq(kept, speed[~excluded])
         np.testing.assert_allclose(solution.coefficients[row], expected, atol=1e-8)
         np.testing.assert_allclose(solution.sum_of_squares[row], left[0], rtol=1e-10)

@@ -29,15 +29,15 @@ class Format:
     suffixes
         Of its files, in small letters with the dot.
     read
-        From path and bytes to named columns; raises :class:`RecordingError` for a damaged file.
-        Called in a process of its own, but for text.
+        From path and bytes to named columns. Called in a process of its own, but for text; what
+        it raises there is told as a damaged file.
     library
         The optional library that it reads with, as it is imported; empty where there is none.
     signatures
         What its files have at which byte, any of them; a file without is not parsed, and nothing
         of it is quoted. Empty for text.
     otherwise
-        What to do without the library, for the message.
+        What to do where a file cannot be read, for the message.
     beside
         Suffix of a file of the same name whose bytes follow the file's own, if it is there.
     """

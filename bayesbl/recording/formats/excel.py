@@ -46,13 +46,12 @@ def read_excel(file: Path, data: bytes) -> ArrayTable:
     """
     import openpyxl
 
-    from bayesbl.recording.array_table import readable, table_of_groups
+    from bayesbl.recording.array_table import table_of_groups
 
-    with readable(file, "Excel", "or save the sheet as CSV"):
-        _check_size(file, data)
-        book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-        repairs: Counter[str] = Counter()
-        groups = [_group(file, sheet, repairs) for sheet in book.worksheets]
+    _check_size(file, data)
+    book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+    repairs: Counter[str] = Counter()
+    groups = [_group(file, sheet, repairs) for sheet in book.worksheets]
     return replace(table_of_groups(file, groups), repairs=repairs)
 
 

@@ -41,33 +41,32 @@ def read_json(file: Path, data: bytes) -> ArrayTable:
 
     import numpy as np
 
-    from bayesbl.recording.array_table import ArrayTable, readable
+    from bayesbl.recording.array_table import ArrayTable
 
     require_memory(file, _COPIES * len(data), "numbers, read from text")
-    with readable(file, "JSON"):
-        text = data.decode("utf-8-sig")
-        try:
-            content = json.loads(text)
-        except json.JSONDecodeError as error:
-            if error.msg != "Extra data":
-                raise
-            content = [json.loads(line) for line in text.splitlines() if line.strip()]
-        columns: dict[str, list[Any]] = {}
-        for name, values in _columns("", content, 0):
-            columns.setdefault(name, values)
-        longest = max((len(values) for values in columns.values()), default=0)
-        if longest < 2:
-            raise RecordingError(
-                "The file holds no series of numbers.",
-                file=file,
-                found=f"{len(columns)} lists" if columns else "no list",
-                expected="a list for each channel, or a list of records",
-            )
-        arrays = {
-            name: np.array([np.nan if v is None else v for v in values])
-            for name, values in columns.items()
-            if len(values) == longest
-        }
+    text = data.decode("utf-8-sig")
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        if error.msg != "Extra data":
+            raise
+        content = [json.loads(line) for line in text.splitlines() if line.strip()]
+    columns: dict[str, list[Any]] = {}
+    for name, values in _columns("", content, 0):
+        columns.setdefault(name, values)
+    longest = max((len(values) for values in columns.values()), default=0)
+    if longest < 2:
+        raise RecordingError(
+            "The file holds no series of numbers.",
+            file=file,
+            found=f"{len(columns)} lists" if columns else "no list",
+            expected="a list for each channel, or a list of records",
+        )
+    arrays = {
+        name: np.array([np.nan if v is None else v for v in values])
+        for name, values in columns.items()
+        if len(values) == longest
+    }
     return ArrayTable(str(file), arrays)
 
 

@@ -8,7 +8,6 @@ name is left off.
 from __future__ import annotations
 
 import io
-import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,18 +23,15 @@ from bayesbl.recording.input_bytes import memory_bytes, require_memory
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
 
-_MATRIX, _COMPRESSED = 14, 15
-_CELL, _STRUCT, _SPARSE = 1, 2, 5
-_ELEMENTS = frozenset({*range(1, 8), 9, *range(12, 19)})
+_COMPRESSED = 15
+"""Kind of an element of a v5 file."""
+
 _MOST_COLUMNS = 64
 _DEEPEST = 5
 _NUMERIC = frozenset(
     {"double", "single", "logical", *(f"{s}int{b}" for s in ("", "u") for b in (8, 16, 32, 64))}
 )
-_BYTES_OF_CLASS = {1: 64.0, 2: 64.0, 4: 4.0, 7: 4.0}
-"""In memory: of cells and structures what Python's objects take, of text and single 4, else 8."""
-
-_HINT = "tables and timetables: save their columns as plain vectors"
+_OTHERWISE = "save the columns of tables and timetables as plain vectors"
 
 
 def read_matlab(file: Path, data: bytes) -> ArrayTable:
@@ -46,22 +42,21 @@ def read_matlab(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no MATLAB file, holds no vector, or is v7.3 and shows what it does not hold itself.
     """
-    from bayesbl.recording.array_table import ArrayTable, readable
+    from bayesbl.recording.array_table import ArrayTable
 
-    with readable(file, "MATLAB", _HINT):
-        if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
-            variables = _hdf5_variables(file, data)
-        else:
-            variables = _mat5_variables(file, data)
-        if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
-            variables = only
-        arrays = dict(_columns(variables))
+    if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
+        variables = _hdf5_variables(file, data)
+    else:
+        variables = _mat5_variables(file, data)
+    if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
+        variables = only
+    arrays = dict(_columns(variables))
     if not arrays:
         raise RecordingError(
             "The file holds no vector of numbers.",
             file=file,
             found=", ".join(f'"{name}"' for name in variables) or "nothing",
-            expected=f"a vector for each channel; {_HINT}",
+            expected=f"a vector for each channel, or {_OTHERWISE}",
         )
     return ArrayTable(str(file), arrays)
 
@@ -83,89 +78,25 @@ def _columns(
 def _mat5_variables(file: Path, data: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
-    require_memory(file, 2.0 * _Walk(file, data).bytes, "its variables, unpacked")
+    require_memory(file, 2.0 * _unpacked_bytes(data), "its variables, unpacked, or more")
     stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
     return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
 
 
-class _Walk:
-    """The elements of a v5 file: each has a known type and ends within its parent.
-
-    scipy's compiled reader looks types up in a table without asking, and a damaged one ends the
-    whole process. ``bytes`` is what the matrices take in memory, by the sizes that they declare.
-    """
-
-    def __init__(self, file: Path, data: bytes) -> None:
-        self._file = file
-        self.bytes = 0.0
-        if len(data) < 128 or 0 in data[:4]:
-            return  # v4, which has neither this header nor these tags, and packs nothing
-        orders = {b"IM": "<", b"MI": ">"}
-        if data[126:128] not in orders:
-            raise ValueError("neither a MATLAB header nor HDF5")
-        self._walk(data, 128, len(data), orders[data[126:128]])
-
-    def _walk(self, data: bytes, begin: int, end: int, order: str, depth: int = 0) -> None:
-        children: list[tuple[int, int]] = []
-        first = begin
-        while begin < end:
-            kind, size = struct.unpack_from(order + "II", data, begin)
-            start, step = begin + 8, -(-size // 8) * 8
-            if kind >> 16:
-                # A small element: type and size share the first word, four bytes of content follow.
-                kind, size, start, step = kind & 0xFFFF, kind >> 16, begin + 4, 4
-            elif kind == _COMPRESSED:
-                step = size
-            if kind not in _ELEMENTS or start + size > end or (start == begin + 4 and size > 4):
-                raise ValueError(f"a damaged element at byte {begin}")
-            if kind == _COMPRESSED and depth == 0:
-                inner = self._unpacked(data[start : start + size])
-                self._walk(inner, 0, len(inner), order, 1)
-            elif kind == _MATRIX and depth < 4 * _DEEPEST:
-                self._walk(data, start, start + size, order, depth + 2)
-            elif kind in (_MATRIX, _COMPRESSED):
-                raise ValueError(f"elements nested too deeply at byte {begin}")
-            children.append((start, size))
-            begin = start + step
-        if depth > 1 and children:
-            self.bytes += _memory(data, children, order)
-            if len(children) < _parts(data, children, order):
-                raise ValueError(f"a matrix that lacks a part at byte {first}")
-
-    def _unpacked(self, packed: bytes) -> bytes:
-        most = memory_bytes() - int(self.bytes)
-        whole = zlib.decompressobj().decompress(packed, max(most, 1))
-        require_memory(self._file, self.bytes + len(whole) + 1, "a variable, unpacked, or more")
-        return whole
-
-
-def _memory(data: bytes, children: list[tuple[int, int]], order: str) -> float:
-    """Bytes that a matrix takes, by its flags and dimensions."""
-    if len(children) < 2 or children[0][1] < 4:
-        return 0.0
-    (flags,) = struct.unpack_from(order + "I", data, children[0][0])
-    start, size = children[1]
-    cells = math.prod(map(float, struct.unpack_from(f"{order}{size // 4}i", data, start)))
-    width = _BYTES_OF_CLASS.get(flags & 0xFF, 8.0)
-    return (2.0 if flags & 0x800 else 1.0) * width * abs(cells)
-
-
-def _parts(data: bytes, children: list[tuple[int, int]], order: str) -> int:
-    """How many elements a matrix must have, by its flags, dimensions and field names."""
-    if len(children) < 3 or children[0][1] < 8:
-        return 3 + len(children)
-    (flags,) = struct.unpack_from(order + "I", data, children[0][0])
-    start, size = children[1]
-    cells = int(math.prod(struct.unpack_from(f"{order}{size // 4}i", data, start)))
-    kind, is_complex = flags & 0xFF, bool(flags & 0x800)
-    if kind == _CELL:
-        return 3 + cells
-    if kind == _STRUCT and len(children) > 4:
-        (length,) = struct.unpack_from(order + "i", data, children[3][0])
-        return 5 + cells * int(children[4][1] // max(length, 1))
-    if kind == _SPARSE:
-        return 6 + is_complex
-    return 4 + is_complex
+def _unpacked_bytes(data: bytes) -> float:
+    """Of the variables of a v5 file, up to where they are more than the limit; v4 packs nothing."""
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None:
+        return float(len(data))
+    begin, total, limit = 128, 0, memory_bytes()
+    while begin + 8 <= len(data) and total <= limit:
+        kind, size = struct.unpack_from(order + "II", data, begin)
+        begin += 8
+        packed = data[begin : begin + size]
+        unpacker = zlib.decompressobj()
+        total += len(unpacker.decompress(packed, limit + 1) if kind == _COMPRESSED else packed)
+        begin += size
+    return float(total)
 
 
 def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
@@ -199,7 +130,7 @@ def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
     import h5py
     import numpy as np
 
-    size = require_whole(data, partial(RecordingError, file=file), lambda dataset: True)
+    size = require_whole(data, partial(RecordingError, file=file))
     require_memory(file, 2.0 * size, "its variables, unpacked")
 
     def variables(group: Any, depth: int) -> dict[str, Any]:
@@ -232,4 +163,5 @@ FORMAT = Format(
     (".mat",),
     read_matlab,
     signatures=((126, b"IM"), (126, b"MI"), *SIGNATURES, *_V4, (0, b"\x00\x00\x03\xe8")),
+    otherwise=_OTHERWISE,
 )

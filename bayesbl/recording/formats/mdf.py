@@ -6,11 +6,8 @@ and offset are applied here. A channel with another conversion is withheld by th
 
 from __future__ import annotations
 
-import gc
 import io
-import re
 from pathlib import Path
-from traceback import clear_frames
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
@@ -18,9 +15,6 @@ from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
-
-_IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
-"""What asammdf calls a file by that it was given in memory."""
 
 _NAMES_4 = {
     3: "a formula", 4: "a table", 5: "a table", 6: "a table of ranges", 7: "a table of text",
@@ -43,9 +37,9 @@ def read_mdf(file: Path, data: bytes) -> ArrayTable:
     """
     import asammdf
 
-    from bayesbl.recording.array_table import readable, table_of_groups
+    from bayesbl.recording.array_table import table_of_groups
 
-    with readable(file, "MDF"), _opened(asammdf.MDF, data) as stored:
+    with asammdf.MDF(io.BytesIO(data)) as stored:
         size = 0.0
         for group in stored.groups:
             block = group.channel_group
@@ -54,16 +48,6 @@ def read_mdf(file: Path, data: bytes) -> ArrayTable:
         require_memory(file, size, "its groups, unpacked")
         groups = [_group(stored, number) for number in range(len(stored.groups))]
         return table_of_groups(file, groups)
-
-
-def _opened(mdf: Any, data: bytes) -> Any:
-    try:
-        return mdf(io.BytesIO(data))
-    except Exception as error:
-        # What is left half made complains when it ends: here, where nobody hears it.
-        clear_frames(error.__traceback__)
-        gc.collect()
-        raise ValueError(_IN_MEMORY.sub("it", str(error))) from None
 
 
 class _Scale:

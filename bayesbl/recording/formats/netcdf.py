@@ -33,35 +33,34 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     import numpy as np
     import xarray as xr
 
-    from bayesbl.recording.array_table import ArrayTable, readable
+    from bayesbl.recording.array_table import ArrayTable
 
-    with readable(file, "NetCDF"):
-        if SIGNATURE in data[:2056]:
-            size = require_whole(
-                data,
-                partial(RecordingError, file=file),
-                lambda dataset: dataset.dimensions == 1 and dataset.path.count("/") == 1,
-            )
-            require_memory(file, _DECODED * size, "its variables, unpacked and decoded")
-        stored = netCDF4.Dataset("recording", memory=data)
-        if RESULT_MARK in stored.ncattrs():
-            raise RecordingError(
-                "This is a result of bayesbl, not a recording.",
-                file=file,
-                expected="a file of measured channels; `bayesbl inspect` prints a result",
-            )
-        declared = [v for v in stored.variables.values() if v.ndim == 1]
-        size = sum(float(v.size) * max(8, getattr(v.dtype, "itemsize", 8)) for v in declared)
-        require_memory(file, _DECODED * size, "its variables, decoded")
-        store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
-        with xr.open_dataset(store, decode_timedelta=False) as dataset:
-            chosen = {str(k): v for k, v in dataset.variables.items() if v.ndim == 1}
-            arrays = {name: np.asarray(variable.values) for name, variable in chosen.items()}
-            units = {
-                name: str(variable.attrs["units"])
-                for name, variable in chosen.items()
-                if "units" in variable.attrs
-            }
+    if SIGNATURE in data[:2056]:
+        size = require_whole(
+            data,
+            partial(RecordingError, file=file),
+            lambda path, dimensions: dimensions == 1 and path.count("/") == 1,
+        )
+        require_memory(file, _DECODED * size, "its variables, unpacked and decoded")
+    stored = netCDF4.Dataset("recording", memory=data)
+    if RESULT_MARK in stored.ncattrs():
+        raise RecordingError(
+            "This is a result of bayesbl, not a recording.",
+            file=file,
+            expected="a file of measured channels; `bayesbl inspect` prints a result",
+        )
+    declared = [v for v in stored.variables.values() if v.ndim == 1]
+    size = sum(float(v.size) * max(8, getattr(v.dtype, "itemsize", 8)) for v in declared)
+    require_memory(file, _DECODED * size, "its variables, decoded")
+    store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
+    with xr.open_dataset(store, decode_timedelta=False) as dataset:
+        chosen = {str(k): v for k, v in dataset.variables.items() if v.ndim == 1}
+        arrays = {name: np.asarray(variable.values) for name, variable in chosen.items()}
+        units = {
+            name: str(variable.attrs["units"])
+            for name, variable in chosen.items()
+            if "units" in variable.attrs
+        }
     return ArrayTable(str(file), arrays, units)
 
 

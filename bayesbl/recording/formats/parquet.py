@@ -31,18 +31,17 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
     import pyarrow
     import pyarrow.parquet
 
-    from bayesbl.recording.array_table import ArrayTable, readable
+    from bayesbl.recording.array_table import ArrayTable
 
     pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # its own reserves far more than it uses
-    with readable(file, "Parquet"):
-        stored = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
-        sizes = [_width(column.type) for column in stored.schema_arrow]
-        size = float(stored.metadata.num_rows) * sum(sizes)
-        require_memory(file, _COPIES * size, f"{stored.metadata.num_rows} rows")
-        table = stored.read(use_threads=False)
-        arrays: dict[str, AnyArray] = {}
-        for name, column in zip(table.column_names, table.columns, strict=True):
-            arrays |= _of_lists(name, column) or {name: column.to_numpy()}
+    stored = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
+    sizes = [_width(column.type) for column in stored.schema_arrow]
+    size = float(stored.metadata.num_rows) * sum(sizes)
+    require_memory(file, _COPIES * size, f"{stored.metadata.num_rows} rows")
+    table = stored.read(use_threads=False)
+    arrays: dict[str, AnyArray] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        arrays |= _of_lists(name, column) or {name: column.to_numpy()}
     return ArrayTable(str(file), arrays)
 
 

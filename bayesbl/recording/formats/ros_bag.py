@@ -74,16 +74,15 @@ def read_bag(file: Path, data: bytes) -> ArrayTable:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    from bayesbl.recording.array_table import readable, table_of_groups
+    from bayesbl.recording.array_table import table_of_groups
 
     path = _Bytes(file.name.removesuffix(".gz").lower(), data)
-    with readable(file, "ROS bag"):
-        require_memory(file, _OVERHEAD * _unpacked_bytes(data), "its messages, unpacked")
-        # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        with AnyReader([path], default_typestore=store) as reader:
-            series = _series(reader)
-        groups = _groups(series)
+    require_memory(file, _OVERHEAD * _unpacked_bytes(data), "its messages, unpacked")
+    # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with AnyReader([path], default_typestore=store) as reader:
+        series = _series(reader)
+    groups = _groups(series)
     return table_of_groups(file, groups, always_prefixed=True)
 
 

@@ -26,15 +26,14 @@ def read_tdms(file: Path, data: bytes) -> ArrayTable:
     """
     import nptdms
 
-    from bayesbl.recording.array_table import readable, table_of_groups
+    from bayesbl.recording.array_table import table_of_groups
 
-    with readable(file, "TDMS"):
-        declared = nptdms.TdmsFile.read_metadata(io.BytesIO(data))
-        counts = [len(channel) for group in declared.groups() for channel in group.channels()]
-        require_memory(file, 16.0 * sum(counts), "its channels")
-        stored = nptdms.TdmsFile.read(io.BytesIO(data))
-        groups = [part for group in stored.groups() for part in _groups(group)]
-        return table_of_groups(file, groups)
+    declared = nptdms.TdmsFile.read_metadata(io.BytesIO(data))
+    counts = [len(channel) for group in declared.groups() for channel in group.channels()]
+    require_memory(file, 16.0 * sum(counts), "its channels")
+    stored = nptdms.TdmsFile.read(io.BytesIO(data))
+    groups = [part for group in stored.groups() for part in _groups(group)]
+    return table_of_groups(file, groups)
 
 
 def _groups(group: Any) -> Iterator[Group]:
