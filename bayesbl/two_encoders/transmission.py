@@ -849,7 +849,7 @@ def _drawn(
         for side, order in pairs
     }
     curve = columns[:, design.curve] @ mode.beta[design.curve]
-    none = max(model.cell(0, 0.0, n).log_evidence for n in (noise,))
+    none = model.cell(0, 0.0, noise).log_evidence
     return Transmission(
         paths,
         {name: values.reshape(DRAWS) for name, values in draws.items()},

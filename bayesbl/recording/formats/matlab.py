@@ -86,7 +86,7 @@ def _mat5_variables(file: Path, data: bytes) -> dict[str, Any]:
 def _unpacked_bytes(data: bytes) -> float:
     """Of the variables of a v5 file, up to where they are more than the limit; v4 packs nothing."""
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
-    if order is None:
+    if order is None or 0 in data[:4]:  # v4 has no text in front
         return float(len(data))
     begin, total, limit = 128, 0, memory_bytes()
     while begin + 8 <= len(data) and total <= limit:
