@@ -253,7 +253,9 @@ def diagnose(
 def sweep(
     config: File, *, seed: int | None = None, workers: int | None = None, progress: bool = False
 ) -> SweepResult:
-    """Simulate a bench over gaps, by a configuration, for its gap curve; nothing is written.
+    """Simulate a bench over gaps, by a configuration, for its gap curve.
+
+    Only the simulations are written, for other sweeps, into ``.sweep-cache`` beside the output.
 
     Raises
     ------

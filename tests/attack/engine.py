@@ -401,7 +401,7 @@ def _harm(
     for name in after.keys() - before.keys():
         # Every group of a Zarr store has hidden files of its format.
         hidden = name.rpartition("/")[2].startswith(".") and ".zarr/" not in name
-        hidden = hidden and not name.startswith(KEPT)
+        hidden = hidden and name.rpartition("/")[2] not in KEPT
         if hidden and not _is_output(name, outputs):
             yield OTHER, f"{name} is left behind"
 
