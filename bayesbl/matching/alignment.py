@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
-from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.motions import motion_starts, noise_of, remembered_start, start_angles
 from bayesbl.matching.observed import Observed, without_start
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
@@ -67,7 +67,7 @@ def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
     for _ in range(NOISE_ROUNDS):
         model = replace(model, noise=remaining_noise(best))
         best = fit_simulated(model, best.point, best.steps)
-    return best
+    return with_model(best, model)
 
 
 def _forgetful(fit: SimulatedFit, index: int) -> Observed:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.errors import BenchError
-from bayesbl.matching.signals import OF_THE_TICKS, SimulatedSignals
+from bayesbl.matching.signals import SAMPLED, SimulatedSignals
 from bayesbl.recording.types import FloatArray
 
 IDLE = 1e-100
@@ -146,8 +146,8 @@ def fit_simulated(
     rough
         Only as near as comparing it takes: by one-sided differences, those of the last round kept.
     one_sided
-        The differences, at half the cost. Over steps of a few standard deviations they lose a
-        hundredth of one, which a search does not see.
+        The differences, at half the cost: for fits that are only compared, and made again with
+        central ones where they decide.
     known
         Derivatives by the first unknowns at a point nearby, shape (N, k).
 
@@ -226,7 +226,8 @@ def fit_simulated(
     if not rough and value_there - value > NEAR:
         jacobian, steps = _jacobian(model, point, steps, one_sided=one_sided)
         curvature, value_there = jacobian.T @ jacobian, value
-    kept = jacobian if value_there - value <= NEAR else None
+    # What a search compares may be near; what an answer rests on is taken where it ends.
+    kept = jacobian if value_there - value <= (NEAR if one_sided else CONVERGED) else None
     return _fit(model, point, residual, curvature, steps, kept)
 
 
@@ -363,7 +364,7 @@ def _jacobian(
     """
     swift = model.for_differences(point)
     d = point.size
-    of_ticks = np.array([u.name.startswith(OF_THE_TICKS) for u in model.unknowns])
+    of_ticks = np.array([u.name.startswith(SAMPLED) for u in model.unknowns])
     columns = np.empty((d, model.size)).T
     pending = np.arange(0 if known is None else known.shape[1], d)
     if known is not None:

@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
@@ -128,7 +129,9 @@ class DirectPosterior:
             variance = float(own.var(ddof=1))
             slope = float(np.cov(own, gap)[0, 1]) / variance if variance > 0.0 else 0.0
             reach = 0.5 * (unknown.high - unknown.low)
-            if side == "lower" and unknown.low > 0.0 and not unknown.logarithmic:
+            info = PARAMETER_INFO.get(unknown.name)
+            positive = unknown.low > 0.0 and not (info is not None and info.signed)
+            if side == "lower" and positive and not unknown.logarithmic:
                 reach = min(reach, unknown.low)  # and no further: nothing of it is below zero
             shift = abs(slope) * reach
             if shift > 0.5 * (high - low):

@@ -40,11 +40,10 @@ FEW_POINTS = 16
 """Below which recordings are simulated at once."""
 
 SAMPLED = "sampled_control__"
-OF_THE_TICKS = (SAMPLED,)
-"""Begin the names of what only the ticks tell: without a lag the current is shown at them."""
+"""Begins the names of what only the ticks of a controller tell."""
 COARSER = 4.0
-"""Error of a simulation without ticks over that with: differences and what agrees at a point lose
-nothing by it."""
+"""Error allowed to a simulation without ticks, over that with: it is only subtracted from another
+that has nearly the same error. It costs or saves time, and fits end at the ticks themselves."""
 LATEST_RAD = 0.5
 """Phase of the ringing by which a sampled loop may be late and pass for continuous in differences:
 beyond it, fits take longer than they save (T of 2 ms on the reference bench)."""

@@ -12,7 +12,7 @@ import numpy as np
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.signals import GAP, OF_THE_TICKS, SimulatedSignals, Unknown
+from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import (
     Candidate,
     amplitude_places,
@@ -273,7 +273,7 @@ def _difference(
     if phase is not None:
         for k in quadrant_phases(candidate):
             moved[:, point.size - len(candidate.unknowns) + k] = phase
-    of_ticks = any(u.name.startswith(OF_THE_TICKS) for u in candidate.unknowns)
+    of_ticks = any(u.name.startswith(SAMPLED) for u in candidate.unknowns)
     z = (model if of_ticks else model.for_differences(point)).whitened(moved)
     change = (z[0] - z[1]) / amount
     if not np.all(np.isfinite(change)):
