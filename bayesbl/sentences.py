@@ -343,6 +343,11 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "Sensor noise fed back through the speed loop makes impacts vary: the interval is "
         f"{times:.2g} times wider for it."
     ),
+    "soft_edges": lambda sd_rad: (
+        "The gap has soft edges: contact builds up over about "
+        f"±{number(1e3 * sd_rad, 2)} mrad. δ is in the middle, and its interval includes that; "
+        "the change does not depend on it."
+    ),
     "elastic_part": lambda name, frequency_hz, probability: (
         f"The recordings speak for a part that the bench lacks, {name} with a resonance near "
         f"{frequency_hz:.2g} Hz (probability {probability:.2g}). δ allows for it; "

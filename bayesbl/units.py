@@ -110,6 +110,7 @@ _UNIT_OF_ENDING = {
     "_per_s": "1/s",
     "_per_rad": "1/rad",
     "_rpm": "rpm",
+    "_rad2": "rad²",
     "_rad": "rad",
     "_nm": "N m",
     "_a": "A",

@@ -92,6 +92,8 @@ class Slot(IntEnum):
     encoder_eccentricity__angle_rad = auto()
     encoder_eccentricity__phase_rad = auto()
     stiffness_hardening__stiffness_nm_per_rad3 = auto()
+    contact_exponent__excess = auto()
+    contact_softness__variance_rad2 = auto()
     flank_asymmetry__share = auto()
     contact_damping__factor_s_per_rad = auto()
     shaft_hysteresis__torque_nm = auto()
@@ -182,6 +184,9 @@ AT_TICK = 1e-6
 DONE, DIVERGED, TOO_MANY_STEPS, SATURATED = range(4)
 MAX_STEPS_PER_SECOND = 200_000
 
+
+# e₀ of a contact's exponent on an axis without gravity.
+COMPRESSION_RAD = 1e-3
 
 # Share of gravity's largest torque below which a load at rest stands inside the gap.
 LOOSE_SHARE = 0.01
@@ -433,6 +438,42 @@ def shaft_torque(twist, twist_speed, region, sharpness, c):  # type: ignore[no-u
     else:
         angle = math.atan2(opposite, adjacent)
     return (c.stiffness * (twist - flank) + c.damping * twist_speed) * (angle * PER_PI)
+
+
+@_jit
+def exponent_torque(compression, p, c):  # type: ignore[no-untyped-def]
+    """What a contact of exponent 1 + m bears beyond K_s e, N m."""
+    excess = p[Slot.contact_exponent__excess]
+    if excess == 0.0 or compression == 0.0:
+        return 0.0
+    size = abs(compression) / exponent_reference(c)
+    return c.stiffness * compression * math.expm1(excess * math.log(size))
+
+
+@_jit
+def exponent_reference(c):  # type: ignore[no-untyped-def]
+    """Compression at which a contact of any exponent has the stiffness K_s, rad."""
+    return abs(c.gravity) / c.stiffness if c.gravity != 0.0 else COMPRESSION_RAD
+
+
+@_jit
+def softness_torque(twist, twist_speed, share_of_gap, p, c):  # type: ignore[no-untyped-def]
+    """What flanks with soft edges bear beyond those with sharp ones, N m."""
+    scale = softness_scale(p)
+    gap = c.gap * share_of_gap
+    near = abs(twist) - gap
+    this = math.exp(-abs(near) / scale)
+    other = math.exp(-(abs(twist) + gap) / scale)
+    torque = c.stiffness * scale * (math.log1p(this) - math.log1p(other))
+    touching = this / (1.0 + this)
+    touching = other / (1.0 + other) - math.copysign(touching, near)
+    return math.copysign(torque, twist) + c.damping * touching * twist_speed
+
+
+@_jit
+def softness_scale(p):  # type: ignore[no-untyped-def]
+    """Scale of the logistic distribution of the gap's edges, rad."""
+    return math.sqrt(3.0 * p[Slot.contact_softness__variance_rad2]) / math.pi
 
 
 @_jit
@@ -817,6 +858,9 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             shaft *= share_of_gap
             compression = math.copysign(max(0.0, abs(seen) - c.gap), seen) * share_of_gap
             shaft += p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3
+            shaft += exponent_torque(compression, p, c)
+            if p[Slot.contact_softness__variance_rad2] > 0.0:
+                shaft += softness_torque(seen * share_of_gap, seen_speed, share_of_gap, p, c)
             shaft += p[Slot.flank_asymmetry__share] * c.stiffness * abs(compression)
             damping = p[Slot.contact_damping__factor_s_per_rad] * c.stiffness * abs(compression)
             shaft += damping * seen_speed
@@ -1335,7 +1379,7 @@ def integrate(  # type: ignore[no-untyped-def]
     if c.sampled:
         current = logged_torque(y, repeated, p, c) / p[Slot.torque_constant_nm_per_a]
     has_edges = c.gap > 0.0 and not c.rigid
-    layer = 0.0 if c.hard else 1.0 / c.sharpness
+    layer = max(softness_scale(p), 0.0 if c.hard else 1.0 / c.sharpness)
     margin = CLEAR * layer
     shortest = SHORT_PHASE / max(1.0 / longest, fastest_decay(p, c))
     if not logged or lagged or is_stiffer(p):
@@ -1558,7 +1602,7 @@ def balanced_torques(load_angle, speed, p, c):  # type: ignore[no-untyped-def]
 def static_twist(load, p, c):  # type: ignore[no-untyped-def]
     """Twist beyond the gap, rad, that bears a load torque at rest, N m, by all laws of the flanks.
 
-    K_s (1 ± a) e + k₃ e³ = |load|, by Newton's method from the linear law.
+    K_s e [(e/e₀)^m ± a] + k₃ e³ = |load|, by Newton's method from the linear law.
     """
     twist = load / c.stiffness
     if not c.effects:
@@ -1567,12 +1611,18 @@ def static_twist(load, p, c):  # type: ignore[no-untyped-def]
     side = math.copysign(1.0, load)
     linear = c.stiffness * (1.0 + side * p[Slot.flank_asymmetry__share])
     cubic = p[Slot.stiffness_hardening__stiffness_nm_per_rad3]
+    excess = p[Slot.contact_exponent__excess]
     compression = torque / linear
     for _ in range(NEWTON_STEPS):
+        if not compression > 0.0:
+            return 0.0
+        by_exponent = exponent_torque(compression, p, c)
         slope = linear + 3.0 * cubic * compression * compression
+        slope += (1.0 + excess) * by_exponent / compression + excess * c.stiffness
         if slope <= 0.0:
             break
-        compression -= (linear * compression + cubic * compression**3 - torque) / slope
+        borne = linear * compression + cubic * compression**3 + by_exponent
+        compression -= (borne - torque) / slope
     return side * compression
 
 

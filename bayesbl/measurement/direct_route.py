@@ -6,6 +6,7 @@ largely cancels in the change.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -74,6 +75,7 @@ from bayesbl.model_search.always_in import (
     Beside,
     beside,
     directions,
+    edge_variances,
     elastic_part,
     marginalised,
     settled,
@@ -461,6 +463,9 @@ def direct_verdict(
     wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
     if outcome != "withheld" and wider > 1.0 + MATTERS:
         reasons.append(Reason("widened", {"times": wider}))
+    variance = float(edge_variances(found.posterior).mean())
+    if outcome != "withheld" and variance > 0.0:
+        reasons.append(Reason("soft_edges", {"sd_rad": math.sqrt(variance)}))
     reasons += [Reason.told("motion", text) for text in motion_notes(fit, index)]
     return Verdict(outcome, (*reasons, *notes))
 

@@ -39,7 +39,7 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import TAILS, DirectPosterior
-from bayesbl.matching.signals import SimulatedSignals, Unknown
+from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
 from bayesbl.model_search.refit import Explanation, columns_of, polished, refit
@@ -101,6 +101,8 @@ PLACES_FITTED = 2
 CLOSE = 30.0
 """χ² by which a rough fit of one part may be behind that of another and still be fitted to the end:
 odds of e¹⁵."""
+
+EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
 MOST_ROUNDS = 3
 MOST_HALVES = 4
@@ -516,6 +518,10 @@ def marginalised(
 ) -> DirectPosterior:
     """Draws that no longer take laws and parameters of the bench to be as it has them.
 
+    Where the recordings show that the gap's edges are soft, nor is δ known more sharply than these
+    edges are: where teeth begin to touch depends on how, which no recording tells. All snapshots
+    share that.
+
     Within the ranges of the unknowns: a draw that would leave them is made anew, and stays where it
     was where none is within.
     """
@@ -523,9 +529,14 @@ def marginalised(
         return posterior
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
+    gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
+    edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
         tried = flat[outside] + rest.posterior.draw(rng, outside.size).shift
+        edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
+        gap_rad = np.exp(tried[:, gaps]) + edge_rad[:, None]
+        tried[:, gaps] = np.log(np.maximum(gap_rad, 1e-300))
         within = np.all((tried > model.low) & (tried < model.high), axis=1)
         moved[outside[within]] = tried[within]
         outside = outside[~within]
@@ -534,6 +545,17 @@ def marginalised(
     before, after = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (flat, moved))
     factor = after / np.maximum(before, 1e-300)
     return replace(posterior, draws=moved.reshape(posterior.draws.shape), model_widening=factor)
+
+
+def edge_variances(posterior: DirectPosterior) -> FloatArray:
+    """Draws of the variance of the gap's edges, rad², shape (chain, draw).
+
+    Zero where the recordings do not show that these are soft.
+    """
+    names = [unknown.name for unknown in posterior.fit.model.unknowns]
+    if EDGE_VARIANCE not in names:
+        return np.zeros(posterior.draws.shape[:-1])
+    return posterior.draws[..., names.index(EDGE_VARIANCE)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,20 @@ def reference_slopes(t, y, p, piece, width):
             math.pi + math.atan(alpha * (x - delta)) - math.atan(alpha * (x + delta))
         )
         shaft = (x - delta * np.sign(x) + ds / ks * v) * stiffness
+    v_edge = p[S.contact_softness__variance_rad2]
+    if v_edge > 0.0:
+        # The mean over a logistic edge, by its distribution function and that one's integral.
+        scale = math.sqrt(3.0 * v_edge) / math.pi
+        if abs(x) > delta:
+            shaft -= ks * math.copysign(abs(x) - delta, x) + ds * v
+        for side in (1.0, -1.0):
+            z = (side * x - delta) / scale
+            shaft += side * ks * scale * (max(z, 0.0) + math.log1p(math.exp(-abs(z))))
+            shaft += ds * v * 0.5 * (1.0 + math.tanh(0.5 * z))
     if abs(x) > delta:
+        e = abs(x) - delta
+        at = p[S.gravity_torque_nm] / ks
+        shaft += np.sign(x) * ks * (at * (e / at) ** (1.0 + p[S.contact_exponent__excess]) - e)
         shaft += p[S.stiffness_hardening__stiffness_nm_per_rad3] * (x - delta * np.sign(x)) ** 3
         shaft += p[S.flank_asymmetry__share] * ks * (abs(x) - delta)
         shaft += p[S.contact_damping__factor_s_per_rad] * ks * (abs(x) - delta) * v
@@ -296,6 +309,8 @@ EFFECT_RANGES: dict[str, dict[str, tuple[float, float]]] = {
     },
     "encoder_eccentricity": {"angle_rad": (-0.01, 0.01), "phase_rad": (-3, 3)},
     "stiffness_hardening": {"stiffness_nm_per_rad3": (-1e9, 5e9)},
+    "contact_exponent": {"excess": (-0.1, 0.5)},
+    "contact_softness": {"variance_rad2": (1e-11, 5e-9)},
     "flank_asymmetry": {"share": (-0.4, 0.4)},
     "contact_damping": {"factor_s_per_rad": (0.1, 2.0)},
     "shaft_hysteresis": {"torque_nm": (5.0, 60.0), "angle_rad": (1e-4, 2e-3)},
