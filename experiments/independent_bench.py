@@ -108,6 +108,8 @@ class Plant(NamedTuple):
     encoder_eccentricity__angle_rad: float = 0.0
     encoder_eccentricity__phase_rad: float = 0.0
     stiffness_hardening__stiffness_nm_per_rad3: float = 0.0
+    contact_exponent__excess: float = 0.0
+    contact_softness__variance_rad2: float = 0.0
     flank_asymmetry__share: float = 0.0
     contact_damping__factor_s_per_rad: float = 0.0
     shaft_hysteresis__torque_nm: float = 0.0
@@ -157,6 +159,7 @@ class Plant(NamedTuple):
     outside__position_friction_nm: float = 0.0  # of the load, over its angle
     outside__position_friction_phase_rad: float = 0.0
     outside__contact_damping_nm_s_per_rad: float = 0.0  # times √compression, of 1 rad
+    outside__edge_rad: float = 0.0  # to each side of the gap's edge, stiffness rises as a ramp
     outside__bouc_wen_nm: float = 0.0
     outside__bouc_wen_rad: float = 5e-4
     outside__encoder_1_rad: float = 0.0  # errors of the disc: orders 1, 2 and 4 of the motor
@@ -194,6 +197,37 @@ def _shaft(twist, slip, gap, stiffness, damping, p):
     alpha = p.stiffness_sharpness_per_rad
     share = 1.0 + (math.atan(alpha * (twist - gap)) - math.atan(alpha * (twist + gap))) / math.pi
     return (stiffness * (twist - math.copysign(gap, twist)) + damping * slip) * share
+
+
+@_jit
+def _soft(twist, slip, gap, stiffness, damping, p):
+    """Torque of a shaft whose gap has edges of logistic distribution, load side."""
+    scale = math.sqrt(3.0 * p.contact_softness__variance_rad2) / math.pi
+    torque = 0.0
+    for side in (1.0, -1.0):
+        z = (side * twist - gap) / scale
+        torque += side * stiffness * scale * (max(z, 0.0) + math.log1p(math.exp(-abs(z))))
+        torque += damping * slip * 0.5 * (1.0 + math.tanh(0.5 * z))
+    return torque
+
+
+@_jit
+def _ramped(twist, slip, gap, stiffness, damping, edge):
+    """Torque of a shaft whose stiffness rises as a ramp across the edge of its gap, load side."""
+    beyond = abs(twist) - gap
+    if beyond <= -edge:
+        return 0.0
+    share = min(1.0, 0.5 * (beyond + edge) / edge)
+    compression = beyond if beyond > edge else share * 0.5 * (beyond + edge)
+    return math.copysign(stiffness * compression, twist) + damping * share * slip
+
+
+@_jit
+def _hertzian(compression, stiffness, p):
+    """Torque of a contact of exponent 1 + m, with the stiffness at gravity's largest torque."""
+    at = abs(p.gravity_torque_nm) / stiffness
+    size = math.pow(abs(compression) / at, 1.0 + p.contact_exponent__excess)
+    return math.copysign(stiffness * at * size, compression)
 
 
 @_jit
@@ -314,11 +348,18 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
     times = 2.0 if three else 1.0
     stiffness = times * p.shaft_stiffness_nm_per_rad
     damping = times * p.shaft_damping_nm_s_per_rad
-    shaft = _shaft(twist, slip, gap, stiffness, damping, p)
+    if p.contact_softness__variance_rad2 > 0.0:
+        shaft = _soft(twist, slip, gap, stiffness, damping, p)
+    elif p.outside__edge_rad > 0.0:
+        shaft = _ramped(twist, slip, gap, stiffness, damping, p.outside__edge_rad)
+    else:
+        shaft = _shaft(twist, slip, gap, stiffness, damping, p)
     if abs(twist) > gap:
         compression = twist - math.copysign(gap, twist)
         shaft += p.stiffness_hardening__stiffness_nm_per_rad3 * compression**3
         shaft += p.flank_asymmetry__share * stiffness * abs(compression)
+        if p.contact_exponent__excess != 0.0:
+            shaft += _hertzian(compression, stiffness, p) - stiffness * compression
         shaft += p.contact_damping__factor_s_per_rad * stiffness * abs(compression) * slip
         shaft += p.outside__contact_damping_nm_s_per_rad * math.sqrt(abs(compression)) * slip
     shaft += p.shaft_hysteresis__torque_nm * y[7]

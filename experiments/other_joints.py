@@ -4,6 +4,7 @@
 
 A case is a joint of ``independent_bench.py`` with a part that its data sheet does not know: a belt,
 an elastic arm, a base that gives way, a gap that varies over the load's angle, a second gap,
+a contact that stiffens with its load or begins softly,
 something that shakes it, noise that is louder around impacts, impacts that are unlike, another
 speed, another gravity, a fieldbus, a digital loop. Parameters lie within a fifth of the reference
 bench; the data sheet is off by up to ``sheet_off`` in each. As a user would: files, then
@@ -54,6 +55,8 @@ UNLIKE = 0.15
 OTHER_SPEED = 1.05
 HEAVIER = 1.05
 FIELDBUS_HZ, FIELDBUS_JITTER_S = 250.0, 4e-4
+EXCESS = (0.03, 0.5)
+EDGE_SHARE = (3e-3, 5e-2)
 QUIET = Noise(0.3, 0.6, 0.02)
 FINE_HZ = 4000.0
 
@@ -64,6 +67,9 @@ Structure = Literal[
     "base",
     "varying gap",
     "two gaps",
+    "hertzian",
+    "soft edges",
+    "soft onset",
     "shaken",
     "louder around impacts",
     "unlike impacts",
@@ -166,6 +172,11 @@ def _shaken(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, floa
     return {"outside__shaking_nm": torque, "outside__shaking_hz": hz}
 
 
+def _soft(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]:
+    windup = joint.value("gravity_torque_nm") / joint.value("shaft_stiffness_nm_per_rad")
+    return {"outside__edge_rad": windup * math.exp(rng.uniform(*np.log(EDGE_SHARE)))}
+
+
 PARTS: Mapping[str, Callable[[Bench, float, np.random.Generator], dict[str, float]]] = {
     "none": lambda joint, hz, rng: {},
     "belt": _belt,
@@ -173,6 +184,9 @@ PARTS: Mapping[str, Callable[[Bench, float, np.random.Generator], dict[str, floa
     "base": _base,
     "varying gap": _varying,
     "two gaps": lambda joint, hz, rng: {"outside__second_gap_rad": 2e-4},
+    "hertzian": lambda joint, hz, rng: {"contact_exponent__excess": rng.uniform(*EXCESS)},
+    "soft edges": _soft,
+    "soft onset": _soft,
     "shaken": _shaken,
     "differentiated encoder": lambda joint, hz, rng: {
         "sampled_control__period_s": 1e-3,
@@ -226,6 +240,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
                 "start_angle_rad": start,
                 "motor_start_angle_rad": motor,
             }
+            if row.structure == "soft onset":
+                # The gap of such a joint is where its teeth begin to touch.
+                truth["gap_rad"] += part["outside__edge_rad"]
             if row.structure == "shaken":
                 truth["outside__shaking_phase_rad"] = phase
             return written(recorded(row, truth | part, label, rng), folder / f"{label}.csv")

@@ -239,6 +239,28 @@ def test_hardening_shaft_winds_up_less() -> None:
     assert 1.2e5 * twist + cubic * twist**3 == pytest.approx(torque, rel=1e-3)
 
 
+@pytest.mark.parametrize("excess", [0.11, 0.5, -0.1])
+def test_a_hertzian_contact_winds_up_by_a_power_of_its_load(excess: float) -> None:
+    """K_s is its stiffness at a compression of 1 mrad, as that shaft has no gravity."""
+    at = kernel.COMPRESSION_RAD
+    for share in (1.0, 0.3):
+        twist = twist_under(1.2e5 * at * share, contact_exponent__excess=excess)
+        assert twist / at == pytest.approx(share ** (1.0 / (1.0 + excess)), rel=1e-3)
+
+
+def test_soft_edges_bear_at_the_edge_and_nothing_far_from_it() -> None:
+    """At its edge a logistic gap bears K_s s ln 2, s its scale; four standard deviations on, as
+    if its edges were sharp."""
+    variance = 1e-9
+    scale = math.sqrt(3.0 * variance) / math.pi
+    soft = {"backlash__gap_rad": GAP, "hard_dead_zone": 1.0}
+    soft["contact_softness__variance_rad2"] = variance
+    at_the_edge = twist_under(1.2e5 * scale * math.log(2.0), **soft)
+    assert at_the_edge == pytest.approx(GAP, rel=1e-4)
+    far = 4.0 * math.sqrt(variance)
+    assert twist_under(1.2e5 * far, **soft) == pytest.approx(GAP + far, abs=2e-3 * far)
+
+
 @pytest.mark.parametrize("torque", [425.0, -425.0])
 def test_flanks_of_different_stiffness_wind_up_differently(torque: float) -> None:
     share = 0.2
@@ -254,6 +276,8 @@ def test_flanks_of_different_stiffness_wind_up_differently(torque: float) -> Non
         {"flank_asymmetry__share": 0.3},
         {"flank_asymmetry__share": -0.5},
         {"stiffness_hardening__stiffness_nm_per_rad3": 5e9},
+        {"contact_exponent__excess": 0.4},
+        {"contact_softness__variance_rad2": 1e-9},
     ],
 )
 def test_a_motion_begins_at_rest_on_flanks_of_any_law(effect: dict[str, float]) -> None:
