@@ -24,7 +24,7 @@ from bayesbl.config.kinds import Limits
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
-from bayesbl.matching.planning import GAPS_TRIED, MotionLimits, PlannedMotion, ranked_motions
+from bayesbl.matching.planning import GAPS_TRIED, PlannedMotion, Strokes, ranked_motions
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_unknowns
 
@@ -109,7 +109,7 @@ def _ranked(row: Row) -> tuple[Bench, list[PlannedMotion]]:
         motion
         for limits in row.limits
         for motion in ranked_motions(
-            bench, MotionLimits(**limits.model_dump()), row.gap_rad, SAMPLING_HZ
+            bench, Strokes(**limits.model_dump()), row.gap_rad, SAMPLING_HZ
         )
         if motion.expected_relative_sd is not None
     ]

@@ -383,11 +383,9 @@ class Bench:
         position, speed, current = simulate_channels(
             parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm
         )[0, [POSITION, SPEED, CURRENT]]
-        offset = float(position[0])
-        if motor_start_angle_rad is not None:
-            offset = parameters[0, Slot.gear_ratio] * start_angle_rad - motor_start_angle_rad
+        zero = _zero_rad(position, parameters[0], motor_start_angle_rad)
         channels = self.measurement.channels(
-            position - offset, speed, current, parameters[0], sampling_hz, seed
+            position - zero, speed, current, parameters[0], sampling_hz, seed
         )
         return self._recording(name, sampling_hz, channels, parameters[0], reference)
 
@@ -397,11 +395,9 @@ class Bench:
         motion: Motion,
         *,
         sampling_hz: float = 1000.0,
-        start_angle_rad: float | None = None,
         motor_start_angle_rad: float | None = None,
         seed: np.random.Generator | None = None,
         name: str = "simulated",
-        accuracy_rpm: float | None = None,
     ) -> Recording:
         """One recording of a motion, with its references as channels.
 
@@ -409,9 +405,7 @@ class Bench:
 
         Parameters
         ----------
-        start_angle_rad
-            Load angle at the first sample; the motion's own if ``None``.
-        gap_rad, sampling_hz, motor_start_angle_rad, seed, name, accuracy_rpm
+        gap_rad, sampling_hz, motor_start_angle_rad, seed, name
             As :meth:`simulate`.
 
         Raises
@@ -419,30 +413,24 @@ class Bench:
         BenchError
             If a parameter makes no sense, the motor cannot follow or the simulation fails.
         """
-        begin = motion.start_angle_rad if start_angle_rad is None else start_angle_rad
         parameters = self.vector(
             gap_rad=gap_rad,
-            start_angle_rad=begin,
+            start_angle_rad=motion.start_angle_rad,
             motor_start_angle_rad=motor_start_angle_rad,
         )
         time = np.arange(math.floor(round(motion.duration_s * sampling_hz, 6)) + 1) / sampling_hz
-        position, speed, current = simulate_motions(
-            parameters, motion, time.size, sampling_hz, accuracy_rpm=accuracy_rpm
-        )[0]
-        offset = float(position[0])
-        if motor_start_angle_rad is not None:
-            start = parameters[0, Slot.start_angle_rad]
-            offset = parameters[0, Slot.gear_ratio] * start - motor_start_angle_rad
+        position, speed, current = simulate_motions(parameters, motion, time.size, sampling_hz)[0]
+        zero = _zero_rad(position, parameters[0], motor_start_angle_rad)
         loop = None if motion.output_held else parameters[0]
         channels = self.measurement.channels(
-            position - offset, speed, current, loop, sampling_hz, seed
+            position - zero, speed, current, loop, sampling_hz, seed
         )
         if motion.output_held:
             torque = self.value("torque_constant_nm_per_a") * channels[MOTOR_CURRENT]
             channels = {MOTOR_POSITION: channels[MOTOR_POSITION], MOTOR_TORQUE: torque}
         else:
             channels[REFERENCE_SPEED] = motion.speed_rpm(time)
-            channels[REFERENCE_POSITION] = position[0] - offset + motion.position_rad(time)
+            channels[REFERENCE_POSITION] = position[0] - zero + motion.position_rad(time)
         return self._recording(name, sampling_hz, channels, parameters[0], None)
 
     def _recording(
@@ -476,3 +464,13 @@ class Bench:
             "speed_source": _SPEED_SOURCES[self.measurement.speed_source],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _zero_rad(
+    position_rad: FloatArray, parameters: FloatArray, motor_start_angle_rad: float | None
+) -> float:
+    """What a recorded position counts from: its first value, or that of an absolute encoder."""
+    if motor_start_angle_rad is None:
+        return float(position_rad[0])
+    relaxed = parameters[Slot.gear_ratio] * parameters[Slot.start_angle_rad]
+    return float(relaxed - motor_start_angle_rad)

@@ -521,7 +521,7 @@ class Inference:
         """χ² of a group's mean, as a share of the disagreement at the nominal fit."""
         mean = self.discrepancy_draws[:, self.groups[group]].mean(axis=0)
         signal = self.posterior.linearised.discrepancy[:, self.groups[group]] @ mean
-        return float(signal @ signal) / max(self.posterior.disagreement.before, 1.0)
+        return float(signal @ signal) / max(self.posterior.excess_chi_square, 1.0)
 
 
 def _of_waves(

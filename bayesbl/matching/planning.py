@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -56,8 +57,8 @@ LARGEST_CURRENT_SHARE = 0.95
 
 
 @dataclass(frozen=True, slots=True)
-class MotionLimits:
-    """What the joint may do: load angles, speed and acceleration of the motor, rests, length."""
+class Strokes:
+    """Load angles at their ends, speed and acceleration of the motor, rests between, length."""
 
     range_rad: tuple[float, float]
     speed_rpm: float
@@ -67,7 +68,7 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedMotion:
+class PlannedMotion(Strokes):
     """Strokes and what they would tell.
 
     Attributes
@@ -79,21 +80,12 @@ class PlannedMotion:
         at one of them.
     """
 
-    range_rad: tuple[float, float]
-    speed_rpm: float
-    acceleration_rpm_per_s: float
-    dwell_s: float
-    duration_s: float
     flank_changes: int
     expected_relative_sd: float | None
 
 
 def ranked_motions(
-    bench: Bench,
-    limits: MotionLimits,
-    gap_rad: float,
-    sampling_hz: float,
-    workers: int = 1,
+    bench: Bench, limits: Strokes, gap_rad: float, sampling_hz: float, workers: int = 1
 ) -> list[PlannedMotion]:
     """Candidate strokes within the limits, the one that tells δ best first.
 
@@ -104,30 +96,22 @@ def ranked_motions(
     BenchError
         If the bench has no noise, or can follow none of the motions.
     """
-    found = [
-        planned
-        for range_rad, speed, acceleration in candidates(bench, limits)
-        if (
-            planned := _planned(
-                bench, limits, range_rad, speed, acceleration, gap_rad, sampling_hz, workers
-            )
-        )
-        is not None
-    ]
-    if not found:
+    tried = (
+        _planned(bench, tried, gap_rad, sampling_hz, workers) for tried in candidates(bench, limits)
+    )
+    planned = [motion for motion in tried if motion is not None]
+    if not planned:
         raise BenchError(
             "The drive can follow none of the motions within these limits.",
             where="[limits] acceleration_rpm_per_s",
             found=f"{limits.acceleration_rpm_per_s:g} and less",
             expected="an acceleration for which current_limit_a is enough",
         )
-    return sorted(found, key=lambda motion: motion.expected_relative_sd or math.inf)
+    return sorted(planned, key=lambda motion: motion.expected_relative_sd or math.inf)
 
 
-def candidates(
-    bench: Bench, limits: MotionLimits
-) -> Iterator[tuple[tuple[float, float], float, float]]:
-    """Range, speed and acceleration of every motion that is tried."""
+def candidates(bench: Bench, limits: Strokes) -> Iterator[Strokes]:
+    """Every motion that is tried."""
     low, high = limits.range_rad
     upright = [
         k * math.pi - bench.value("gravity_angle_rad")
@@ -138,22 +122,18 @@ def candidates(
         half = 0.5 * share * (high - low)
         if half < SHORTEST_REACH_RAD:
             continue
-        centres = (
-            [0.5 * (low + high)]
-            if share == 1.0
-            else [
-                *np.linspace(low + half, high - half, POSTURES).tolist(),
-                *(angle for angle in upright if low + half < angle < high - half),
-            ]
-        )
-        for centre in dict.fromkeys(round(c, 6) for c in centres):
-            for speed_share in SPEED_SHARES:
-                for acceleration_share in ACCELERATION_SHARES:
-                    yield (
-                        (centre - half, centre + half),
-                        speed_share * limits.speed_rpm,
-                        acceleration_share * limits.acceleration_rpm_per_s,
-                    )
+        centres = [0.5 * (low + high)]
+        if share < 1.0:
+            centres = np.linspace(low + half, high - half, POSTURES).tolist()
+            centres += [angle for angle in upright if low + half < angle < high - half]
+        centres = list(dict.fromkeys(round(centre, 6) for centre in centres))
+        for centre, speed, acceleration in product(centres, SPEED_SHARES, ACCELERATION_SHARES):
+            yield replace(
+                limits,
+                range_rad=(centre - half, centre + half),
+                speed_rpm=speed * limits.speed_rpm,
+                acceleration_rpm_per_s=acceleration * limits.acceleration_rpm_per_s,
+            )
 
 
 def noise_of_bench(bench: Bench) -> ChannelNoise:
@@ -190,41 +170,29 @@ def _innovation_sd(model: NoiseModel) -> float:
 
 
 def _planned(
-    bench: Bench,
-    limits: MotionLimits,
-    range_rad: tuple[float, float],
-    speed_rpm: float,
-    acceleration_rpm_per_s: float,
-    gap_rad: float,
-    sampling_hz: float,
-    workers: int,
+    bench: Bench, tried: Strokes, gap_rad: float, sampling_hz: float, workers: int
 ) -> PlannedMotion | None:
     """What strokes would tell; ``None`` where the drive cannot follow them."""
-    motion = strokes(
-        bench.value("gear_ratio"),
-        range_rad,
-        speed_rpm,
-        acceleration_rpm_per_s,
-        limits.dwell_s,
-        limits.duration_s,
-    )
-    asked = (speed_rpm, acceleration_rpm_per_s, limits.dwell_s, limits.duration_s)
-    samples = round(limits.duration_s * sampling_hz)
-    row = bench.vector(gap_rad=gap_rad, start_angle_rad=range_rad[0])
+    motion = strokes(bench.value("gear_ratio"), **asdict(tried))
+    start_rad, samples = tried.range_rad[0], round(tried.duration_s * sampling_hz)
+    row = bench.vector(gap_rad=gap_rad, start_angle_rad=start_rad)
     signals = simulate_motions(row, motion, samples, sampling_hz)[0, [SPEED, CURRENT]]
     if np.max(np.abs(signals[1])) > LARGEST_CURRENT_SHARE * bench.value("current_limit_a"):
         return None
-    found = [
-        _told(bench, _as_recorded(motion, signals, sampling_hz), range_rad[0], gap, workers)
-        for gap in gap_rad * np.array(GAPS_TRIED)
-    ]
-    sds = [sd for _, sd in found]
-    changes = found[len(found) // 2][0]
+    seen = _as_recorded(motion, signals, sampling_hz)
+    changes, sds = zip(
+        *(_expected(bench, seen, start_rad, share * gap_rad, workers) for share in GAPS_TRIED),
+        strict=True,
+    )
     expected = math.sqrt(sum(sd**2 for sd in sds) / len(sds))
-    return PlannedMotion(range_rad, *asked, changes, expected if math.isfinite(expected) else None)
+    return PlannedMotion(
+        **asdict(tried),
+        flank_changes=changes[len(changes) // 2],
+        expected_relative_sd=expected if math.isfinite(expected) else None,
+    )
 
 
-def _told(
+def _expected(
     bench: Bench, seen: Observed, start_angle_rad: float, gap_rad: float, workers: int
 ) -> tuple[int, float]:
     """Changes of flank at a gap, and the standard deviation of ln δ, infinite without any."""

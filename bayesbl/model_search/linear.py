@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -171,11 +171,10 @@ class Linearised:
 @dataclass(frozen=True, slots=True)
 class Priors:
     """``expected``: hypotheses in a joint nobody has looked at, even over all, but for those whose
-    own prior ``probability`` is stated; ``discrepancy_absent``: probability for each group."""
+    own prior ``probability`` is stated."""
 
     expected: float = EXPECTED_HYPOTHESES
     probability: Mapping[str, float] = field(default_factory=dict)
-    discrepancy_absent: float = DISCREPANCY_ABSENT
 
     def log_odds(self, hypotheses: Iterable[str]) -> dict[str, float]:
         """Of each hypothesis to be there."""
@@ -204,15 +203,6 @@ class Model:
     scales: tuple[float, ...]
     log_posterior: float
     _level: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Disagreement:
-    """Chi-square less its freedom: at the fit, beside the terms, and beside the discrepancy too."""
-
-    before: float
-    beside_terms: float
-    beside_all: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -328,48 +318,46 @@ class _Grams:
     """Everything that depends on the view alone: the Gram matrices with u marginalised."""
 
     def __init__(self, view: Linearised, priors: Priors) -> None:
-        self.view, self.priors = view, priors
-        self.size = view.residual.size
+        self.view = view
         terms = view.terms
-        free = [i for i, t in enumerate(terms) if t.always and not t.positive]
-        self.bound = [i for i, t in enumerate(terms) if t.always and t.positive]
         self.selected = [i for i, t in enumerate(terms) if not t.always]
-        own = [i for i in range(len(terms)) if i not in set(free)]
-        widths = {i: terms[i].columns.shape[1] for i in range(len(terms))}
-        self.free = free
-        self.d = view.jacobian.shape[1]
+        self.free = [i for i, t in enumerate(terms) if t.always and not t.positive]
+        own = [i for i in range(len(terms)) if i not in set(self.free)]
+        self.widths = np.array([t.columns.shape[1] for t in terms], dtype=int)
+        ends = np.cumsum([0, *self.widths])
+        every = [np.arange(a, b) for a, b in itertools.pairwise(ends)]
+        nothing = np.zeros(0, dtype=int)
+        self.place = np.concatenate([nothing, *(every[i] for i in own)])
+        self.place_free = np.concatenate([nothing, *(every[i] for i in self.free)])
+        self.d, self.k = view.jacobian.shape[1], self.place.size
+        self.m = view.discrepancy.shape[1]
         self.scale_of_column = self._discrepancy_scale()
-        empty = np.zeros((self.size, 0))
-        nuisance = np.hstack([view.jacobian, *(terms[i].columns for i in free)])
-        columns = np.hstack([empty, *(terms[i].columns for i in own)])
+        nuisance = [view.jacobian, *(terms[i].columns for i in self.free)]
         h = view.discrepancy * self.scale_of_column
-        rest = np.hstack([columns, h])
-        q = nuisance.shape[1]
-        prior = np.eye(q)
-        prior[: self.d, : self.d] = view.prior_precision
-        pull = np.zeros(q)
-        pull[: self.d] = view.prior_pull
-        self.k, self.m = columns.shape[1], h.shape[1]
-        everything = np.hstack([nuisance, rest, view.residual[:, None]])
-        self.prior, self.pull = prior, pull
+        columns = [terms[i].columns for i in own]
+        everything = np.hstack([*nuisance, *columns, h, view.residual[:, None]])
+        self.prior = np.eye(self.d + self.place_free.size)
+        self.prior[: self.d, : self.d] = view.prior_precision
+        self.pull = np.zeros(len(self.prior))
+        self.pull[: self.d] = view.prior_pull
         self.parts = [everything[b.rows].T @ everything[b.rows] for b in view.bands]
         self.rest_part = everything.T @ everything - sum(self.parts, np.zeros(()))
         self._bases: dict[tuple[int, ...], _Base] = {}
-        lowest = 1.0 / math.sqrt(max(1, self.size))
+        size = view.residual.size
+        lowest = 1.0 / math.sqrt(max(1, size))
         steps = math.ceil(math.log(DISCREPANCY_LARGEST / lowest) / math.log(DISCREPANCY_SPACING))
         self.lattice = np.concatenate([[0.0], lowest * DISCREPANCY_SPACING ** np.arange(steps)])
         alone = self.base((0,) * len(view.scaled))
         gram_u = alone.nuisance_gram[: self.d, : self.d]
         self.inverse_u, _ = _factor(gram_u)
         self.pull_u = alone.nuisance_pull[: self.d]
-        self.chi_square_alone = alone.squares - float(self.pull_u @ self.inverse_u @ self.pull_u)
+        chi_square = alone.squares - float(self.pull_u @ self.inverse_u @ self.pull_u)
         effective = float(np.sum(self.inverse_u * (gram_u - view.prior_precision)))
-        self.freedom = self.size - effective
-        self.widths = np.array([widths[i] for i in range(len(terms))], dtype=int)
-        places = itertools.accumulate((widths[i] for i in own), initial=0)
-        starts = dict(zip(own, places, strict=False))
-        self.columns_of = {i: starts[i] + np.arange(widths[i]) for i in self.selected}
-        self.bound_columns = np.array([starts[i] for i in self.bound], dtype=int)
+        self.excess_chi_square = chi_square - (size - effective)
+        starts = dict(zip(own, np.cumsum([0, *self.widths[own]]), strict=False))
+        self.columns_of = {i: starts[i] + np.arange(self.widths[i]) for i in own}
+        bound = [i for i in own if terms[i].always]
+        self.bound_columns = np.concatenate([nothing, *(self.columns_of[i] for i in bound)])
         self.is_positive = np.zeros(self.k, dtype=bool)
         for i in own:
             self.is_positive[starts[i]] = terms[i].positive
@@ -378,9 +366,9 @@ class _Grams:
         for i in self.selected:
             self.log_prior[i] = odds[terms[i].hypothesis] + math.log(terms[i].prior_weight)
         self.apart = self._apart()
-        there = {terms[i].hypothesis for i in range(len(terms))}
+        there = {term.hypothesis for term in terms}
         self.requires = [term.requires & there for term in terms]
-        self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float, float]] = {}
+        self._cache: dict[tuple[int, ...], tuple[FloatArray, FloatArray, float]] = {}
 
     def base(self, level: tuple[int, ...]) -> _Base:
         """Everything with u and what is always there marginalised, at the scales of the bands."""
@@ -396,11 +384,11 @@ class _Grams:
         return self._bases[own]
 
     def _discrepancy_scale(self) -> FloatArray:
-        squares = (self.view.discrepancy**2).sum(axis=0)
+        size, squares = self.view.residual.size, (self.view.discrepancy**2).sum(axis=0)
         scale = np.zeros(squares.size)
         for group in self.view.groups:
             total = squares[group.columns].sum()
-            scale[group.columns] = math.sqrt(self.size / total) if total > 0.0 else 0.0
+            scale[group.columns] = math.sqrt(size / total) if total > 0.0 else 0.0
         return scale
 
     def _apart(self) -> np.ndarray:
@@ -424,13 +412,12 @@ class _Grams:
             return np.zeros(0, dtype=int), np.zeros(0)
         return np.concatenate(there), np.concatenate(precision)
 
-    def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float, float]:
-        """Gram and right side of the terms with h marginalised, its ln evidence, and χ²
-        that it takes."""
+    def at(self, level: tuple[int, ...]) -> tuple[FloatArray, FloatArray, float]:
+        """Gram and right side of the terms with h marginalised, and its ln evidence."""
         if level not in self._cache:
             k, base = self.k, self.base(level)
             gram, right = base.gram[:k, :k], base.right[:k]
-            log_evidence, taken = base.log_volume - 0.5 * base.chi_square, 0.0
+            log_evidence = base.log_volume - 0.5 * base.chi_square
             there, precision = self.precision_of_h(level)
             if there.size:
                 at = there + k
@@ -442,14 +429,13 @@ class _Grams:
                 own = np.linalg.solve(lower, base.right[at] / root)
                 gram = gram - cross.T @ cross
                 right = right - cross.T @ own
-                taken = float(own @ own)
-                log_evidence += 0.5 * taken - float(np.log(np.diag(lower)).sum())
-            absent = self.priors.discrepancy_absent
+                log_evidence += 0.5 * float(own @ own) - float(np.log(np.diag(lower)).sum())
+            absent = DISCREPANCY_ABSENT
             for index, group in zip(level, self.view.scaled, strict=True):
                 weight = absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
                 log_evidence += math.log(weight)
                 log_evidence -= 0.5 * float(self.lattice[index] / group.usual) ** 2
-            self._cache[level] = gram, right, log_evidence, taken
+            self._cache[level] = gram, right, log_evidence
         return self._cache[level]
 
     def columns(self, terms: tuple[int, ...]) -> np.ndarray:
@@ -465,7 +451,7 @@ class _Grams:
         self, sets: Sequence[tuple[int, ...]], level: tuple[int, ...], *, sweeps: int = 12
     ) -> FloatArray:
         """ln of prior times evidence of sets at one level, (B,)."""
-        gram, right, base, _ = self.at(level)
+        gram, right, base = self.at(level)
         result = np.array([base + sum(self.log_prior[i] for i in terms) for terms in sets])
         by_size: dict[int, list[int]] = {}
         every = [self.columns(terms) for terms in sets]
@@ -489,7 +475,7 @@ class _Grams:
     def extensions(self, terms: tuple[int, ...], level: tuple[int, ...]) -> FloatArray:
         """What each selected term adds to ln of prior times evidence beside a set; −∞ where it
         cannot stand there. Signs of the set are left as they are: a first estimate."""
-        gram, right, _, _ = self.at(level)
+        gram, right, _ = self.at(level)
         columns = self.columns(terms)
         if columns.size:
             block = gram[np.ix_(columns, columns)] + np.eye(columns.size)
@@ -522,7 +508,7 @@ class _Grams:
         self, terms: tuple[int, ...], level: tuple[int, ...]
     ) -> tuple[np.ndarray, FloatArray, FloatArray]:
         """Columns of a set (those always there last), mean and precision before the signs."""
-        gram, right, _, _ = self.at(level)
+        gram, right, _ = self.at(level)
         columns = self.columns(terms)
         precision = gram[np.ix_(columns, columns)] + np.eye(columns.size)
         return columns, np.linalg.solve(precision, right[columns]), precision
@@ -711,31 +697,6 @@ class ModelPosterior:
         return total
 
     @cached_property
-    def disagreement(self) -> Disagreement:
-        """Averaged over the models."""
-        grams = self._grams
-        beside_terms = beside_all = 0.0
-        likely = self._likely()
-        for model, weight in likely.items():
-            nowhere = (0,) * len(model._level)
-            taken = []
-            for level in (nowhere, model._level):
-                columns, _, precision = grams.normal(model.terms, level)
-                _, right, _, by_h = grams.at(level)
-                b = right[columns]
-                positive = grams.is_positive[columns]
-                solved = _within(b, precision, positive)
-                taken.append(by_h + 2.0 * float(b @ solved) - float(solved @ precision @ solved))
-            there, prior = grams.precision_of_h(model._level)
-            at = there + grams.k
-            gram = grams.base(model._level).gram[np.ix_(at, at)]
-            freedom = float(np.trace(np.linalg.solve(gram + np.diag(prior), gram)))
-            left = grams.base(model._level).chi_square - grams.freedom
-            beside_terms += weight * (left - taken[0])
-            beside_all += weight * (left - taken[1] + freedom)
-        return Disagreement(grams.chi_square_alone - grams.freedom, beside_terms, beside_all)
-
-    @cached_property
     def sizes(self) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
         """Of each selected term that a likely model has: the probability of each such model, (m,),
         and there the mean, (m, k), and covariance, (m, k, k), of its sizes in usual ones."""
@@ -751,11 +712,11 @@ class ModelPosterior:
                 own = slice(at, at + self._grams.columns_of[term].size)
                 parts.setdefault(term, []).append((weight, middle[0, own], spread[0, own, own]))
                 at = own.stop
-        found = {}
+        by_term = {}
         for term, every in parts.items():
             weights, means, spreads = zip(*every, strict=True)
-            found[term] = (np.array(weights), np.stack(means), np.stack(spreads))
-        return found
+            by_term[term] = (np.array(weights), np.stack(means), np.stack(spreads))
+        return by_term
 
     def _likely(self) -> dict[Model, float]:
         """Models that hold nearly all of the probability, and what each has of theirs."""
@@ -763,11 +724,10 @@ class ModelPosterior:
         count = 1 + int(np.searchsorted(held, WEIGHED_SHARE * held[-1]))
         return {m: math.exp(m.log_posterior) / held[count - 1] for m in self.models[:count]}
 
-    @cached_property
-    def discrepancy_share(self) -> float:
-        """Of the excess chi-square at the fit, what the discrepancy takes beyond its freedom."""
-        d = self.disagreement
-        return max(0.0, d.beside_terms - d.beside_all) / d.before if d.before > 0.0 else 0.0
+    @property
+    def excess_chi_square(self) -> float:
+        """Chi-square less its freedom, at the fit of u alone."""
+        return self._grams.excess_chi_square
 
     def discrepancy_sd(self, group: int) -> float:
         """Prior standard deviation of a group's coefficients, as the caller scaled its columns, in
@@ -776,39 +736,19 @@ class ModelPosterior:
         columns = self.linearised.groups[group].columns
         return next(scales, 0.0) * float(self._grams.scale_of_column[columns].max(initial=0.0))
 
-    def corrected(self, ln_ratio: Mapping[tuple[int, ...], float]) -> ModelPosterior:
-        """With the evidence of sets multiplied: of a nonlinear refit over the linear one."""
-        raw = [m.log_posterior + ln_ratio.get(m.terms, 0.0) for m in self.models]
-        top = max(raw)
-        total = top + math.log(sum(math.exp(value - top) for value in raw))
-        models = (
-            replace(m, log_posterior=value - total)
-            for m, value in zip(self.models, raw, strict=True)
-        )
-        return replace(self, models=tuple(sorted(models, key=lambda m: -m.log_posterior)))
-
     def draw(self, generator: np.random.Generator, n: int) -> Draws:
         """Sizes, discrepancy and what they move the fitted parameters by, of the average.
 
         Draws of the nonlinear posterior of u without any of it plus this shift are draws of the
         posterior of everything; for a linear model exactly.
         """
-        grams, view = self._grams, self.linearised
+        grams = self._grams
         weights = np.exp([m.log_posterior for m in self.models])
         # Each has its share of the draws, and randomness of its own: what none has changes nothing.
         ends = np.floor(n * np.cumsum(weights) / weights.sum() + 0.5).astype(int)
         counts = np.diff(ends, prepend=0)
-        widths = [t.columns.shape[1] for t in view.terms]
-        starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
-        own = [i for i in range(len(widths)) if i not in set(grams.free)]
-        place = np.concatenate(
-            [np.zeros(0, int), *(np.arange(starts[i], starts[i + 1]) for i in own)]
-        )
-        place_free = np.concatenate(
-            [np.zeros(0, int), *(np.arange(starts[i], starts[i + 1]) for i in grams.free)]
-        )
-        sizes, h = np.zeros((n, int(starts[-1]))), np.zeros((n, grams.m))
-        shift = np.zeros((n, grams.d))
+        width = grams.place.size + grams.place_free.size
+        sizes, h, shift = (np.zeros((n, size)) for size in (width, grams.m, grams.d))
         at, unshifted = 0, grams.inverse_u @ grams.pull_u
         for model, count in zip(self.models, counts, strict=True):
             if not count:
@@ -825,7 +765,7 @@ class ModelPosterior:
                 count,
                 own_generator,
             )
-            sizes[rows, place[columns]] = a
+            sizes[rows, grams.place[columns]] = a
             there, prior = grams.precision_of_h(model._level)
             both = np.concatenate([columns, there + grams.k])
             if there.size:
@@ -842,11 +782,11 @@ class ModelPosterior:
                 block = base.inverse[grams.d :, grams.d :]
                 root = np.linalg.cholesky(block)
                 noise = own_generator.standard_normal((count, block.shape[0]))
-                sizes[rows, place_free] = centre[:, grams.d :] + noise @ root.T
+                sizes[rows, grams.place_free] = centre[:, grams.d :] + noise @ root.T
             inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
-            signal = sizes[rows][:, place] @ base.cross[: grams.d, : grams.k].T
+            signal = sizes[rows][:, grams.place] @ base.cross[: grams.d, : grams.k].T
             signal += h[rows] @ base.cross[: grams.d, grams.k :].T
-            signal += sizes[rows][:, place_free] @ base.nuisance_gram[grams.d :, : grams.d]
+            signal += sizes[rows][:, grams.place_free] @ base.nuisance_gram[grams.d :, : grams.d]
             shift[rows] = (base.nuisance_pull[: grams.d] - signal) @ inverse_u - unshifted
         order = generator.permutation(n)
         return Draws(sizes[order], h[order] * grams.scale_of_column, shift[order])

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.kinds import PlanConfig
-from bayesbl.matching.planning import MotionLimits, PlannedMotion, noise_of_bench, ranked_motions
+from bayesbl.matching.planning import PlannedMotion, Strokes, noise_of_bench, ranked_motions
 from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
@@ -88,7 +88,7 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """
     limits, bench = config.limits, bench_from(config.bench)
     require_gap(bench, config.bench)
-    allowed = MotionLimits(
+    allowed = Strokes(
         (limits.range_rad[0], limits.range_rad[1]),
         limits.speed_rpm,
         limits.acceleration_rpm_per_s,

@@ -18,7 +18,7 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import changes_of, flank_changes
 from bayesbl.matching.observed import begin_of, observed
-from bayesbl.matching.planning import MotionLimits, ranked_motions
+from bayesbl.matching.planning import Strokes, ranked_motions
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fit_directly
@@ -274,7 +274,7 @@ def test_noise_is_that_of_the_samples_that_are_kept() -> None:
 
 @pytest.mark.long
 def test_a_plan_expects_what_a_fit_then_finds() -> None:
-    limits = MotionLimits((-0.4, 1.4), 1500.0, 6000.0, 0.1, 3.0)
+    limits = Strokes((-0.4, 1.4), 1500.0, 6000.0, 0.1, 3.0)
     ranked = ranked_motions(BENCH, limits, GAP_RAD, 250.0)
     expected = [m.expected_relative_sd for m in ranked]
     shown = [sd for sd in expected if sd is not None]

@@ -235,21 +235,11 @@ def test_what_no_hypothesis_explains_is_held_by_the_discrepancy():
     size = 2.0 * rng.standard_normal(15)
     posterior = search(view(h @ size + rng.standard_normal(1000), terms, discrepancy=h))
     assert posterior.named == ()
-    assert posterior.discrepancy_share > 0.9
+    assert posterior.discrepancy_sd(0) > 1.0
     residual = 3.0 * terms[0].columns[:, 0] + rng.standard_normal(1000)
     posterior = search(view(residual, terms, discrepancy=h))
     assert posterior.named == ("h0",)
-    assert posterior.discrepancy_share < 0.05
-
-
-def test_a_refit_that_changes_the_evidence_changes_the_odds_by_it():
-    rng = np.random.default_rng(13)
-    column = rng.standard_normal((200, 1))
-    terms = [Term("a", column), Term("b", column + 0.05 * rng.standard_normal((200, 1)))]
-    posterior = search(view(column[:, 0] + rng.standard_normal(200), terms))
-    before = posterior.sets[(0,)] / posterior.sets[(1,)]
-    after = posterior.corrected({(0,): 1.5}).sets
-    assert after[(0,)] / after[(1,)] == pytest.approx(before * math.exp(1.5))
+    assert posterior.discrepancy_sd(0) < 0.2
 
 
 def test_draws_of_sizes_keep_their_signs_and_agree_with_expectation_propagation():

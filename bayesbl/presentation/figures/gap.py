@@ -20,9 +20,9 @@ from bayesbl.measurement.summary_types import SnapshotSummary
 from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, used_dates
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
+    FIGURE_UNITS,
     credible_interval,
     curve_name,
-    decimals,
     gap_colour,
     gap_in_words,
     gap_interval,
@@ -34,7 +34,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import route_in_words
+from bayesbl.presentation.words import decimals, route_in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE
@@ -182,7 +182,7 @@ def _draw_rows(
             )  # fmt: skip
             panel.plot([found["median"]], [place], color=row.colour, marker="|", markersize=7.0,
                        markeredgewidth=1.4)  # fmt: skip
-            places = decimals(found)
+            places = decimals(found, units=FIGURE_UNITS)
             ends = " to ".join(number(found[k], places) for k in ("low", "high"))
             text = f"{number(found['median'], places)}  ({ends})"
         texts.append((float(np.median(row.draws)), place, text))

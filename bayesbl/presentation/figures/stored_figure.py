@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,8 +17,12 @@ from bayesbl.errors import ResultError
 from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_style, save
+from bayesbl.presentation.words import decimals
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
+
+FIGURE_UNITS = 10.0
+"""Of the last decimal, that an interval in a figure is wide."""
 
 
 def route_holding(tree: xr.DataTree, path: str) -> str | None:
@@ -52,11 +55,6 @@ def gap_colour(snapshot: Snapshot, index: int) -> str:
     return WITHHELD if snapshot.withheld else look(index).colour
 
 
-def decimals(found: Interval) -> int:
-    """Decimals that show an interval of a gap in mrad."""
-    return max(0, 1 - math.floor(math.log10(max(found["high"] - found["low"], 1e-9))))
-
-
 def credible_interval(tree: xr.DataTree, draws: FloatArray) -> Interval:
     """Median and interval of draws at the level and of the kind of this result."""
     level, kind = float(tree.attrs["interval_level"]), tree.attrs["interval_kind"]
@@ -70,7 +68,7 @@ def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
 
 def interval_in_words(tree: xr.DataTree, found: Interval) -> str:
     """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
-    places = decimals(found)
+    places = decimals(found, units=FIGURE_UNITS)
     low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))
     return f"{middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")
 
