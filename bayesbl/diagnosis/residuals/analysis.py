@@ -27,7 +27,6 @@ from bayesbl.diagnosis.residuals.decomposition import (
     order_probabilities,
 )
 from bayesbl.diagnosis.residuals.lines import Line, Scales, load_lines, over_speeds, scales
-from bayesbl.diagnosis.residuals.skew import Skew
 from bayesbl.diagnosis.residuals.spectrum import WholeRotations, benjamini_hochberg
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed
@@ -89,9 +88,6 @@ class ChannelResiduals:
         Slope over the recording and its standard error.
     outliers
         Samples that no noise explains (six standard deviations of the whitened noise).
-    skew
-        Fixed time by which the recording lags the simulation; means something only beside the
-        other channels'.
     """
 
     channel: str
@@ -112,7 +108,6 @@ class ChannelResiduals:
     drift_per_s: float
     drift_error_per_s: float
     outliers: int
-    skew: Skew
     split: Split
 
 
@@ -126,37 +121,17 @@ class RecordingResiduals:
 
 
 @dataclass(frozen=True, slots=True)
-class OffsetDependence:
-    """How the offset of a channel depends on direction and speed.
-
-    offset = constant + with_direction · sign ω + per_1000_rpm · ω/(1000 rpm), the channel's unit.
-    A part that these recordings cannot tell from another is nan and contained in the one before it.
-    """
-
-    channel: str
-    constant: float
-    constant_error: float
-    with_direction: float
-    with_direction_error: float
-    per_1000_rpm: float
-    per_1000_rpm_error: float
-
-
-@dataclass(frozen=True, slots=True)
 class ResidualAnalysis:
     """The residuals of all recordings.
 
     Attributes
     ----------
-    offsets
-        How each channel's offset depends on direction and speed.
     false_discovery_rate
         Expected share of false ones among the significant lines; if nothing repeats, the chance
         that any line is called significant.
     """
 
     recordings: tuple[RecordingResiduals, ...]
-    offsets: tuple[OffsetDependence, ...]
     false_discovery_rate: float
 
 
@@ -194,7 +169,7 @@ def analyse_residuals(
         _recording(seen, made, start, false_discovery_rate / tests)
         for seen, made, start in zip(recordings, simulated, start_angles_rad, strict=True)
     ]
-    return ResidualAnalysis(_attributed(analysis), _offsets(analysis), false_discovery_rate)
+    return ResidualAnalysis(_attributed(analysis), false_discovery_rate)
 
 
 def _recording(
@@ -249,7 +224,8 @@ def _channel(
     scale: Scales,
     rate: float,
 ) -> ChannelResiduals:
-    parts = decompose(recorded, simulated, whole, scale, rate)
+    difference = recorded - simulated
+    parts = decompose(difference, whole, scale, rate)
     probability = order_probabilities(parts, whole.rotations)
     threshold = benjamini_hochberg(probability, rate)
     repeats, highest = band_probability(parts, whole.rotations)
@@ -273,13 +249,12 @@ def _channel(
         load_map_error=map_error(parts, whole),
         recorded=mean_over_rotations(recorded, whole),
         simulated=mean_over_rotations(simulated, whole),
-        spectrum=_spectrum(recorded - simulated, parts, whole),
+        spectrum=_spectrum(difference, parts, whole),
         noise_sd=parts.floor.sd,
         drift_per_s=parts.drift_per_s,
         drift_error_per_s=parts.drift_error_per_s,
         outliers=parts.outliers,
-        skew=parts.skew,
-        split=_split(recorded - simulated, parts),
+        split=_split(difference, parts),
     )
 
 
@@ -350,40 +325,4 @@ def _without_reattributed(channel: ChannelResiduals, lines: tuple[Line, ...]) ->
         repeating_rms=math.sqrt(max(left, 0.0)),
         repeating_probability=channel.repeating_probability if kept else 1.0,
         main_orders=_main_orders(power),
-    )
-
-
-def _offsets(analysis: Sequence[RecordingResiduals]) -> tuple[OffsetDependence, ...]:
-    names = dict.fromkeys(c.channel for recording in analysis for c in recording.channels)
-    found = []
-    for name in names:
-        rows = [
-            (recording.whole.reference_speed_rpm, channel.offset, channel.offset_error)
-            for recording in analysis
-            for channel in recording.channels
-            if channel.channel == name
-        ]
-        found.append(offset_dependence(name, *np.array(rows).T))
-    return tuple(found)
-
-
-def offset_dependence(
-    channel: str, speeds_rpm: FloatArray, offsets: FloatArray, errors: FloatArray
-) -> OffsetDependence:
-    """Weighted least squares over recordings, each of shape (r,)."""
-    columns = [np.ones(speeds_rpm.size)]
-    places = [0]
-    for place, column in ((1, np.sign(speeds_rpm)), (2, speeds_rpm / 1000.0)):
-        if np.linalg.matrix_rank(np.stack([*columns, column]), tol=0.05) > len(columns):
-            columns.append(column)
-            places.append(place)
-    design = np.stack(columns, axis=1) / errors[:, None]
-    covariance = np.linalg.inv(design.T @ design)
-    solved = covariance @ design.T @ (offsets / errors)
-    value, error = np.full(3, math.nan), np.full(3, math.nan)
-    value[places] = solved
-    error[places] = np.sqrt(np.diag(covariance))
-    return OffsetDependence(
-        channel,
-        *(float(part) for pair in zip(value, error, strict=True) for part in pair),
     )

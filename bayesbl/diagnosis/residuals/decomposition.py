@@ -15,7 +15,6 @@ from bayesbl.diagnosis.residuals.lines import (
     motor_orders_in_comb,
     strongest_line,
 )
-from bayesbl.diagnosis.residuals.skew import Skew, time_skew
 from bayesbl.diagnosis.residuals.spectrum import (
     NoiseFloor,
     WholeRotations,
@@ -54,8 +53,6 @@ class Decomposition:
         The rest, shape (n,), and its spectrum.
     outliers
         Samples of the whitened noise beyond six of its standard deviations.
-    skew
-        Fixed time by which the recording lags the simulation.
     """
 
     offset: float
@@ -67,7 +64,6 @@ class Decomposition:
     noise: FloatArray
     floor: NoiseFloor
     outliers: int
-    skew: Skew
 
     def ratio(self) -> FloatArray:
         """Periodogram over floor at every bin: whole load orders and, between them, the noise."""
@@ -77,8 +73,7 @@ class Decomposition:
 
 
 def decompose(
-    recorded: FloatArray,
-    simulated: FloatArray,
+    difference: FloatArray,
     whole: WholeRotations,
     scale: Scales,
     false_discovery_rate: float,
@@ -90,10 +85,9 @@ def decompose(
 
     Parameters
     ----------
-    recorded, simulated
-        Shape (n,).
+    difference
+        Recording − simulation, shape (n,).
     """
-    difference = recorded - simulated
     n, rotations = difference.size, whole.rotations
     at_comb = comb(n, rotations)
     floor = noise_floor(difference - repeating_part(difference, rotations), at_comb)
@@ -148,7 +142,6 @@ def decompose(
         noise=noise,
         floor=floor,
         outliers=_outliers(floor.whiten(noise)),
-        skew=time_skew(recorded, simulated, whole.sampling_hz, floor),
     )
 
 

@@ -17,14 +17,10 @@ from bayesbl.diagnosis.residuals.analysis import (
 from bayesbl.diagnosis.residuals.lines import Line
 from bayesbl.units import unit_of
 
-What = Literal[
-    "load angle", "motor angle", "time", "angle or time", "offset", "drift", "skew", "outliers"
-]
+What = Literal["load angle", "motor angle", "time", "angle or time", "offset", "drift", "outliers"]
 
 SURE = 1e-3
-"""Family-wise false-alarm rate of what is no line: repeating bands, drift, skew."""
-SKEW_EXPLAINS = 0.8
-"""Share of a channel's residual that a fixed lag must explain to be called one."""
+"""Family-wise false-alarm rate of what is no line: repeating bands, drift."""
 SAME_ORDER = 2e-3
 FEWEST_OUTLIERS = 3
 MOST_LINES = 6
@@ -38,11 +34,11 @@ class Unexplained:
     Attributes
     ----------
     dependence
-        What it repeats with, or ``offset``, ``drift`` (over a recording), ``skew`` (the channel
-        lags by a fixed time), ``outliers`` (samples that no noise explains).
+        What it repeats with, or ``offset``, ``drift`` (over a recording), ``outliers`` (samples
+        that no noise explains).
     amplitude
         Largest over the recordings, in ``unit``: of the line; for the load angle that of a sine
-        of the same RMS; the offset; the drift per second; the lag; the number of samples.
+        of the same RMS; the offset; the drift per second; the number of samples.
     lowest_order, highest_order
         Of the load for the load angle, else of the motor; ``nan`` where it has none.
     frequency_hz
@@ -143,14 +139,11 @@ def _same(one: Line, other: Line) -> bool:
 
 
 def _numbers(name: str, unit: str, seen: Sequence[Found], tests: int) -> Iterator[Unexplained]:
-    """What a channel has one of: offset, drift, lag, number of outliers; largest of those sure."""
+    """What a channel has one of: offset, drift, number of outliers; largest of those sure."""
 
     def numbers(c: ChannelResiduals) -> Iterator[tuple[What, str, float, bool]]:
         yield "offset", unit, c.offset, c.offset_significant
         yield "drift", f"{unit}/s", c.drift_per_s, _sure(c.drift_per_s / c.drift_error_per_s, tests)
-        lag = c.skew
-        lags = lag.explained >= SKEW_EXPLAINS and _sure(lag.lag_s / lag.standard_error_s, tests)
-        yield "skew", "s", lag.lag_s, lags
         yield "outliers", "samples", c.outliers, c.outliers >= FEWEST_OUTLIERS
 
     of_recordings = [[(r.name, *number) for number in numbers(c)] for r, c in seen]
