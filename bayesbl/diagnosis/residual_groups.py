@@ -16,9 +16,12 @@ from operator import attrgetter
 import numpy as np
 import xarray as xr
 
-from bayesbl.diagnosis.residuals.analysis import ChannelResiduals, ResidualAnalysis
+from bayesbl.diagnosis.residuals.analysis import (
+    ChannelResiduals,
+    ResidualAnalysis,
+    describe_unexplained,
+)
 from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
-from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.diagnosis.summary import plain
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.variables import Group, Variable, dataset, labels, padded, table

@@ -11,9 +11,8 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from bayesbl.diagnosis.residual_groups import residuals_dataset
-from bayesbl.diagnosis.residuals.analysis import analyse_residuals
-from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg, comb, noise_floor
-from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
+from bayesbl.diagnosis.residuals.analysis import analyse_residuals, describe_unexplained
+from bayesbl.diagnosis.residuals.decomposition import benjamini_hochberg, comb, noise_floor
 from bayesbl.diagnosis.summary import plain
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed

@@ -13,8 +13,12 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, paired, simulated
-from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
-from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
+from bayesbl.diagnosis.residuals.analysis import (
+    ResidualAnalysis,
+    Unexplained,
+    analyse_residuals,
+    describe_unexplained,
+)
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit

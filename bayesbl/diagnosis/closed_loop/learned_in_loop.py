@@ -18,7 +18,7 @@ from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.augment import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
-from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
+from bayesbl.diagnosis.residuals.analysis import SAME_ORDER, Unexplained, What
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
