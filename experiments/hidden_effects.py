@@ -429,7 +429,7 @@ def closed_share(found: Findings, made: Sequence[Made], use: str) -> float:
     """Share of the mean square distance to the noise-free truth that naming has closed."""
     clean = {item.recording.name: item.clean[1:] for item in made}
     before = after = 0.0
-    for pair in found.compared.pairs:
+    for pair in found.pairs:
         if pair.use != use:
             continue
         floors = np.array([residuals.noise_floor for residuals in residuals_of(pair)])

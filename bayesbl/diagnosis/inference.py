@@ -45,7 +45,7 @@ from bayesbl.diagnosis.disagreement import (
     piece_residuals,
 )
 from bayesbl.diagnosis.residual_noise import ResidualNoise
-from bayesbl.diagnosis.residuals.unexplained import Unexplained, What
+from bayesbl.diagnosis.residuals.analysis import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
 from bayesbl.progress import StageProgress
@@ -603,7 +603,6 @@ def diagnose(
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
-    named.sort(key=lambda pair: -_squares_without(at, labels, pair[0]))
     effects = [
         _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
         for label, alike in named
@@ -697,14 +696,6 @@ def _fitted(
 
 def _shapes(candidate: Candidate) -> Mapping[str, float]:
     return candidate.looks[0].shapes
-
-
-def _squares_without(inference: Inference, labels: Sequence[str], label: str) -> float:
-    """Sum of squares that all but one of what is told leaves of what is shown."""
-    model = inference.model
-    every = inference.predicted(inference.projection([n for n in labels if n != label]))
-    left = model.rows(lambda i: model.pieces[i].measured - every[i], model.shown)
-    return float(np.sum(left**2))
 
 
 def _share(inference: Inference, label: str) -> float:

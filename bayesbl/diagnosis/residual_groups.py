@@ -2,9 +2,8 @@
 
 Variables begin with their channel's name. Dimensions: ``recording``, ``load_angle_rad`` (720),
 ``bin`` of the spectra and ``line`` of the significant lines, strongest first; shorter ones are
-padded with NaN, missing channels filled with it. The attributes ``unexplained`` and ``offsets``
-hold, as JSON, what is significant over all recordings and how offsets depend on direction and
-speed.
+padded with NaN, missing channels filled with it. The attribute ``unexplained`` holds, as JSON, what
+is significant over all recordings.
 """
 
 from __future__ import annotations
@@ -17,9 +16,12 @@ from operator import attrgetter
 import numpy as np
 import xarray as xr
 
-from bayesbl.diagnosis.residuals.analysis import ChannelResiduals, ResidualAnalysis
+from bayesbl.diagnosis.residuals.analysis import (
+    ChannelResiduals,
+    ResidualAnalysis,
+    describe_unexplained,
+)
 from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
-from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
 from bayesbl.diagnosis.summary import plain
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.variables import Group, Variable, dataset, labels, padded, table
@@ -78,9 +80,6 @@ _VARIABLES = (
     _OfChannel("noise_sd", "{unit}", "standard deviation of the noise"),
     _OfChannel("drift", "{unit}/s", "slope over the recording", "drift_per_s"),
     _OfChannel("drift_error", "{unit}/s", "standard error of that slope", "drift_error_per_s"),
-    _OfChannel("lag_s", "s", "time by which the recording lags the simulation", "skew.lag_s"),
-    _OfChannel("lag_error_s", "s", "standard error of that time", "skew.standard_error_s"),
-    _OfChannel("lag_explains", "1", "share of the excess that the lag explains", "skew.explained"),
     _OfChannel("outliers", "1", "samples that no noise explains"),
     _OfChannel("map_error", "{unit}", "standard error of rotation averages", "load_map_error"),
     _OfChannel("power_offset", "({unit})²", "mean square of the offset", "split.offset"),
@@ -171,7 +170,6 @@ def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
         "channels": names,
         "false_discovery_rate": analysis.false_discovery_rate,
         "unexplained": json.dumps(plain(describe_unexplained(analysis)), ensure_ascii=False),
-        "offsets": json.dumps(plain(analysis.offsets), ensure_ascii=False),
     }
     return made
 

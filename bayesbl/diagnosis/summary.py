@@ -14,7 +14,7 @@ import xarray as xr
 from bayesbl.bench.learned import EncoderError, LearnedTerm, Side, Variable
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
-from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.residuals.analysis import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import Interval, IntervalKind, interval

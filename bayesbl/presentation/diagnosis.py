@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import (
@@ -23,7 +23,7 @@ from bayesbl.presentation.blocks import (
 from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.folder import AUGMENTED_BENCH
-from bayesbl.units import in_words, number, quantity_and_unit, unit_of
+from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -435,14 +435,10 @@ def residual_sentences(stored: xr.Dataset) -> list[str]:
     if not entries:
         rate = 100.0 * float(stored.attrs["false_discovery_rate"])
         return [
-            "Nothing repeats, drifts or lags beyond noise in any channel "
+            "Nothing repeats or drifts beyond noise in any channel "
             f"(tested so that {rate:g} % of data without any show a line by chance)."
         ]
     sentences = [f"{unexplained_phrase(entry)}{_where(entry, names)}." for entry in entries]
-    shown = {entry["channel"] for entry in entries if entry["dependence"] == "offset"}
-    offsets = [o for o in json.loads(stored.attrs["offsets"]) if o["channel"] in shown]
-    if len(names) > 1:
-        sentences += filter(None, map(_offset_sentence, offsets))
     return [capitalised(text) for text in sentences]
 
 
@@ -459,8 +455,6 @@ def _what(entry: RemainingSummary) -> str:
             return f"an offset of {size}"
         case "drift":
             return f"a drift of {size}"
-        case "skew":
-            return _lag(entry["amplitude"])
         case "outliers":
             return f"{entry['amplitude']:g} samples that no noise explains"
         case "load angle":
@@ -489,29 +483,8 @@ def _orders(low: float | None, high: float | None) -> str:
     return f"order {low:.0f}" if low == high else f"orders {low:.0f} to {high:.0f}"
 
 
-def _lag(seconds: float) -> str:
-    verb = "lags" if seconds > 0.0 else "leads"
-    return f"{verb} by {quantity(1e3 * abs(seconds), 'ms')}"
-
-
 def _where(entry: RemainingSummary, names: Sequence[str]) -> str:
     """Which recordings show it, if not all do."""
     if len(entry["recordings"]) == len(names):
         return ""
     return f" (in {', '.join(repr(name) for name in entry['recordings'])})"
-
-
-def _offset_sentence(offset: dict[str, Any]) -> str:
-    """How an offset depends on direction and speed; empty if that is not sure."""
-    unit = unit_of(offset["channel"])
-    parts = [
-        text.format(quantity(offset[part], unit))
-        for part, text in (
-            ("constant", "{} in both directions"),
-            ("with_direction", "{} with the sign of the motion"),
-            ("per_1000_rpm", "{} for every 1000 rpm"),
-        )
-        if offset[part] is not None and abs(offset[part]) > 3.0 * offset[f"{part}_error"]
-    ]
-    name = channel_name(offset["channel"])
-    return f"The {name}'s mean is off by {', '.join(parts)}." if parts else ""

@@ -75,17 +75,16 @@ def noise(part: RouteSummary) -> str:
 def _of_amplitude(part: RouteSummary, rivals: str) -> Iterator[Block]:
     yield _parameter_table(part)
     lines = {
-        **({"Search": part["start"]} if "start" in part else {}),
-        **({"Table 2's ranges": _box_search(part)} if "box_search" in part else {}),
+        "Search": part.get("start"),
+        "Table 2's ranges": _box_search(part) if "box_search" in part else None,
         "Fit": f"RMSE {part['rmse_rpm']:.3f} rpm, relative {part['relative_rmse']:.3f}",
         "Repeating misfit": f"{part['misfit_rms_rpm']:.3f} rpm RMS, the same in every rotation",
-        **({"Impacts": _impacts(part)} if "impact_sd_rpm" in part else {}),
+        "Impacts": _impacts(part) if "impact_sd_rpm" in part else None,
         "Noise": noise(part),
         "Sampling": words.sampling(part),
         "Rival optima": rivals,
     }
-    for label, sentence in lines.items():
-        yield Sentence(sentence, label=label)
+    yield from (Sentence(said, label=label) for label, said in lines.items() if said)
 
 
 def _impacts(part: RouteSummary) -> str:
@@ -108,34 +107,24 @@ def _parameter_table(part: RouteSummary) -> Table:
 
     kind = words.short_kind(next(iter(part["parameters"].values())))
     columns = (text("Parameter"), *map(numbers, ("Optimum", "Median", kind)), text("Unit"))
-    rows = [_row(part, symbol.name, symbol.unit) for symbol in SYMBOLS.values()]
-    rows.insert(list(SYMBOLS).index(DECAY) + 1, _time_constant(part))
+    rows = []
+    for name, symbol in SYMBOLS.items():
+        best, found = part["optimum"][name], part["parameters"].get(name)
+        rows.append(_row(name, best, found, symbol.unit))
+        if name == DECAY:  # which its symbol τ is often taken for a time constant
+            inverse = None if found is None else _inverse(found, 1e3)
+            rows.append(_row("  as a time constant", 1e3 / best, inverse, "ms"))
     return table(columns, rows)
 
 
-def _time_constant(part: RouteSummary) -> tuple[str, ...]:
-    """The decay rate as the time constant that its symbol τ is often taken for."""
-    from bayesbl.ringing.symbols import DECAY
+def _inverse(found: Interval, scale: float) -> Interval:
+    low, middle, high = (scale / found[key] for key in ("high", "median", "low"))
+    return {**found, "median": middle, "low": low, "high": high}
 
-    best, found = 1e3 / part["optimum"][DECAY], part["parameters"].get(DECAY)
-    name = "  as a time constant"
+
+def _row(name: str, best: float, found: Interval | None, unit: str) -> tuple[str, ...]:
     if found is None:
-        return name, f"{best:.3g}", "", "fixed", "ms"
-    inverse: Interval = {
-        **found,
-        "median": 1e3 / found["median"],
-        "low": 1e3 / found["high"],
-        "high": 1e3 / found["low"],
-    }
-    places = words.decimals(inverse, units=20.0)
-    shown = (number(value, places) for value in (best, inverse["median"]))
-    return name, *shown, words.bounds(inverse, places=places), "ms"
-
-
-def _row(part: RouteSummary, name: str, unit: str) -> tuple[str, ...]:
-    best, found = part["optimum"][name], part["parameters"].get(name)
-    if found is None:
-        return name, f"{best:g}", "", "fixed", unit
+        return name, f"{best:.3g}" if unit == "ms" else f"{best:g}", "", "fixed", unit
     places = words.decimals(found, units=20.0)
     shown = (number(value, places) for value in (best, found["median"]))
     return name, *shown, words.bounds(found, places=places), unit

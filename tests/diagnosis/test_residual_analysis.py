@@ -11,9 +11,8 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from bayesbl.diagnosis.residual_groups import residuals_dataset
-from bayesbl.diagnosis.residuals.analysis import analyse_residuals, offset_dependence
-from bayesbl.diagnosis.residuals.spectrum import benjamini_hochberg, comb, noise_floor
-from bayesbl.diagnosis.residuals.unexplained import describe_unexplained
+from bayesbl.diagnosis.residuals.analysis import analyse_residuals, describe_unexplained
+from bayesbl.diagnosis.residuals.decomposition import benjamini_hochberg, comb, noise_floor
 from bayesbl.diagnosis.summary import plain
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed
@@ -197,24 +196,6 @@ def test_the_map_stands_at_the_load_angle_whatever_the_direction(speed):
     assert channel.load_map.max() == pytest.approx(5.0, rel=0.02)
 
 
-@pytest.mark.parametrize("lag", [4e-3, -6e-3])
-def test_a_channel_that_lags_is_recognised(lag):
-    seen, made = recording(21)
-    time = np.arange(seen.samples) / HZ
-    late = np.interp(time - lag, time, made[1]) - made[1]
-    signals = seen.signals + np.stack((np.zeros_like(late), late))
-    channel = analysed((dataclasses.replace(seen, signals=signals), made)).recordings[0].channels[1]
-    assert abs(channel.skew.lag_s - lag) < 4.0 * channel.skew.standard_error_s
-    assert channel.skew.standard_error_s < 0.1 * abs(lag)
-    assert channel.skew.explained > 0.9
-
-
-def test_a_bend_in_the_signal_is_no_lag():
-    planted = lambda t, m, a: in_channel(1, 0.2 * np.cos(2.0 * a + 1.0))  # noqa: E731
-    channel = analysed(recording(22, planted=planted)).recordings[0].channels[1]
-    assert channel.skew.explained < 0.5
-
-
 def test_drift_is_measured_within_its_error_and_is_no_line():
     drift = 0.02
     found = analysed(recording(31, planted=lambda t, m, a: in_channel(1, drift * t)))
@@ -232,17 +213,6 @@ def test_lost_samples_are_told_from_noise():
     channels = analysed(recording(41, planted=lost)).recordings[0].channels
     assert channels[0].outliers >= 8
     assert channels[1].outliers == 0
-
-
-def test_offsets_are_split_by_direction_and_speed():
-    speeds = np.array([2000.0, -2000.0, 1200.0])
-    offsets = 0.1 + 0.3 * np.sign(speeds) + 0.05 * speeds / 1000.0
-    found = offset_dependence("motor_current_a", speeds, offsets, np.full(3, 1e-3))
-    parts = (found.constant, found.with_direction, found.per_1000_rpm)
-    assert parts == pytest.approx((0.1, 0.3, 0.05))
-    both = offset_dependence("motor_current_a", speeds[:2], offsets[:2], np.full(2, 1e-3))
-    assert math.isnan(both.per_1000_rpm)
-    assert both.with_direction == pytest.approx(0.4)  # Coulomb and viscous in one
 
 
 def test_the_floor_of_noise_does_not_see_lines():

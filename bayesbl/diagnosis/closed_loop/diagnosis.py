@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.findings import Findings, share_closed
+from bayesbl.diagnosis.closed_loop.findings import Findings
 from bayesbl.diagnosis.closed_loop.learned_in_loop import answer_of
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
@@ -66,12 +66,12 @@ def diagnosis_of(
         draws = sampled.draws.copy()
         draws[..., final.fit.model.index(GAP)] = np.log(after.draws)
         posterior = replace(sampled, draws=draws)
-    pieces = [residuals for pair in found.compared.pairs for residuals in residuals_of(pair)]
+    pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
             effects="effect" in kinds,
             parameters="parameter" in kinds,
-            remains=naming.repeats or bool(found.compared.remaining) or found.learned is not None,
+            remains=naming.repeats or bool(found.after.remaining) or found.learned is not None,
         ),
         tuple(
             NamedEffect(
@@ -95,7 +95,7 @@ def diagnosis_of(
             for effect, fitted in named
             if effect.candidate.kind == "parameter"
         ),
-        found.compared.remaining,
+        found.after.remaining,
         disagreement_table(pieces, in_units_of_noise=True),
         (*notes, *doubts),
         bench_parameters=_declared_parameters(found, sampled),
@@ -104,8 +104,8 @@ def diagnosis_of(
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
-        residuals_before=found.residuals_before,
-        residuals_after=found.compared.after,
+        residuals_before=found.before.residuals,
+        residuals_after=found.after.residuals,
         ranking=naming.ranking,
         augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
         learned=_learned_answer(found),
@@ -238,7 +238,7 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
 def _learned_answer(found: Findings) -> LearnedAnswer | None:
     if found.learned is None:
         return None
-    closed = share_closed(found.residuals_before, found.compared.after)
+    closed = found.after.closes(found.before)
     # Noise is told from what remains by its tests, not by a share of little.
-    remains = bool(found.compared.remaining) or not agrees(disagreements(found.final.fit))
+    remains = bool(found.after.remaining) or not agrees(disagreements(found.final.fit))
     return answer_of(found.learned, closed, remains)

@@ -6,16 +6,19 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Literal
+from functools import cache, partial
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, learned_term
-from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, simulated_pairs
-from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, analyse_residuals
-from bayesbl.diagnosis.residuals.unexplained import Unexplained, describe_unexplained
+from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, paired, simulated
+from bayesbl.diagnosis.residuals.analysis import (
+    ResidualAnalysis,
+    Unexplained,
+    analyse_residuals,
+    describe_unexplained,
+)
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
@@ -26,7 +29,7 @@ from bayesbl.model_search.always_in import beside, laws
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, name_missing, weighed
 from bayesbl.model_search.constants import FALSE_ALARM, FORM_SHARE, UNEXPLAINED_SHARE
-from bayesbl.model_search.refit import Explanation, nominal_explanation, reduced, with_own_noise
+from bayesbl.model_search.refit import Explanation, reduced, with_own_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 
@@ -52,12 +55,24 @@ class ForwardSettings:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Recordings, those that were held out too, beside both simulations; what the later leaves of
-    those that were fitted, and what of it still stands out."""
+    """An explanation's simulations, of recordings that were held out too; what they leave of those
+    that were fitted, and what of that stands out."""
 
-    pairs: tuple[SimulatedPair, ...]
-    after: ResidualAnalysis
+    simulated: tuple[FloatArray, ...]
+    residuals: ResidualAnalysis
     remaining: tuple[Unexplained, ...]
+
+    def closes(self, before: Comparison) -> float:
+        """Share of what another one leaves, in power over the noise, repeating or not."""
+        first, last = (
+            sum(
+                (c.split.offset + c.repeating_rms**2 + c.split.other) / c.noise_sd**2
+                for recording in comparison.residuals.recordings
+                for c in recording.channels
+            )
+            for comparison in (before, self)
+        )
+        return 1.0 - last / first if first > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +86,10 @@ class Findings:
     chosen
         The set of everything that is named, its noise estimated without what was missing; with what
         was learned, if anything was.
-    compared
-        After naming.
-    residuals_before
-        What the simulation left before.
+    held_out
+        Recordings to predict.
+    before, after
+        Without and with what is named.
     learned
         What was learned from what naming left; ``chosen`` has it.
     law_shifts
@@ -86,8 +101,9 @@ class Findings:
     believed: Bench
     naming: Naming
     chosen: FittedSet
-    compared: Comparison
-    residuals_before: ResidualAnalysis
+    held_out: tuple[Observed, ...]
+    before: Comparison
+    after: Comparison
     learned: Learned | None = None
     law_shifts: FloatArray | None = None
     form_sd: float = 0.0
@@ -96,6 +112,12 @@ class Findings:
     def final(self) -> Explanation:
         """The fit of what is named."""
         return self.chosen.explanation
+
+    @property
+    def pairs(self) -> list[SimulatedPair]:
+        """Recordings beside both simulations."""
+        used = self.final.fit.model.recordings
+        return paired(used, self.held_out, self.before.simulated, self.after.simulated)
 
 
 def search(
@@ -137,31 +159,29 @@ def search(
         max_effects=settings.max_effects,
         progress=progress,
     )
-    compared = partial(_compared, nominal_explanation(nominal), held_out)
+    compared = cache(partial(_compared, held_out))
     naming, learned = missing(nominal), None
+    before = compared(naming.nominal)
     # What was missing is not noise: intervals rest on the noise estimated without it.
     final = with_own_noise(naming.final) if naming.final.candidates else naming.final
-    result = compared(final)
-    if naming.effects and result.remaining:
-        before = _analysis(result.pairs, naming.nominal, "before")
-        if share_closed(before, result.after) < 1.0 - UNEXPLAINED_SHARE:
-            # It helps a little, as a parameter may where a line in time remains: no explanation.
-            nearest, final = naming.final, naming.nominal
-            naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
-            result = compared(final)
+    after = compared(final)
+    if naming.effects and after.remaining and after.closes(before) < 1.0 - UNEXPLAINED_SHARE:
+        # It helps a little, as a parameter may where a line in time remains: no explanation.
+        nearest, final = naming.final, naming.nominal
+        naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
     # What does not repeat with the load, a line of the motor or in time, is in no band.
-    if naming.repeats or (result.remaining and not laws_of_shaft(naming.final)):
+    if naming.repeats or (after.remaining and not laws_of_shaft(naming.final)):
         beside = _with_learned(naming, final, compared, missing, settings)
         if beside is not None:
             naming, learned = beside
             final = learned.explanation
-            result = compared(final)
     return Findings(
         bench,
         naming,
         weighed(final),
-        result,
-        _analysis(result.pairs, naming.nominal, "before"),
+        tuple(held_out),
+        before,
+        compared(final),
         learned,
         _law_shifts(final.fit),
         0.0 if learned else _form_sd(naming),
@@ -212,7 +232,7 @@ def _with_learned(
         if beside.effects:
             learned = replace(learned, explanation=with_own_noise(beside.final))
             names = replace(beside, nominal=naming.nominal)
-    closed = share_closed(compared(final).after, compared(learned.explanation).after)
+    closed = compared(learned.explanation).closes(compared(final))
     return None if closed < LEAST_LEARNED else (names, learned)
 
 
@@ -237,7 +257,7 @@ def _learned(
         )
         if learned is None:
             continue
-        share = share_closed(without.after, compared(learned.explanation).after)
+        share = compared(learned.explanation).closes(without)
         if share >= most:
             best, most = learned, share
     if best is None or not naming.repeats:
@@ -250,39 +270,14 @@ def _learned(
 _Compared = Callable[[Explanation], Comparison]
 
 
-def _compared(
-    nominal: Explanation, held_out: Sequence[Observed], explanation: Explanation
-) -> Comparison:
-    pairs = tuple(simulated_pairs(nominal, explanation, held_out))
-    after = _analysis(pairs, explanation, "after")
-    return Comparison(pairs, after, tuple(describe_unexplained(after)))
-
-
-def _analysis(
-    pairs: Sequence[SimulatedPair], explanation: Explanation, stage: Literal["before", "after"]
-) -> ResidualAnalysis:
-    used = [pair for pair in pairs if pair.use == "used"]
-    angles = [_start_angle(explanation, pair.seen) for pair in used]
-    predictions = [pair.before if stage == "before" else pair.after for pair in used]
+def _compared(held_out: Sequence[Observed], explanation: Explanation) -> Comparison:
+    made = simulated(explanation, held_out)
+    used = explanation.fit.model.recordings
+    own = made[: len(used)]
     # Bridged samples hold nothing that repeats.
-    seen = [
-        replace(pair.seen, signals=made + pair.seen.left_by(made))
-        for pair, made in zip(used, predictions, strict=True)
-    ]
-    return analyse_residuals(seen, predictions, angles)
-
-
-def share_closed(before: ResidualAnalysis, after: ResidualAnalysis) -> float:
-    """Of the power, in units of the noise, that is no noise: repeating or not."""
-    first, last = (
-        sum(
-            (c.split.offset + c.repeating_rms**2 + c.split.other) / c.noise_sd**2
-            for recording in analysis.recordings
-            for c in recording.channels
-        )
-        for analysis in (before, after)
-    )
-    return 1.0 - last / first if first > 0.0 else 0.0
+    seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
+    left = analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
+    return Comparison(tuple(made), left, tuple(describe_unexplained(left)))
 
 
 def _start_angle(explanation: Explanation, seen: Observed) -> float:

@@ -18,13 +18,12 @@ from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.augment import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
-from bayesbl.diagnosis.residuals.unexplained import SAME_ORDER, Unexplained, What
+from bayesbl.diagnosis.residuals.analysis import SAME_ORDER, Unexplained, What
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.catalogue import Candidate
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
 from bayesbl.model_search.refit import Explanation, with_own_noise
 from bayesbl.recording.types import FloatArray
@@ -94,10 +93,19 @@ class Learned:
 
     def alone(self) -> Learned:
         """The same without the names that it was learned beside, fitted again."""
-        explanation = self.explanation
-        for candidate in self.explanation.candidates:
-            explanation = _without(explanation, candidate)
-        return replace(self, explanation=explanation)
+        fit, idle = self.explanation.fit, self.explanation.candidates
+        if not idle:
+            return self
+        at = {place for candidate in idle for place in self.explanation.places(candidate)}
+        kept = [i for i in range(fit.point.size) if i not in at]
+        bench, names = fit.model.bench, {candidate.name for candidate in idle}
+        model = replace(
+            fit.model,
+            bench=bench.with_effects(*(e for e in bench.effects if e.name not in names)),
+            unknowns=tuple(fit.model.unknowns[i] for i in kept),
+        )
+        alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
+        return replace(self, explanation=Explanation((), alone))
 
 
 def learned_term(
@@ -132,21 +140,6 @@ def learned_term(
             others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
             return Learned(explanation, _kind_of(trial.hypothesis), others)
     return None
-
-
-def _without(explanation: Explanation, idle: Candidate) -> Explanation:
-    """Less one of its candidates, fitted again; what was learned stays."""
-    fit = explanation.fit
-    at = explanation.places(idle)
-    kept = [i for i in range(fit.point.size) if i not in at]
-    bench = fit.model.bench
-    model = replace(
-        fit.model,
-        bench=bench.with_effects(*(e for e in bench.effects if e.name != idle.name)),
-        unknowns=tuple(fit.model.unknowns[i] for i in kept),
-    )
-    left = tuple(c for c in explanation.candidates if c is not idle)
-    return Explanation(left, fit_simulated(model, fit.point[kept], fit.steps[kept]))
 
 
 def _kind_of(hypothesis: Hypothesis) -> type[LearnedTerm]:

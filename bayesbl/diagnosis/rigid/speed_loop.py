@@ -43,7 +43,7 @@ from bayesbl.diagnosis.diagnosis import (
 )
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals, parameter_errors
-from bayesbl.diagnosis.residuals.unexplained import Unexplained
+from bayesbl.diagnosis.residuals.analysis import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
