@@ -28,7 +28,7 @@ def describe(path: Path, plan: Plan) -> None:
         f"{name} ± {100.0 * half / abs(bench.value(name)):.0f} %" if bench.value(name) else name
         for name, half in bench.tolerances.items()
     )
-    plan.lines.append(("not known exactly", known or "nothing: no parameter has a tolerance"))
+    plan.lines.append(("tolerances", known or "none: every value counts as exact"))
 
 
 def _derived(bench: Bench) -> Iterator[tuple[str, str]]:
