@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -33,7 +34,7 @@ def processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
     They are started afresh: a forked child would inherit the state of numba's and the simulator's
     threads. Each uses one thread, as linear algebra on many rounds differently and the numbers must
-    not depend on the workers.
+    not depend on the workers. They take functions of modules: the script that runs is not imported.
 
     Raises
     ------
@@ -43,7 +44,7 @@ def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_start)
     try:
-        with _single_threaded():
+        with _single_threaded(), _script_not_imported():
             yield pool
     except BaseException as error:
         for process in set(multiprocessing.active_children()) - before:
@@ -85,6 +86,19 @@ def _single_threaded() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _script_not_imported() -> Iterator[None]:
+    """Processes that start meanwhile do not run the script again, which may lack a guard."""
+    main = sys.modules["__main__"]
+    before = {name: vars(main)[name] for name in ("__file__", "__spec__") if name in vars(main)}
+    vars(main).pop("__file__", None)
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        vars(main).update(before)
 
 
 Item = TypeVar("Item")

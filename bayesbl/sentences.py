@@ -304,7 +304,7 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     "beyond_curve": beyond_curve,
     "box_search_missed": box_search_missed,
     "no_baseline": lambda amplitude_rpm, with_baseline_rpm: (
-        "Without a baseline the pulses are fitted to the wave that gravity leaves in the speed: "
+        "Without a baseline the pulses fit gravity's wave in the speed: "
         f"A = {amplitude_rpm:.3g} rpm, but {with_baseline_rpm:.3g} rpm beside one harmonic of the "
         "load angle. Set [estimator.model] baseline_harmonics = 1."
     ),
@@ -316,8 +316,8 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     ),
     "other_bench": lambda quantity, measured, expected, unit: (
         f"The recording is not of the curve's bench: the {quantity} is {measured:.4g} {unit}, and "
-        f"{expected:.4g} {unit} by the bench. Correct the bench file, or give what is not known "
-        "exactly a tolerance (`bayesbl identify` finds the values)."
+        f"{expected:.4g} {unit} by the bench. Correct the bench file, or give uncertain values "
+        "a tolerance (`bayesbl identify` finds the values)."
     ),
     "recording_contradicts_bench": lambda: (
         "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
@@ -349,9 +349,9 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "the change does not depend on it."
     ),
     "elastic_part": lambda name, frequency_hz, probability: (
-        f"The recordings speak for a part that the bench lacks, {name} with a resonance near "
+        f"The joint probably has a part that the bench lacks: {name} with a resonance near "
         f"{frequency_hz:.2g} Hz (probability {probability:.2g}). δ allows for it; "
-        f"state the part in the bench file to make δ sharper."
+        f"add the part to the bench file to make δ sharper."
     ),
     "counted_twice": lambda name: (
         f"The bench was identified from {name} as well, so this recording counts twice and its "

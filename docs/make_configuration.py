@@ -24,13 +24,11 @@ Schema = Mapping[str, Any]
 
 HEAD = """# Every key of a configuration
 
-Made by `python docs/make_configuration.py` from the models that validate the files. A file is TOML
-with `schema = 1` and its `kind`. An unknown key is refused with the nearest known one, and paths
-are relative to the file. `bayesbl init` writes a first file, `bayesbl check CONFIG` asks of it
-whatever can be asked without running it.
-
-For completion in an editor, `docs/schema` holds a JSON Schema of each kind; Taplo, for one,
-takes `#:schema docs/schema/compare.json` in the first line.
+`python docs/make_configuration.py` makes this page from the models that validate the files. A file
+is TOML with `schema = 1` and its `kind`; paths are relative to it. For an unknown key, the error
+names the nearest known one. `bayesbl init` writes a first file, `bayesbl check CONFIG` checks one
+without running it. Editors complete keys by the JSON Schemas in `docs/schema` (in Taplo, by a
+first line `#:schema docs/schema/compare.json`).
 """
 
 
@@ -106,13 +104,15 @@ def _table(name: str, section: Schema, whole: Schema) -> str:
         text = re.sub(r"``(.+?)``", r"`\1`", section["description"])
         text = text.removeprefix(f"`{name}`: ")
         lines += [text[0].upper() + text[1:] + "\n"]
-    rows = [
-        f"| `{key}` | {_kind(whole, value)} | {_default(key, value, section)} |"
-        for key, value in section.get("properties", {}).items()
-        if not any(True for _ in _inner(whole, value)) or "anyOf" in value
-    ]
+    rows: dict[str, list[str]] = {}
+    for key, value in section.get("properties", {}).items():
+        if not any(True for _ in _inner(whole, value)) or "anyOf" in value:
+            row = f"{_kind(whole, value)} | {_default(key, value, section)}"
+            rows.setdefault(row, []).append(f"`{key}`")
     if rows:
-        lines += ["| key | value | default |", "|---|---|---|", *rows, ""]
+        lines += ["| key | value | default |", "|---|---|---|"]
+        lines += [f"| {', '.join(keys)} | {row} |" for row, keys in rows.items()]
+        lines += [""]
     return "\n".join(lines)
 
 

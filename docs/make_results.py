@@ -45,12 +45,12 @@ GROUPS = {
 
 HEAD = """# Keys, variables and columns of results
 
-Made by `python docs/make_results.py` from the declarations that the program goes by.
+`python docs/make_results.py` makes this page from the program's declarations.
 
 A result folder holds `summary.json` (the answer), `result.nc` (everything, an xarray tree with
 units on every variable), `config.toml` (the configuration as it ran) and `figures`. A fleet's
-folder holds tables instead. `manifest.json` lists what the run wrote, which is all that another run
-replaces. A quantity that is withheld is null, and `reason` says why.
+folder holds tables instead. A new run replaces only files that `manifest.json` lists. A withheld
+quantity is null, and `reason` says why. Keys in brackets exist only where they apply.
 """
 
 
@@ -75,17 +75,33 @@ def _keys() -> Iterator[str]:
 
 
 def _keys_of(table: Any, parts: list[Any]) -> Iterator[str]:
-    """A table of its keys; those of which one is a table itself join the parts."""
+    """A table of its own keys, those of one value in one row; tables among them join the parts."""
     if table.__doc__ and "``summary.json``" not in table.__doc__.partition("\n")[0]:
         yield re.sub(r":class:`(\w+)`", r"\1", re.sub("``(.+?)``", r"`\1`", _plain(table.__doc__)))
         yield ""
+    hints = _hints(table)
+    values = {key: _value(hint, parts) for key, hint in hints.items()}
+    wider = (part for part in parts if _hints(part).items() < hints.items())
+    shared = [part for part in wider if len(_hints(part)) > 2]
+    if shared:
+        base = max(shared, key=lambda part: len(_hints(part)))
+        yield f"Keys of {_value(base, parts)}, and:\n"
+        values = {key: value for key, value in values.items() if key not in _hints(base)}
+    rows: dict[str, list[str]] = {}
+    for key, value in values.items():
+        always = get_origin(hints[key]) is not NotRequired and key in table.__required_keys__
+        rows.setdefault(value, []).append(f"`{key}`" if always else f"(`{key}`)")
     yield "| key | value |\n|---|---|"
-    for key, hint in get_type_hints(table, include_extras=True).items():
-        if table is not Head and key in Head.__annotations__:
-            continue
-        always = get_origin(hint) is not NotRequired and key in table.__required_keys__
-        yield f"| `{key}`{'' if always else ' (where it applies)'} | {_value(hint, parts)} |"
+    for value, keys in rows.items():
+        yield f"| {', '.join(keys)} | {value} |"
     yield ""
+
+
+def _hints(table: Any) -> dict[str, Any]:
+    """Types of its keys without those that every summary has."""
+    hints = get_type_hints(table, include_extras=True)
+    shared = get_type_hints(Head, include_extras=True) if table is not Head else {}
+    return {key: hint for key, hint in hints.items() if shared.get(key) != hint}
 
 
 def _value(hint: Any, parts: list[Any]) -> str:
@@ -116,33 +132,33 @@ def _title(part: Any) -> str:
 def _variables() -> Iterator[str]:
     yield "## Variables of `result.nc`\n"
     yield (
-        "Of a comparison, what is kept for each recording has a dimension `snapshot` in front. "
-        "Variables named after a symbol, a parameter or a channel are not listed; their attributes "
-        "`units` and `long_name` tell what they are.\n"
+        "In a comparison, variables of a recording have a first dimension `snapshot`. Variables "
+        "named after a symbol, a parameter or a channel are not listed; see their attributes "
+        "`units` and `long_name`.\n"
     )
-    told: list[Group] = []
+    listed: list[Group] = []
     for title, module in GROUPS.items():
         yield f"### {title}\n"
-        own = list(_groups(vars(import_module(module)).values(), told))
-        told += own
+        yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
+        own = list(_groups(vars(import_module(module)).values(), listed))
+        listed += own
         for group in own:
-            yield f"#### `{group.name}`\n"
-            yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
             for variable in (*group.variables, *group.coordinates):
-                yield _row(variable)
-            yield ""
+                yield _row(group, variable)
+        yield ""
 
 
-def _groups(values: Iterable[object], told: Sequence[Group]) -> Iterator[Group]:
+def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group]:
     """Those that declare variables by name, but for those that a module only imports."""
     for value in values:
         for one in value.values() if isinstance(value, dict) else (value,):
-            if isinstance(one, Group) and one.variables and one not in told:
+            if isinstance(one, Group) and one.variables and one not in listed:
                 yield one
 
 
-def _row(variable: Variable) -> str:
-    cells = (f"`{variable.name}`", ", ".join(variable.dims), variable.unit, variable.meaning)
+def _row(group: Group, variable: Variable) -> str:
+    name, dimensions = f"`{group.name}/{variable.name}`", ", ".join(variable.dims)
+    cells = (name, dimensions, variable.unit, variable.meaning)
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 

@@ -203,24 +203,22 @@ def which(summary: MeasuredSummary) -> str | None:
     if len(first["routes"]) < 2:
         return None
     own = summary["answer"]
-    rests = "; ".join(
-        f"by {route_in_words(route['route'])}: {_rests_on(route)}" for route in answering(first)
-    )
+    uses = "; ".join(f"{route_in_words(part['route'])} {_uses(part)}" for part in answering(first))
     because = own["text"].rstrip(".")
     return (
         f"The answer is the estimate by {route_in_words(own['route'])}, because {because}. "
-        f"{words.capitalised(rests)}."
+        f"{words.capitalised(uses)}."
     )
 
 
-def _rests_on(route: RouteSummary) -> str:
+def _uses(route: RouteSummary) -> str:
     if "rmse_rpm" not in route:
-        return "speed and current of the whole recording against the bench"
+        return "compares speed and current of the whole recording with the bench"
     if route["curve"] is None:
-        return "the amplitude A alone"
+        return "uses the amplitude A alone"
     name = Path(route["curve"]).name
     belongs = " (of the paper's bench)" if route["curve"] == "published" else ""
-    return f"the amplitude A through the gap curve of {name}{belongs}"
+    return f"uses the amplitude A and the gap curve of {name}{belongs}"
 
 
 def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
@@ -299,7 +297,7 @@ def explained(summary: MeasuredSummary) -> str:
         condition = "the curve fits your joint"
     return (
         "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point "
-        "1 m away by 1 mm). The range below a number holds the true value with the stated "
+        "1 m away by 1 mm). The range below a number contains the true value with the stated "
         f"probability, if {condition}."
     )
 
@@ -742,6 +740,6 @@ def _of_interval(last: SnapshotSummary) -> Iterator[str]:
     found = last["delta_rad"] or last["amplitude_rpm"]
     if found is not None:
         yield (
-            f"The {interval_kind(found)} is a credible interval: given all this, the value "
-            f"lies in it with probability {100.0 * found['level']:g} %."
+            f"The {interval_kind(found)} is a credible interval: given all this, it contains the "
+            f"value with probability {100.0 * found['level']:g} %."
         )

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bayesbl.bench.effect_declaration import Effect
+    from bayesbl.presentation.blocks import Tone
     from bayesbl.recording.guessing import Guess
     from bayesbl.runs.first_diagnosis import Choice
     from bayesbl.runs.kinds import Summary
@@ -37,10 +38,11 @@ def print_result(summary: Summary, folder: Path | None, console: Console) -> Non
 
 
 def print_headline(summary: Summary, console: Console) -> None:
-    """The answer in a sentence."""
-    withheld = summary["outcome"] == "withheld"
-    headline = SUBJECTS[summary["kind"]].headline(summary)
-    print_blocks([Sentence(headline, "withheld" if withheld else "answer")], console)
+    """The answer in a sentence; of a measurement also what to do."""
+    tone: Tone = "withheld" if summary["outcome"] == "withheld" else "answer"
+    print_blocks([Sentence(SUBJECTS[summary["kind"]].headline(summary), tone)], console)
+    if answer.is_measured(summary):
+        print_blocks([Sentence(answer.advice(summary).title, tone)], console)
 
 
 def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
@@ -142,9 +144,9 @@ def guessed(guess: Guess) -> Iterator[Block]:
         yield Sentence(", ".join(guess.unused), label="Not used")
     for name in filter(_SHARE.search, guess.unused):
         yield Sentence(
-            f"{name} is a share of a rated value. If it is the motor's current or torque, write "
-            "its A to the file: this column times the rated current. A current makes the gap "
-            "several times sharper and shows a changed joint.",
+            f"{name} is a share of a rated value. If it is the motor's current or torque, add it "
+            'under [columns] with its rated value, for example unit = "% of 12.5 A". A current '
+            "makes the gap several times sharper and shows a changed joint.",
             "warning",
             "Check",
         )
@@ -180,8 +182,8 @@ def what_next(
             f"gear_ratio if it is known, then: bayesbl run {shlex.quote(str(path))}"
         )
     return (
-        f"Written to {path}. Correct it there, fill in gear_ratio, limit_rad (the gap at which "
-        f"the joint is to be repaired, in rad) and bench (a file that describes the joint), then: "
+        f"Written to {path}. Correct columns there, and fill in gear_ratio, limit (when to repair) "
+        f"and bench (a file that describes the joint; bayesbl init --bench writes one), then: "
         f"bayesbl run {shlex.quote(str(path))}"
     )
 

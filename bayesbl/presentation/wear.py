@@ -248,8 +248,8 @@ def not_before(wear: WearSummary) -> str | None:
 def law(wear: WearSummary) -> str:
     """How probable each law of wear is, the likeliest first."""
     ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
-    told = ", ".join(f"{LAWS[name]} {words.probability(share)}" for name, share in ranked)
-    return f"If the joint wears, its wear with age is now: {told}."
+    first, second, third = (f"{LAWS[name]} ({words.probability(share)})" for name, share in ranked)
+    return f"If the joint wears, its wear is now {first}, {second} or {third}."
 
 
 def notes(wear: WearSummary) -> Iterator[str]:

@@ -24,11 +24,13 @@ def describe(path: Path, plan: Plan) -> None:
     if bench.drive == "two_mass":
         plan.lines += _derived(bench)
         plan.warnings += _doubts(bench)
+    if bench.effects:
+        plan.lines.append(("effects", ", ".join(effect.name for effect in bench.effects)))
     known = ", ".join(
         f"{name} ± {100.0 * half / abs(bench.value(name)):.0f} %" if bench.value(name) else name
         for name, half in bench.tolerances.items()
     )
-    plan.lines.append(("not known exactly", known or "nothing: no parameter has a tolerance"))
+    plan.lines.append(("tolerances", known or "none: every value counts as exact"))
 
 
 def _derived(bench: Bench) -> Iterator[tuple[str, str]]:

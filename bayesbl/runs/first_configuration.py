@@ -123,8 +123,8 @@ output = {quoted(f"results/{name_of(path.stem)}")}
 
 [joint]
 {_RAMPS_JOINT if ramps else _JOINT}\
-# limit_rad = 1.2e-3    # repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad);
-                        # δ is half the total play
+# limit = "1.2 mrad delta"   # when to repair: δ, which is half the play; or the whole play, as in
+                             # "8 arcmin play" or "0.5 mm play at 0.4 m"
 {before if kind == "compare" else ""}
 # Each channel with the column that holds it. These are guesses: names and units decide the answer.
 [columns]
@@ -144,16 +144,17 @@ gear_ratio = 1.0        # motor turns per turn of the output; 1.0 where position
 # rated_torque_nm = 50  # at the output: lost motion is stated at 3 % of it
 """
 
-_ASKED_SPEED = "# reference_speed_rpm = 2000   # the speed that was asked for: finds a wrong unit\n"
+_ASKED_SPEED = "# reference_speed_rpm = 2000   # the speed asked of the drive: shows a wrong unit\n"
 
 _MORE_FILES = (
     '# files = ["…", "…"]          # in place of file: ramps at several positions around the turn\n'
 )
 
 _ESTIMATOR = """\
-# The gap needs what is known of the joint; without it the ringing alone is compared.
+# The gap needs a description of the joint; without one only the ringing is compared.
 [estimator]
-# bench = "bench.toml"  # inertias, stiffness, damping, controller: configs/bench.toml explains each
+# bench = "bench.toml"  # a data sheet (bayesbl init --bench writes one to fill in), or the folder
+                        # of an identify
 """
 
 _RAMPS_ESTIMATOR = """\
@@ -234,44 +235,42 @@ SOURCES: Mapping[str, Source] = {
         '{value = 12.1, unit = "kg cm2", relative_tolerance = 0.15}',
     ),
     "load_inertia_kg_m2": Source(
-        "J_l: all that turns behind the gear about the joint's axis, arm and payload: CAD, or "
-        "Σ m r² of its parts. The pose of the joints behind belongs to it: keep it in all "
-        "recordings.",
+        "J_l: everything that turns behind the gear, arm and payload included: CAD, or Σ m r² of "
+        "its parts. It depends on the pose of the joints behind: keep that in all recordings.",
         "small arm 0.1 to 2 kg m2, 10 kg payload 1 to 20, 200 kg payload 50 to 1500",
         '{value = 20.0, unit = "kg m2", relative_tolerance = 0.25}',
     ),
     "shaft_stiffness_nm_per_rad": Source(
         "K_s, seen at the load: the gearbox's data sheet (torsional stiffness, N m/arcmin; or "
-        "its inverse, arcmin/N m). Bearings and castings in series make the joint softer: by a "
+        "its inverse, arcmin/N m). Bearings and castings in series make the joint softer, by a "
         "fifth to a half.",
         "small arm 2 to 10 N m/arcmin, 10 kg payload 10 to 50, 200 kg payload 100 to 1000",
         '{value = 35.0, unit = "N m/arcmin", relative_tolerance = 0.25}',
     ),
     "shaft_damping_nm_s_per_rad": Source(
-        "D_s, seen at the load: on no data sheet, and in a real contact less at a light touch. "
-        "Leave its tolerance wide: recordings tell it well, and one too narrow moves the gap.",
+        "D_s, seen at the load: on no data sheet, and smaller at a light touch. Leave its "
+        "tolerance wide: recordings show it well, and a narrow one biases the gap.",
         "damping ratio 0.005 to 0.2",
         '{value = 0.1, unit = "damping ratio", relative_tolerance = 0.95}',
     ),
     "gravity_torque_nm": Source(
-        "m g l: the largest torque of gravity about the axis, held level. Mass times lever arm "
-        "(unit kg m) from CAD; or hold the arm level and read torque_constant × current × gear "
-        "ratio, without friction: the mean of moving up and down slowly.",
+        "m g l: gravity's torque about the axis with the arm level. Mass times lever arm (unit "
+        "kg m) from CAD; or torque_constant × current × gear ratio near level, the mean of moving "
+        "up and down slowly, so that friction cancels.",
         "small arm 2 to 30 N m, 10 kg payload 20 to 300, 200 kg payload 500 to 10000",
         '{value = 43.0, unit = "kg m", relative_tolerance = 0.2}',
     ),
     "torque_constant_nm_per_a": Source(
-        "K_t: the motor's data sheet, for the current that is recorded. A drive may record peak "
-        "current, and a data sheet give the constant for the effective one: that is a factor of "
-        "1.41.",
+        "K_t: the motor's data sheet, for the current that is recorded. If the drive records peak "
+        "current and the data sheet means effective current, it is off by a factor of 1.41.",
         "0.1 to 1.5 N m/A",
         '{value = 0.5, unit = "N m/A", relative_tolerance = 0.1}',
     ),
     "speed_gain_nm_s_per_rad": Source(
         "K_p of the speed controller: the drive's parameter list (speed controller gain). In "
         'N m s/rad; "A s/rad" or "A/rpm" are multiplied by the torque constant; "1/s" is a '
-        "bandwidth, multiplied by all inertia at the motor. Read it from the drive: it decides "
-        "most.",
+        "bandwidth, multiplied by all inertia at the motor. Read it from the drive: no other value "
+        "affects the gap as much.",
         "small arm 0.005 to 0.05 N m s/rad, 10 kg payload 0.05 to 0.5, 200 kg payload 0.5 to 5",
         '{value = 0.185, unit = "N m s/rad", relative_tolerance = 0.1}',
     ),
@@ -295,22 +294,23 @@ SOURCES: Mapping[str, Source] = {
         '{value = 30.0, unit = "A"}',
     ),
     "reference_speed_rpm": Source(
-        "The motor's speed in most recordings. Others are given with their recording, or are "
-        "taken from its mean. Of a joint that only strokes, what its strokes reach.",
+        "The motor's speed in most recordings; of others, the mean speed counts unless the "
+        "recording states one. For strokes, the speed that they reach.",
         "500 to 3000 rpm",
         "{value = 2000.0}",
     ),
 }
 
 HEAD = """\
-# Data sheet of a joint. For each line under [parameters]: put in your number, its unit as it is
-# printed and how far it may be off, and take the # away in front. Then
+# Data sheet of a joint. In each line under [parameters], enter your number, its printed unit and
+# how far it may be off, and delete the # in front. Friction needs no line: it is always fitted.
+# Then
 #
 #     bayesbl check {file}
 #     bayesbl identify FORWARD REVERSE SLOWER --bench {file}
 #
-# relative_tolerance = 0.25 is ± 25 %: a value beyond it counts as impossible, so be generous.
-# No tolerance: known exactly.
+# relative_tolerance = 0.25 is ± 25 %: values beyond it count as impossible, so be generous. A value
+# without a tolerance counts as exact.
 
 schema = 1
 kind = "bench"
@@ -335,9 +335,9 @@ def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> 
 
 
 DRIVE = """\
-# How often the drive's speed controller computes (its manual: sampling or cycle time, 62.5 µs to
-# 4 ms). Above 100 µs it matters. With dead time of a bus or torque filter also delay_periods: the
-# periods from reading the encoder to the torque (1 where it is not given).
+# Sampling time of the drive's speed controller (its manual: 62.5 µs to 4 ms). It matters above
+# 100 µs. If a bus or torque filter adds dead time, state delay_periods too: the periods from
+# reading the encoder to the torque (1 by default).
 # [[effects]]
 # name = "sampled_control"
 # parameters = {period_s = {value = 250e-6}}
@@ -349,15 +349,15 @@ DRIVE = """\
 # damping_nm_s_per_rad = {value = 0.02, relative_tolerance = 0.9}
 # reducer_inertia_kg_m2 = {value = 4e-4, relative_tolerance = 0.3}
 
-# An arm or payload that bends: what of J_l and m g l is behind its spring. [base] is the same of
-# what the joint stands on, without gravity_share.
+# An arm or payload that bends: the part of J_l and m g l behind its spring. [base] is the same for
+# what the joint is mounted on, without gravity_share.
 # [arm]
 # stiffness_nm_per_rad = {value = 4e4, relative_tolerance = 0.5}
 # damping_nm_s_per_rad = {value = 60.0, relative_tolerance = 0.9}
 # inertia_kg_m2 = {value = 5.0, relative_tolerance = 0.3}
 # gravity_share = {value = 0.5, tolerance = 0.3}
 
-# What is recorded as the speed, if not what the controller sees: a mean over speed_filter_s, or the
+# If the recorded speed is not the one that the controller uses: a mean over speed_filter_s, or the
 # encoder's position, differentiated from sample to sample (speed_source = "encoder").
 # [measurement]
 # encoder_counts = 16384

@@ -126,7 +126,7 @@ def _parameters(config: IdentifyConfig, bench: Bench) -> tuple[str, ...]:
             "There is nothing to identify: no parameter of the bench has a tolerance.",
             file=config.bench,
             where="[parameters]",
-            expected="relative_tolerance = 0.25 (± 25 %) for each value that is not known exactly; "
+            expected="relative_tolerance = 0.25 (± 25 %) for each uncertain value; "
             "`bayesbl init --bench` writes a file with all of them explained",
         )
     asked = config.identify.parameters

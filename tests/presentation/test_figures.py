@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 from added_module import added_module
 from matplotlib.figure import Figure
+from scipy.stats import gaussian_kde
 from stored_measurement import judged, stored_comparison
 from synthetic_ringing import QUICK
 
@@ -26,7 +27,13 @@ from bayesbl.presentation.figures.gap import amplitude_to_gap, gap
 from bayesbl.presentation.figures.posterior import corner, enclosing_levels, trace
 from bayesbl.presentation.figures.ringing import convergence, misfit, noise, signal
 from bayesbl.presentation.figures.stored_figure import caption, draw_all, figures_of, snapshots
-from bayesbl.presentation.figures.style import envelope, publication_style, save, scale_of
+from bayesbl.presentation.figures.style import (
+    envelope,
+    publication_style,
+    save,
+    scale_of,
+    smooth_density,
+)
 from bayesbl.presentation.figures.sweep import (
     bench_draws,
     curve,
@@ -617,3 +624,12 @@ def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
         assert beyond(figure) == []
     assert "before: as in the bench file" in texts(near)
     assert "← before" in texts(far)
+
+
+def test_a_density_is_that_of_scipy_by_the_same_bandwidth() -> None:
+    draws = np.random.default_rng(0).normal(3.0, 0.2, 1000)
+    across, heights = smooth_density(draws)
+    quartiles = np.quantile(draws, (0.25, 0.75))
+    width = 0.9 * min(draws.std(), np.ptp(quartiles) / 1.34) * draws.size**-0.2
+    expected = gaussian_kde(draws, width / draws.std(ddof=1))(across)
+    assert np.abs(heights - expected).max() < 0.01 * expected.max()

@@ -43,7 +43,6 @@ from bayesbl.units import number
 _ROW_IN = 0.5
 _RIDGE = 0.6
 """Height of a density, in rows."""
-_BINS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +166,11 @@ def _draw_rows(
     """Rows from above; the others' densities are outlines, the answer's filled."""
     texts: list[tuple[float, int, str]] = []
     for place, row in enumerate(rows):
-        heights, edges = np.histogram(row.draws, _BINS)
-        ridge = place - _RIDGE * heights / max(int(heights.max()), 1)
+        across, heights = style.smooth_density(row.draws)
+        ridge = place - _RIDGE * heights / heights.max()
         if row.answers:
-            panel.stairs(ridge, edges, baseline=place, fill=True, color=row.colour, alpha=0.35)
-        panel.stairs(ridge, edges, baseline=None, color=row.colour, linewidth=0.7)
+            panel.fill_between(across, ridge, place, color=row.colour, alpha=0.35, linewidth=0.0)
+        panel.plot(across, ridge, color=row.colour, linewidth=0.7)
         if row.withheld:
             text = "withheld"
         else:
