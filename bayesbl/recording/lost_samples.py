@@ -163,7 +163,9 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
             expected=f"at least {100.0 * (1.0 - MOST_CUT):g} %; rename a column that is not needed",
         )
     notes = _cut_note(cut)
-    time, values = time_s[first:last], values[first:last]
+    # A row without any value is of other columns, or a loss that the stamps show as well.
+    row = first + np.flatnonzero(~np.isnan(values[first:last]).all(axis=1))
+    time, values = time_s[row], values[row]
     number = sample_numbers(time)
     if number is None:
         number = np.arange(time.size, dtype=float)
@@ -179,9 +181,9 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     rows = slice(*np.searchsorted(at, (begins[longest], ends[longest])))
     missing = np.isnan(values[rows]).sum(axis=0)
     where = (
-        f"from {place(first + rows.start, int(np.argmax(missing)))}"
+        f"from {place(int(row[rows.start]), int(np.argmax(missing)))}"
         if missing.any()
-        else f"after {place(first + rows.start - 1, None)}"
+        else f"after {place(int(row[rows.start - 1]), None)}"
     )
     _refuse_too_much(file, lost, float(lengths[longest]), where)
     full = np.full((lost.size, values.shape[1]), np.nan)

@@ -81,7 +81,7 @@ def _continued(stamps: FloatArray, factor: float, repairs: Counter[str]) -> Floa
     for modulus in (*_COUNTERS, _DAY_S / factor):
         onward = steps[back] + modulus
         fits = onward.min() > 0.0 and onward.max() <= 20.0 * usual
-        if fits and stamps.min() >= 0.0 and stamps.max() < modulus:
+        if fits and float(np.ptp(stamps)) < modulus:
             repairs["start of the time counter anew"] += int(back.sum())
             continued: FloatArray = stamps.copy()
             continued[1:] += modulus * np.cumsum(back)
@@ -158,19 +158,24 @@ def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
 
     A log on change writes no value twice in a row, and at no even rate; other files lost samples.
     """
-    missing = np.isnan(values)
-    if missing.any(axis=1).mean() <= MOST_LOST:
+    # A row without any of them is of other columns, and changes none.
+    there = ~np.isnan(values).all(axis=1)
+    part = values[there]
+    missing = np.isnan(part)
+    if missing.any(axis=1).sum() <= MOST_LOST * len(part):
         return values
-    for column, empty in zip(values.T, missing.T, strict=True):
+    for column, empty in zip(part.T, missing.T, strict=True):
         rows = np.flatnonzero(~empty)
         if rows.size < 3 or (empty.any() and np.any(np.diff(column[rows]) == 0.0)):
             return values
         if empty.any() and np.ptp(np.diff(rows)) <= 1:  # a slower channel, at its own even rate
             return values
-    last = np.where(missing, 0, np.arange(len(values))[:, None])
-    full = np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)
+    last = np.where(missing, 0, np.arange(len(part))[:, None])
+    full = np.take_along_axis(part, np.maximum.accumulate(last, axis=0), axis=0)
     repairs["empty cell of a log on change, held"] += int(missing.sum() - np.isnan(full).sum())
-    return full
+    whole = values.copy()
+    whole[there] = full
+    return whole
 
 
 def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:

@@ -461,7 +461,7 @@ def _layout(
         if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
             cut[i].pop()  # LabVIEW ends its header so, and no line of samples
     found = header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
-    rows = [_split(line, separator) for line in middle]
+    rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     mark = decimal_mark(file, rows, values)
     stated = tuple(_units_of(file, rows, k) if k in values else "" for k in range(width))
     if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
@@ -587,7 +587,7 @@ def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int
     if not any("," in cell for cell in cells):
         return "."
     fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
-    if fits["."] == fits[","] and not any("." in cell for cell in cells):
+    if fits["."] == fits[","]:
         example = next(cell for cell in cells if "," in cell)
         raise RecordingError(
             "A comma may be a decimal comma here, or part thousands.",
