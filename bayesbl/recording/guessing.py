@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -152,7 +153,7 @@ class _Named:
             return np.full(2, np.nan)
         return np.where(np.isfinite(values), values, np.nan)
 
-    @property
+    @cached_property
     def stamps(self) -> FloatArray | None:
         """Seconds since the first date, where it holds dates."""
         return self.table.timestamps(self.index)
@@ -194,6 +195,7 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
+    _read_together(chosen)
     if MOTOR_SPEED not in chosen:
         chosen |= _pair_of_positions(named, chosen)
     both = _is_of_two_encoders(chosen)
@@ -221,6 +223,17 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
         ramps,
         both,
     )
+
+
+def _read_together(chosen: Mapping[str, _Named]) -> None:
+    """The values of time and channels in one pass over the file; alone where one holds text."""
+    time = chosen[TIME]
+    others = [column for column in chosen.values() if column is not time]
+    with suppress(RecordingError):
+        stamps, values = stamps_and_values(time.table, time.index, [c.index for c in others])
+        for column, series in zip((time, *others), (stamps, *values.T), strict=True):
+            series[~np.isfinite(series)] = np.nan
+            vars(column).setdefault("values", series)  # as cached_property keeps it
 
 
 def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]:
@@ -577,11 +590,11 @@ def _series(path: str | Path, column: _Named) -> FloatArray:
     RecordingError
         If it holds text, or fewer than two numbers.
     """
-    if column.stamps is None:
-        stamps_and_values(column.table, column.index)  # says where a text is
     values = column.values
     count = int(np.isfinite(values).sum())
     if count < 2:
+        if column.stamps is None:
+            stamps_and_values(column.table, column.index)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
             file=path,

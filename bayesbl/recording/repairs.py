@@ -37,6 +37,9 @@ _TURNS = (2.0 * math.pi, 360.0, 1.0, *(2.0**bits for bits in range(8, 33)))
 _SLOWEST = 20
 """Samples from one new value to the next, up to which a slower rate is looked for."""
 
+_ENOUGH = 1_000_000
+"""Samples that tell it, of a longer recording."""
+
 _ELSEWHERE = 0.05
 """Share of the change at new values that may be between them, where these are made up."""
 
@@ -158,10 +161,12 @@ def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
 
     A log on change writes no value twice in a row, and at no even rate; other files lost samples.
     """
+    missing = np.isnan(values)
+    if not missing.any():
+        return values
     # A row without any of them is of other columns, and changes none.
-    there = ~np.isnan(values).all(axis=1)
-    part = values[there]
-    missing = np.isnan(part)
+    there = ~missing.all(axis=1)
+    part, missing = values[there], missing[there]
     if missing.any(axis=1).sum() <= MOST_LOST * len(part):
         return values
     for column, empty in zip(part.T, missing.T, strict=True):
@@ -217,7 +222,7 @@ def new_values(speed: FloatArray) -> tuple[slice, str] | None:
     or drew a line from one to the next (the second do). ``None`` where all are new.
     """
     for order, how in ((1, "repeated"), (2, "interpolated")):
-        change = np.abs(np.diff(speed, order))
+        change = np.abs(np.diff(speed[:_ENOUGH], order))
         for every in range(min(_SLOWEST, speed.size // 10), 1, -1):
             rows = change[: change.size // every * every].reshape(-1, every)
             sizes = rows.mean(axis=0)

@@ -14,6 +14,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import ready_for_fit
 from bayesbl.recording.columns import stamps_and_values
+from bayesbl.recording.formats import csv
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
@@ -120,6 +121,21 @@ def test_every_form_of_text_holds_the_same_samples(content: str | bytes, tmp_pat
     np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
     np.testing.assert_allclose(read.motor_speed_rpm, SPEED, atol=1e-9)
     assert sum("Put right" in note for note in read.notes) <= 1
+
+
+def test_how_large_the_blocks_of_a_text_are_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    for name, content in {**SPACED, **MARKS, **ENCODED, **LEFT_OUT, **MORE_COLUMNS}.items():
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        monkeypatch.setattr(csv, "_BLOCK_BYTES", 1 << 20)
+        whole, place = read_recording(path), read_table(path).place(500, 0)
+        monkeypatch.setattr(csv, "_BLOCK_BYTES", 70)
+        cut = read_recording(path)
+        np.testing.assert_array_equal(cut.time_s, whole.time_s, name)
+        np.testing.assert_array_equal(cut.motor_speed_rpm, whole.motor_speed_rpm, name)
+        assert (cut.notes, read_table(path).place(500, 0)) == (whole.notes, place), name
 
 
 def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
