@@ -31,8 +31,8 @@ LONGEST_TICK_S = 0.1
 
 _COUNTERS = (2.0**16, 2.0**24, 2.0**32)
 _DAY_S = 86400.0
-_TURNS = (2.0 * math.pi, 360.0, 1.0, *(2.0**bits for bits in range(8, 33)))
-"""At which numbers positions begin again, in the unit of the file."""
+_POWERS = tuple(2.0**bits for bits in range(8, 33))
+"""At which counts positions begin again, beside a turn."""
 
 _SLOWEST = 20
 """Samples from one new value to the next, up to which a slower rate is looked for."""
@@ -199,7 +199,8 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     if not jumps.any() or jumps.mean() > 0.25:
         return position
     usual = float(np.max(np.abs(steps[~jumps])))
-    turn = next((t for t in _TURNS if -1e-6 * t <= t - span <= 2.0 * usual + 1e-3 * t), None)
+    turns = (2.0 * math.pi / abs(unit), *_POWERS)
+    turn = next((t for t in turns if -1e-6 * t <= t - span <= 2.0 * usual + 1e-3 * t), None)
     if turn is None:
         return position
     onward = np.where(jumps, steps - np.sign(steps) * turn, steps)

@@ -283,6 +283,16 @@ def test_two_recordings_in_one_file_are_not_merged(tmp_path: Path) -> None:
             recorded(tmp_path, {"time_s": time, "motor_speed_rpm": speed})
 
 
+def test_another_header_among_the_samples_is_another_table(tmp_path: Path) -> None:
+    lines = [f"{row},1" for row in rows()]
+    path = tmp_path / "a.csv"
+    swapped = "motor_speed_rpm,time_s,motor_current_a"
+    whole = text([*lines[:300], swapped, *lines[300:]], ",".join([*NAMES, "motor_current_a"]))
+    path.write_text(whole)
+    with pytest.raises(RecordingError, match=r"line 302: Another header"):
+        read_recording(path)
+
+
 def test_a_stamp_that_comes_twice_with_other_values_is_refused(tmp_path: Path) -> None:
     time = np.insert(TIME, 300, TIME[300])
     with pytest.raises(RecordingError, match="Time does not advance"):
@@ -301,6 +311,7 @@ def test_a_stamp_that_comes_twice_with_other_values_is_refused(tmp_path: Path) -
         (65536.0, "rev/65536", 0.0),
         (1.0, "rev", 0.0),
         (4096.0, "rev/4096", 0.0),
+        (10000.0, "rev/10000", 0.0),
     ],
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -58,7 +58,8 @@ _BEGINS = tuple(b"0123456789+-.")
 """With what most lines of samples begin, and hardly any other line."""
 
 _MISSING = frozenset(
-    "|nan|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!|#num!|-|--|---|?|missing".split("|")  # noqa: SIM905
+    "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
+    "|#num!|-|--|---|?|missing".split("|")
 )
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -669,6 +670,14 @@ def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int,
                 kind = _INCOMPLETE
                 first_incomplete = first_incomplete if incomplete else (index, len(cells))
                 incomplete.append(index)
+            elif len(cells) == width and set(cells) & set(layout.names):
+                raise RecordingError(
+                    "Another header stands among the samples.",
+                    file=file,
+                    where=f"line {index + 1}",
+                    found=shortened(", ".join(cells)),
+                    expected="one table in a file, its columns in one order",
+                )
             else:
                 kind = "line of text left out"
             counts[kind] += 1
