@@ -24,6 +24,10 @@ BAND_HZ = (6.0, 40.0)
 STRETCH_S = 0.25
 """One and a half periods of the slowest; the ringing fills few such stretches."""
 
+SOUGHT_S = 120.0
+"""In which a line is sought: one that goes on all the time is in any part, and the work grows with
+the square of its length. A longer recording then sharpens its frequency."""
+
 FEWEST_STRETCHES = 20
 FALSE_ALARM = 1e-5
 """Of a recording, over all frequencies."""
@@ -80,26 +84,32 @@ def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> O
     many = max(1, math.floor(1.0 / (4.0 * BAND_HZ[1] * period_s)))
     rows = speed_rpm[: speed_rpm.size // many * many].reshape(-1, many).mean(axis=1)
     step = many * period_s
-    duration = rows.size * step
+    part = rows[: round(SOUGHT_S / step)]
+    duration = part.size * step
     if duration < FEWEST_STRETCHES * STRETCH_S:
         return None
     highest = min(BAND_HZ[1], 0.4 / step)
     spacing = 0.25 / duration
     grid = np.arange(BAND_HZ[0], highest, spacing)
-    each = _by_stretch(rows, step, grid)
+    each = _by_stretch(part, step, grid)
     line, error, unsteady = medians(each)
     bound = normal_isf(0.5 * FALSE_ALARM / (duration * highest))
     size = np.abs(line)
     size[(size < np.maximum(least_rpm, bound * error)) | (unsteady > UNSTEADY_SHARE)] = 0.0
     if not size.any():
         return None
-    nearest = int(np.argmax(size))
-    # The stretches without ringing, all together, tell the frequency.
-    off = np.abs(each[:, nearest] - line[nearest])
-    quiet = off < 2.0 * np.median(off)
-    fine = grid[nearest] + spacing * np.linspace(-2.0, 2.0, 4 * FINER + 1)
-    together = np.abs(_by_stretch(rows, step, fine)[quiet].sum(axis=0))
-    frequency = float(fine[np.argmax(together)])
+    frequency = float(grid[np.argmax(size)])
+    # The stretches without ringing, all together, tell the frequency: of twice as many each time.
+    while True:
+        at = _by_stretch(part, step, np.array([frequency]))
+        off = np.abs(at - medians(at)[0])[:, 0]
+        quiet = off < 2.0 * np.median(off)
+        fine = frequency + spacing * np.linspace(-2.0, 2.0, 4 * FINER + 1)
+        together = np.abs(_by_stretch(part, step, fine)[quiet].sum(axis=0))
+        frequency = float(fine[np.argmax(together)])
+        if part.size == rows.size:
+            break
+        part, spacing = rows[: 2 * part.size], 0.5 * spacing
     wave = _wave(speed_rpm, period_s, frequency)
     return OutsideLine(frequency, math.sqrt(2.0) * float(wave.std()))
 

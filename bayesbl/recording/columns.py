@@ -22,12 +22,16 @@ _NUMBER_FIRST = re.compile(r"[x×*]?\s*(\d+)(?![\d/]*min)([^\s_A-Za-z]*)")
 _BY_TIME = re.compile(r"\S+/(?:s|sec|min)|(?:s|sec|min)\^?-1")
 _QUESTIONS = frozenset(
     "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
-    "digits pu erpm percent permille grad cycles".split()
+    "digits pu erpm percent pct permille grad cycles kmh kph mph mps mmps ips".split()
 )
 """Words for units of a size that only the user knows."""
 
 _OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m units".split())  # noqa: SIM905
 """In brackets also units of other things than a channel is, or of which the size is open."""
+
+_LENGTHS = frozenset("m mm cm km in inch ft".split())  # noqa: SIM905
+_SCALED = re.compile(r"[%‰]$|(?:(?<![^\W_])[x×]|[*])\s*10+$")
+"""At a name's end: a share, or a number that the values were multiplied by or are to be."""
 
 COUNTED = frozenset(("sample", "samples"))
 _COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
@@ -153,6 +157,9 @@ class StatedUnit:
         """
         if self.unit is None or is_accepted(channel, self.unit):
             return self
+        before = re.split(r"[\W_]+", self.bare.lower())[-1]
+        if len(self.ending) == 1 and before in _LENGTHS | _QUESTIONS:  # of vel_mm_s
+            return StatedUnit(self.bare, None, f"{before}/{self.ending}")
         if len(self.ending) == 1:
             return StatedUnit(self.bare)
         return replace(self, unit=None, unknown=self.unknown or self.ending or self.unit)
@@ -165,7 +172,8 @@ def stated_unit(table: Table, index: int, name: str | None = None) -> StatedUnit
     none here is unknown: any guess would be a factor. An index (``x[0]``) and a remark are none.
     """
     name = table.columns[index] if name is None else name
-    of_name = _bracketed(name) or _ending(name)
+    scaled = _SCALED.search(name.strip())
+    of_name = StatedUnit(name, None, scaled[0]) if scaled else _bracketed(name) or _ending(name)
     of_file = (table.unit(index) or "").strip()
     if not re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
         return of_name

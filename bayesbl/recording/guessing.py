@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -49,9 +50,14 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 )
 """Channel to the words that files use for it, in small letters."""
 
-_REFERENCE = "ref reference set setpoint cmd command target desired soll sp"
+_REFERENCE = "ref reference set setpoint cmd command target desired demand nominal soll sp"
 _LOAD = "load link joint output out arm l wheel pendulum secondary external"
 _MOTOR = "motor mot m"
+_BESIDE = "error err deviation difference lag residual abweichung fehler temperature temp"
+"""What stands beside a channel under its name and is another quantity."""
+
+_FILTERED = "filtered filt smooth smoothed avg mean"
+_CLOCKS = "ms us ns msec usec millis micros"
 _SIDES = f"{_REFERENCE} {_MOTOR} load"
 """What groups of one joint's columns are called: none of them is a joint."""
 
@@ -147,10 +153,15 @@ class _Named:
             return np.full(2, np.nan)
         return np.where(np.isfinite(values), values, np.nan)
 
-    @property
+    @cached_property
     def stamps(self) -> FloatArray | None:
         """Seconds since the first date, where it holds dates."""
         return self.table.timestamps(self.index)
+
+    @property
+    def numbers_rows(self) -> bool:
+        """Whether it counts the samples: 0, 1, 2, …"""
+        return bool(np.all(np.diff(self.values) == 1.0))
 
     @property
     def increases(self) -> bool:
@@ -184,6 +195,7 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
+    _read_together(chosen)
     if MOTOR_SPEED not in chosen:
         chosen |= _pair_of_positions(named, chosen)
     both = _is_of_two_encoders(chosen)
@@ -211,6 +223,17 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
         ramps,
         both,
     )
+
+
+def _read_together(chosen: Mapping[str, _Named]) -> None:
+    """The values of time and channels in one pass over the file; alone where one holds text."""
+    time = chosen[TIME]
+    others = [column for column in chosen.values() if column is not time]
+    with suppress(RecordingError):
+        stamps, values = stamps_and_values(time.table, time.index, [c.index for c in others])
+        for column, series in zip((time, *others), (stamps, *values.T), strict=True):
+            series[~np.isfinite(series)] = np.nan
+            vars(column).setdefault("values", series)  # as cached_property keeps it
 
 
 def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]:
@@ -402,8 +425,10 @@ def _channel(column: _Named) -> str | None:
         kinds if kinds and (column.stated.ending or not of_unit) else of_unit
     )
     if not kinds:
-        return None
+        return TIME if column.is_called(_CLOCKS) else None
     kind = kinds[0]
+    if kind != TIME and column.is_called(_BESIDE):
+        return None
     if column.is_called(_REFERENCE):
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
     if column.is_called(_LOAD) and not column.is_called(_MOTOR):
@@ -412,16 +437,29 @@ def _channel(column: _Named) -> str | None:
 
 
 def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
-    """The likeliest column of each channel: named exactly, else the motor's, else the first."""
+    """The likeliest column of each channel: named exactly, else the motor's, else the first.
+
+    A filtered one comes last; so does a single letter, which may number the samples: ``i``, ``n``.
+    """
     chosen: dict[str, _Named] = {}
     exact = (TIME, *CHANNELS)
-    for column in sorted(
-        named,
-        key=lambda c: (c.name not in exact, bool(c.words & COUNTED), not c.is_called(_MOTOR)),
-    ):
+
+    def rank(column: _Named) -> tuple[bool, ...]:
+        counted, of_motor = bool(column.words & COUNTED), column.is_called(_MOTOR)
+        is_letter = max(map(len, column.words), default=0) == 1
+        return (
+            column.name not in exact,
+            counted,
+            column.is_called(_FILTERED),
+            not of_motor,
+            is_letter,
+        )
+
+    for column in sorted(named, key=rank):
         channel = _channel(column)
-        if channel is not None:
-            chosen.setdefault(channel, column)
+        if channel is None or (channel != TIME and rank(column)[-1] and column.numbers_rows):
+            continue
+        chosen.setdefault(channel, column)
     return chosen
 
 
@@ -432,10 +470,9 @@ def _stated(channel: str, column: _Named) -> GuessedColumn:
         units = choice_of_units(channel)
         asked = f'enter its unit, as the file says "{shortened(stated.unknown)}": {units}'
         return GuessedColumn(channel, column.name, UNKNOWN, asked, True)
-    if column.name == channel:
-        return GuessedColumn(channel, column.name, own, "the name says so", True)
     if stated.unit:
-        return GuessedColumn(channel, column.name, stated.unit, "stated in the file", True)
+        said = "the name says so" if column.name == channel else "stated in the file"
+        return GuessedColumn(channel, column.name, stated.unit, said, True)
     return GuessedColumn(channel, column.name, own, NO_UNIT, False)
 
 
@@ -553,11 +590,11 @@ def _series(path: str | Path, column: _Named) -> FloatArray:
     RecordingError
         If it holds text, or fewer than two numbers.
     """
-    if column.stamps is None:
-        stamps_and_values(column.table, column.index)  # says where a text is
     values = column.values
     count = int(np.isfinite(values).sum())
     if count < 2:
+        if column.stamps is None:
+            stamps_and_values(column.table, column.index)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
             file=path,

@@ -58,11 +58,12 @@ def deviation_from_grid(time_s: FloatArray, number: FloatArray) -> tuple[FloatAr
     The distance, shape (n,), is in sampling periods. Stamps rounded to a resolution r lie within
     r/2 of the line, however long the recording.
     """
-    time = time_s - time_s.mean()
+    time: FloatArray = time_s - time_s.mean()
     centred = number - number.mean()
     slope = float(centred @ time) / float(centred @ centred)
-    deviation: FloatArray = time / slope - centred
-    return deviation, slope
+    time /= slope  # in place: recordings may be long
+    time -= centred
+    return time, slope
 
 
 def sample_numbers(time_s: FloatArray) -> FloatArray | None:
@@ -163,15 +164,20 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
             expected=f"at least {100.0 * (1.0 - MOST_CUT):g} %; rename a column that is not needed",
         )
     notes = _cut_note(cut)
+    # A row without any value is of other columns, or a loss that the stamps show as well.
     time, values = time_s[first:last], values[first:last]
+    row: range | IntArray = range(first, last)
+    if kept.size < last - first:
+        row = first + np.flatnonzero(~np.isnan(values).all(axis=1))
+        time, values = time_s[row], values[row - first]
     number = sample_numbers(time)
     if number is None:
         number = np.arange(time.size, dtype=float)
+    if number[-1] == time.size - 1 and not np.isnan(values).any():
+        return Bridged(time, values, np.zeros(time.size, dtype=bool), notes)
     at = number.astype(int)
     lost = np.ones(at[-1] + 1, dtype=bool)
     lost[at] = np.isnan(values).any(axis=1)
-    if not lost.any():
-        return Bridged(time, values, lost, notes)
     full_time = np.interp(np.arange(lost.size), number, time)
     begins, ends = runs(lost)
     lengths = full_time[ends] - full_time[begins - 1]
@@ -179,9 +185,9 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
     rows = slice(*np.searchsorted(at, (begins[longest], ends[longest])))
     missing = np.isnan(values[rows]).sum(axis=0)
     where = (
-        f"from {place(first + rows.start, int(np.argmax(missing)))}"
+        f"from {place(int(row[rows.start]), int(np.argmax(missing)))}"
         if missing.any()
-        else f"after {place(first + rows.start - 1, None)}"
+        else f"after {place(int(row[rows.start - 1]), None)}"
     )
     _refuse_too_much(file, lost, float(lengths[longest]), where)
     full = np.full((lost.size, values.shape[1]), np.nan)

@@ -88,9 +88,9 @@ def read_recording(
     _check_finite(path, table, others, values)
     rows = np.flatnonzero(np.isfinite(stamps))
     if rows.size >= MINIMUM_SAMPLES:
-        order, time = mended_clock(
-            stamps[rows], values[rows], time_column.factor, repairs, even=even
-        )
+        stamped = (stamps, values) if rows.size == len(values) else (stamps[rows], values[rows])
+        order, time = mended_clock(*stamped, time_column.factor, repairs, even=even)
+        del stamped
         rows, stamps = rows[order], time
     time_s = _seconds(path, table, time_column, stamps, rows)
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
@@ -215,7 +215,7 @@ def _seconds(
     with np.errstate(over="ignore"):
         if column.unit == "datenum" or abs(time[0] * column.factor) > LATEST_START_S:
             time = time - time[0]
-        seconds: FloatArray = time * column.factor
+        seconds = time if column.factor == 1.0 else time * column.factor
     if not (np.isfinite(seconds[-1] - seconds[0]) and np.all(np.diff(seconds) > 0.0)):
         raise RecordingError(
             "Time cannot be counted in seconds.",
@@ -245,7 +245,7 @@ def _read_bytes(path: Path) -> bytes:
         raise UnavailableError(
             "The file cannot be read.", file=path, found=reason, expected="a readable file"
         ) from None
-    if not data.strip():
+    if not data[:1000].strip() and not data.strip():
         raise RecordingError(
             "The file is empty.", file=path, found=f"{len(data)} bytes", expected="a recording"
         )

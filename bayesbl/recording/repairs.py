@@ -31,11 +31,14 @@ LONGEST_TICK_S = 0.1
 
 _COUNTERS = (2.0**16, 2.0**24, 2.0**32)
 _DAY_S = 86400.0
-_TURNS = (2.0 * math.pi, 360.0, 1.0, *(2.0**bits for bits in range(8, 33)))
-"""At which numbers positions begin again, in the unit of the file."""
+_POWERS = tuple(2.0**bits for bits in range(8, 33))
+"""At which counts positions begin again, beside a turn."""
 
 _SLOWEST = 20
 """Samples from one new value to the next, up to which a slower rate is looked for."""
+
+_ENOUGH = 1_000_000
+"""Samples that tell it, of a longer recording."""
 
 _ELSEWHERE = 0.05
 """Share of the change at new values that may be between them, where these are made up."""
@@ -81,7 +84,7 @@ def _continued(stamps: FloatArray, factor: float, repairs: Counter[str]) -> Floa
     for modulus in (*_COUNTERS, _DAY_S / factor):
         onward = steps[back] + modulus
         fits = onward.min() > 0.0 and onward.max() <= 20.0 * usual
-        if fits and stamps.min() >= 0.0 and stamps.max() < modulus:
+        if fits and float(np.ptp(stamps)) < modulus:
             repairs["start of the time counter anew"] += int(back.sum())
             continued: FloatArray = stamps.copy()
             continued[1:] += modulus * np.cumsum(back)
@@ -159,18 +162,25 @@ def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
     A log on change writes no value twice in a row, and at no even rate; other files lost samples.
     """
     missing = np.isnan(values)
-    if missing.any(axis=1).mean() <= MOST_LOST:
+    if not missing.any():
         return values
-    for column, empty in zip(values.T, missing.T, strict=True):
+    # A row without any of them is of other columns, and changes none.
+    there = ~missing.all(axis=1)
+    part, missing = values[there], missing[there]
+    if missing.any(axis=1).sum() <= MOST_LOST * len(part):
+        return values
+    for column, empty in zip(part.T, missing.T, strict=True):
         rows = np.flatnonzero(~empty)
         if rows.size < 3 or (empty.any() and np.any(np.diff(column[rows]) == 0.0)):
             return values
         if empty.any() and np.ptp(np.diff(rows)) <= 1:  # a slower channel, at its own even rate
             return values
-    last = np.where(missing, 0, np.arange(len(values))[:, None])
-    full = np.take_along_axis(values, np.maximum.accumulate(last, axis=0), axis=0)
+    last = np.where(missing, 0, np.arange(len(part))[:, None])
+    full = np.take_along_axis(part, np.maximum.accumulate(last, axis=0), axis=0)
     repairs["empty cell of a log on change, held"] += int(missing.sum() - np.isnan(full).sum())
-    return full
+    whole = values.copy()
+    whole[there] = full
+    return whole
 
 
 def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:
@@ -189,7 +199,8 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     if not jumps.any() or jumps.mean() > 0.25:
         return position
     usual = float(np.max(np.abs(steps[~jumps])))
-    turn = next((t for t in _TURNS if -1e-6 * t <= t - span <= 2.0 * usual + 1e-3 * t), None)
+    turns = (2.0 * math.pi / abs(unit), *_POWERS)
+    turn = next((t for t in turns if -1e-6 * t <= t - span <= 2.0 * usual + 1e-3 * t), None)
     if turn is None:
         return position
     onward = np.where(jumps, steps - np.sign(steps) * turn, steps)
@@ -212,7 +223,7 @@ def new_values(speed: FloatArray) -> tuple[slice, str] | None:
     or drew a line from one to the next (the second do). ``None`` where all are new.
     """
     for order, how in ((1, "repeated"), (2, "interpolated")):
-        change = np.abs(np.diff(speed, order))
+        change = np.abs(np.diff(speed[:_ENOUGH], order))
         for every in range(min(_SLOWEST, speed.size // 10), 1, -1):
             rows = change[: change.size // every * every].reshape(-1, every)
             sizes = rows.mean(axis=0)

@@ -14,6 +14,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import ready_for_fit
 from bayesbl.recording.columns import stamps_and_values
+from bayesbl.recording.formats import csv
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
@@ -122,6 +123,21 @@ def test_every_form_of_text_holds_the_same_samples(content: str | bytes, tmp_pat
     assert sum("Put right" in note for note in read.notes) <= 1
 
 
+def test_how_large_the_blocks_of_a_text_are_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    for name, content in {**SPACED, **MARKS, **ENCODED, **LEFT_OUT, **MORE_COLUMNS}.items():
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        monkeypatch.setattr(csv, "_BLOCK_BYTES", 1 << 20)
+        whole, place = read_recording(path), read_table(path).place(500, 0)
+        monkeypatch.setattr(csv, "_BLOCK_BYTES", 70)
+        cut = read_recording(path)
+        np.testing.assert_array_equal(cut.time_s, whole.time_s, name)
+        np.testing.assert_array_equal(cut.motor_speed_rpm, whole.motor_speed_rpm, name)
+        assert (cut.notes, read_table(path).place(500, 0)) == (whole.notes, place), name
+
+
 def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(text(rows("{t:.3f} s,{n:.3f} rad/s"), "time,speed"))
@@ -189,6 +205,7 @@ TIMES: dict[str, Callable[[float], str]] = {
     "ISO dates": lambda t: clock(t, "%Y-%m-%dT%H:%M:%S.%f"),
     "times of day": lambda t: clock(t, "%H:%M:%S.%f"),
     "milliseconds after a colon": lambda t: clock(t, "%H:%M:%S:%f")[:-3],
+    "milliseconds after a semicolon": lambda t: '"' + clock(t, "%H:%M:%S;%f")[:-3] + '"',
     "milliseconds without zeros": lambda t: (
         clock(t, "%H:%M:%S.") + str(int(clock(t, "%f")) // 1000)
     ),
@@ -218,8 +235,9 @@ def recorded(tmp_path: Path, columns: dict[str, np.ndarray], **units: str) -> Re
         ("ms", (65000 + 1000 * TIME).round() % 2**16),
         ("us", (2**32 - 100_000 + 1e6 * TIME).round() % 2**32),
         ("ms", (86_399_800 + 1000 * TIME).round() % 86_400_000),
+        ("us", (2**32 - 100_000 + 1e6 * TIME).round() % 2**32 - 2**31),
     ],
-    ids=["16 bits of ms", "32 bits of us", "ms of the day"],
+    ids=["16 bits of ms", "32 bits of us", "ms of the day", "32 bits with a sign"],
 )
 def test_a_counter_that_begins_again_goes_on(unit: str, stamps: np.ndarray, tmp_path: Path) -> None:
     read = recorded(tmp_path, {"time_s": stamps, "motor_speed_rpm": SPEED}, time_s=unit)
@@ -265,6 +283,16 @@ def test_two_recordings_in_one_file_are_not_merged(tmp_path: Path) -> None:
             recorded(tmp_path, {"time_s": time, "motor_speed_rpm": speed})
 
 
+def test_another_header_among_the_samples_is_another_table(tmp_path: Path) -> None:
+    lines = [f"{row},1" for row in rows()]
+    path = tmp_path / "a.csv"
+    swapped = "motor_speed_rpm,time_s,motor_current_a"
+    whole = text([*lines[:300], swapped, *lines[300:]], ",".join([*NAMES, "motor_current_a"]))
+    path.write_text(whole)
+    with pytest.raises(RecordingError, match=r"line 302: Another header"):
+        read_recording(path)
+
+
 def test_a_stamp_that_comes_twice_with_other_values_is_refused(tmp_path: Path) -> None:
     time = np.insert(TIME, 300, TIME[300])
     with pytest.raises(RecordingError, match="Time does not advance"):
@@ -283,6 +311,7 @@ def test_a_stamp_that_comes_twice_with_other_values_is_refused(tmp_path: Path) -
         (65536.0, "rev/65536", 0.0),
         (1.0, "rev", 0.0),
         (4096.0, "rev/4096", 0.0),
+        (10000.0, "rev/10000", 0.0),
     ],
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -517,6 +546,12 @@ def test_a_labview_file_is_a_table(tmp_path: Path) -> None:
         "speed x1000 rpm",
         "speed (rpm x10)",
         "speed_deg",
+        "speed_pct",
+        "speed_%",
+        "vel_mm_s",
+        "vel_mps",
+        "speed_rpm_x10",
+        "speed [rpm]*10",
     ],
 )
 def test_a_unit_that_is_not_known_is_a_question(name: str, tmp_path: Path) -> None:
@@ -537,6 +572,65 @@ def test_a_remark_or_an_index_is_no_unit(name: str, tmp_path: Path) -> None:
     path.write_text(text([row.replace(",", ";") for row in rows()], f"time_s;{name}"))
     read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec(name)})
     np.testing.assert_allclose(read.motor_speed_rpm, SPEED)
+
+
+@pytest.mark.parametrize(
+    ("names", "channel", "name"),
+    [
+        ("n;t;speed", "motor_speed_rpm", "speed"),
+        ("i;t;speed", "motor_current_a", None),
+        ("speed_error;t;speed", "motor_speed_rpm", "speed"),
+        ("speed_filtered;t;speed", "motor_speed_rpm", "speed"),
+        ("ms_today;tacho;speed", "time_s", "ms_today"),
+    ],
+)
+def test_numbers_of_rows_errors_and_filtered_signals_are_not_the_channel(
+    names: str, channel: str, name: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{i};{t:.3f};{n:.3f}" for i, (t, n) in enumerate(PAIRS)]
+    path.write_text(text(lines, names))
+    found = {c.channel: c.name for c in guess_columns(path, read_table(path)).columns}
+    assert found.get(channel) == name
+
+
+def test_a_demand_is_the_reference_and_a_unit_below_goes_before_one_of_the_name(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{t:.3f};2000;{n:.3f}" for t, n in PAIRS]
+    path.write_text(text(["s;rad/s;rad/s", *lines], "t;SpeedDemand;motor_speed_rpm"))
+    guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    assert guess["reference_speed_rpm"].name == "SpeedDemand"
+    assert guess["motor_speed_rpm"].unit == "rad/s"
+
+
+@pytest.mark.parametrize("between", [0, 1, 3])
+def test_rows_of_other_topics_are_no_samples(between: int, tmp_path: Path) -> None:
+    # As PlotJuggler exports topics: a row for each stamp of any, empty cells for the others.
+    generator = np.random.default_rng(3)
+    lines = []
+    for t, n in PAIRS:
+        lines.append(f"{t:.4f},{n:.3f},")
+        others = generator.integers(0, between + 1)
+        lines += [f"{t + 0.0002 * (k + 1):.4f},,{k}" for k in range(others)]
+    path = tmp_path / "a.csv"
+    path.write_text(text(lines, "time_s,motor_speed_rpm,imu"))
+    read = read_recording(path)
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+    assert read.excluded is None
+
+
+def test_marks_that_could_be_decimal_or_part_thousands_alike_are_a_question(
+    tmp_path: Path,
+) -> None:
+    # 12.345 s and 1995 rpm, or 12345 ms and 1.995 rpm: 1 kHz and a steady motor either way.
+    lines = [f"{12345 + 1e3 * t:,.0f};{round(n) / 1e3:.3f}" for t, n in PAIRS]
+    path = tmp_path / "a.csv"
+    path.write_text(text(lines, "t;n"))
+    with pytest.raises(RecordingError, match="decimal comma"):
+        read_table(path)
 
 
 # Other formats
@@ -605,6 +699,26 @@ def test_channels_of_tdms_that_start_apart_are_not_laid_on_one_another(tmp_path:
         read_recording(path, columns=both)
     alone = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("motor_speed_rpm")})
     assert set(alone.channels) == {"motor_speed_rpm"}
+
+
+def test_samples_that_an_mdf_file_marks_as_invalid_are_lost_ones(tmp_path: Path) -> None:
+    import asammdf
+
+    path = tmp_path / "a.mf4"
+    invalid = np.zeros(COUNT, dtype=bool)
+    invalid[300:310] = True
+    speed = np.where(invalid, 1e6, SPEED)
+    with asammdf.MDF(version="4.10") as file:
+        file.append(
+            [
+                asammdf.Signal(speed, TIME, name=NAMES[1], invalidation_bits=invalid),
+                asammdf.Signal(SPEED, TIME, name="motor_current_a"),
+            ]
+        )
+        file.save(path, overwrite=True)
+    read = read_recording(path)
+    np.testing.assert_array_equal(read.excluded, invalid)
+    np.testing.assert_array_equal(read.motor_speed_rpm[~invalid], SPEED[~invalid])
 
 
 def test_lists_in_parquet_are_columns(tmp_path: Path) -> None:

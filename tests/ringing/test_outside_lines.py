@@ -51,6 +51,15 @@ def test_a_line_is_found_with_its_frequency_and_size(size_rpm: float, frequency_
     assert size == pytest.approx(size_rpm, rel=0.1, abs=0.2)
 
 
+def test_a_long_recording_sharpens_the_frequency() -> None:
+    time_s = np.arange(0.0, 900.0, 2e-3)
+    noise = np.random.default_rng(1).normal(0.0, NOISE_RPM, time_s.size)
+    speed = 2000.0 + noise + 2.0 * np.sin(2.0 * np.pi * 13.2345 * time_s)
+    _, ((line),) = without_outside_lines({MOTOR_SPEED: speed}, MOTOR_SPEED, 2e-3)
+    assert line.frequency_hz == pytest.approx(13.2345, abs=1e-5)
+    assert line.size_rpm == pytest.approx(2.0, rel=0.02)
+
+
 def test_a_line_on_top_leaves_the_amplitude_where_it_was_and_widens_it() -> None:
     seed = np.random.SeedSequence(1)
     alone, beside = (

@@ -9,18 +9,17 @@ The policy, for every dialect alike:
 * one decimal mark holds for the whole file, and thousands are grouped in threes by another mark;
 * everything else is refused with its line and column.
 
-The text is decoded and cut line by line, twice (what is there, then the numbers), so that memory is
-that of the file and its numbers.
+The text is gone through in blocks of lines, twice (what is there, then the numbers), so that memory
+is that of the file and its numbers; of a block in which all lines are samples none is cut here.
 """
 
 from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
 from array import array
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +45,7 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 _CONTROL = dict.fromkeys([*range(9), *range(0x0E, 0x20), *range(0x7F, 0xA0), 0xFEFF])
-_CONTROL_BYTES = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f-\x9f\xef]")
+_CONTROL_BYTES = bytes([*range(9), *range(0x0E, 0x20), *range(0x7F, 0xA0), 0xEF])
 _KANA = re.compile("[\u3041-\u30fa]|[\uff66-\uff9d]{2}")
 _KANJI = re.compile("(?<![A-Za-z])[\u4e00-\u9fff]+(?![A-Za-z])")
 _KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
@@ -55,11 +54,12 @@ _KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
-_BEGINS = frozenset("0123456789+-.")
+_BEGINS = tuple(b"0123456789+-.")
 """With what most lines of samples begin, and hardly any other line."""
 
 _MISSING = frozenset(
-    "|nan|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!|#num!|-|--|---|?|missing".split("|")  # noqa: SIM905
+    "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
+    "|#num!|-|--|---|?|missing".split("|")
 )
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -80,7 +80,7 @@ MOST_INCOMPLETE = 0.05
 
 _INCOMPLETE = "incomplete line left out, as a lost sample"
 _HEAD_LINES, _MIDDLE_LINES, _MIDDLE_BYTES = 400, 200, 1 << 16
-_BLOCK = 20_000
+_BLOCK_BYTES = 1 << 20
 _LONGEST_LINE = 4_000_000
 _MOST_SKIPPED = 1_000_000
 """Lines that are no samples, beyond as many as samples."""
@@ -96,27 +96,39 @@ _EXPECTED = "a CSV file: a header line with column names, then one line of numbe
 
 @dataclass(frozen=True, slots=True)
 class _Text:
-    """The bytes of a file and how they are decoded."""
+    """A file in UTF-8, its lines ended alike, and whether it has no control characters."""
 
     data: bytes
-    encoding: str
     is_clean: bool
 
     @classmethod
     def of(cls, data: bytes) -> _Text:
         encoding = _encoding(data)
-        wide = encoding.startswith("utf-16")
-        return cls(data, encoding, not wide and _CONTROL_BYTES.search(data) is None)
+        if encoding != "utf-8":
+            data = data.decode(encoding, "replace").encode()
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        text = cls(data, False)
+        cleaned = sum(len(block.translate(None, _CONTROL_BYTES)) for block in text.blocks())
+        return replace(text, is_clean=cleaned == len(data))
 
-    def raw_lines(self) -> Iterator[str]:
-        """Lines without their ends, whatever these are."""
-        stream = io.TextIOWrapper(io.BytesIO(self.data), self.encoding, "replace", newline=None)
-        return (line.rstrip("\n") for line in stream)
+    def blocks(self) -> Iterator[bytes]:
+        """Whole lines, some tens of thousands at a time."""
+        begin = 0
+        while begin < len(self.data):
+            end = self.data.find(b"\n", begin + _BLOCK_BYTES) + 1 or len(self.data)
+            yield self.data[begin:end]
+            begin = end
+
+    def cut(self, block: bytes) -> list[str]:
+        """The lines of a block without control characters."""
+        text = block.decode()
+        text = text if self.is_clean else text.translate(_CONTROL)
+        return text.removesuffix("\n").split("\n")
 
     def lines(self) -> Iterator[str]:
-        """Lines without control characters."""
-        raw = self.raw_lines()
-        return raw if self.is_clean else (line.translate(_CONTROL) for line in raw)
+        """All lines without control characters."""
+        return (line for block in self.blocks() for line in self.cut(block))
 
     def middle(self) -> list[str]:
         """Some lines from amid the samples that are not blank."""
@@ -124,12 +136,8 @@ class _Text:
         if size <= 4 * _MIDDLE_BYTES:
             written = [line for line in self.lines() if line.strip()]
             return written[len(written) // 2 :][:_MIDDLE_LINES]
-        begin = size // 2 & ~1
-        name = self.encoding
-        if name == "utf-16":
-            name += "-be" if self.data.startswith(codecs.BOM_UTF16_BE) else "-le"
-        text = self.data[begin : begin + _MIDDLE_BYTES].decode(name, "replace")
-        cut = text.translate(_CONTROL).splitlines()[1:-1]
+        text = self.data[size // 2 : size // 2 + _MIDDLE_BYTES].decode("utf-8", "replace")
+        cut = text.translate(_CONTROL).split("\n")[1:-1]
         return [line for line in cut if line.strip()][:_MIDDLE_LINES]
 
 
@@ -181,7 +189,7 @@ class CsvTable:
 
     def without_values(self) -> CsvTable:
         """Its names and places alone."""
-        return replace(self, _text=_Text(b"", "utf-8", True))
+        return replace(self, _text=_Text(b"", True))
 
     def unit(self, column: int) -> str | None:
         """The unit in a line of units below the names."""
@@ -200,11 +208,12 @@ class CsvTable:
         """
         from bayesbl.recording.timestamps import is_date, seconds_of_dates
 
-        cells = (self._layout.cells(line)[column] for line in self._samples())
-        if not is_date(next(cells, "")):
+        def cells() -> Iterator[str]:
+            return (self._layout.cells(x)[column] for block in self._samples() for x in block)
+
+        if not is_date(next(cells(), "")):
             return None
-        cells = (self._layout.cells(line)[column] for line in self._samples())
-        return seconds_of_dates(cells, self.file, lambda row: self.place(row, column))
+        return seconds_of_dates(cells(), self.file, lambda row: self.place(row, column))
 
     def numbers(self, columns: Sequence[int]) -> FloatArray:
         """The values of some columns, shape (rows, len(columns)); empty cells are NaN.
@@ -219,8 +228,8 @@ class CsvTable:
         needed = len(self._text.data) + 24.0 * self._rows * len(columns)
         require_memory(Path(self.file), needed, f"{self._rows} lines of text and numbers")
         values: FloatArray = np.empty((self._rows, len(columns)), order="F")
-        samples, row = self._samples(), 0
-        while block := list(islice(samples, _BLOCK)):
+        row = 0
+        for block in self._samples():
             read = self._quickly(block, columns)
             if read is None:
                 for number, line in enumerate(block, row):
@@ -231,42 +240,47 @@ class CsvTable:
             row += len(block)
         return values
 
-    def _samples(self) -> Iterator[str]:
-        skipped = iter([*self._skipped, -1])
-        next_skipped = next(skipped)
-        for index, line in enumerate(self._text.lines()):
-            if index == next_skipped:
-                next_skipped = next(skipped)
-            elif index >= self._layout.begin:
-                yield line
+    def _samples(self) -> Iterator[list[str]]:
+        """Lines that are samples, a block at a time."""
+        first = 0
+        for block in self._text.blocks():
+            lines = self._text.cut(block)
+            low, high = (bisect_left(self._skipped, at) for at in (first, first + len(lines)))
+            skipped = set(self._skipped[low:high])
+            samples = (
+                [x for i, x in enumerate(lines, first) if i not in skipped] if skipped else lines
+            )
+            first += len(lines)
+            if samples:
+                yield samples
 
     def _line(self, row: int) -> int:
         """The line, from 0, of a sample: as many were skipped before it as lie before it."""
-        line = self._layout.begin + row
-        while True:
-            before = bisect_right(self._skipped, line)
-            moved = self._layout.begin + row + before
-            if moved == line:
-                return line
+        line = row
+        while (moved := row + bisect_right(self._skipped, line)) != line:
             line = moved
+        return line
 
     def _quickly(self, block: list[str], columns: Sequence[int]) -> FloatArray | None:
         """Numbers by NumPy's parser, where no line has anything but numbers and separators."""
         import numpy as np
 
         separator, mark = self._layout.separator, self._layout.mark
-        marks = self._layout.width - 1
-        if separator != " " and any(line.count(separator) != marks for line in block):
-            return None
         text = "\n".join(block)
+        # A quoted cell may hold more separators; no sample has fewer.
+        if separator != " " and text.count(separator) != (self._layout.width - 1) * len(block):
+            return None
         if any(bracket in text for bracket in "([{'’"):
             return None
-        text = text.replace('"', "")
+        lines = block
+        if '"' in text:
+            text = text.replace('"', "")
+            lines = text.split("\n")
         if separator != ",":
             if ("," if mark == "." else ".") in text:
                 return None
-            text = text.replace(",", ".")
-        lines = text.split("\n")
+            if "," in text:
+                lines = text.replace(",", ".").split("\n")
         delimiter = None if separator == " " else separator
         try:
             read: FloatArray = np.loadtxt(
@@ -439,7 +453,7 @@ def _layout(
         raise RecordingError("The file is empty.", file=file, found="nothing", expected=_EXPECTED)
     if len(values) < 2:
         raise _no_table(file, text, [head[i] for i in written])
-    if width > max(MOST_COLUMNS, text.data.count(b"\n"), text.data.count(b"\r")):
+    if width > max(MOST_COLUMNS, text.data.count(b"\n")):
         raise RecordingError(
             "The file has more columns than lines: is it transposed?",
             file=file,
@@ -461,7 +475,7 @@ def _layout(
         if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
             cut[i].pop()  # LabVIEW ends its header so, and no line of samples
     found = header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
-    rows = [_split(line, separator) for line in middle]
+    rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     mark = decimal_mark(file, rows, values)
     stated = tuple(_units_of(file, rows, k) if k in values else "" for k in range(width))
     if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
@@ -587,7 +601,7 @@ def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int
     if not any("," in cell for cell in cells):
         return "."
     fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
-    if fits["."] == fits[","] and not any("." in cell for cell in cells):
+    if fits["."] == fits[","]:
         example = next(cell for cell in cells if "," in cell)
         raise RecordingError(
             "A comma may be a decimal comma here, or part thousands.",
@@ -601,8 +615,7 @@ def decimal_mark(file: Path, rows: Sequence[Sequence[str]], values: Sequence[int
 
 def _no_table(file: Path, text: _Text, lines: Sequence[str]) -> RecordingError:
     """Nothing is quoted: a name may lead to any file."""
-    wide = text.encoding.startswith("utf-16")
-    if not wide and re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", text.data[:_MIDDLE_BYTES]):
+    if re.search(rb"[\x00-\x08\x0e-\x1f\x7f]", text.data[:_MIDDLE_BYTES]):
         found = "binary data"
     elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
         return RecordingError(
@@ -619,52 +632,56 @@ def _no_table(file: Path, text: _Text, lines: Sequence[str]) -> RecordingError:
 def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int, Mapping[str, int]]:
     """Lines below the header that are no samples, how many are, and what was left out."""
     separator, width = layout.separator, layout.width
-    marks, spaced = width - 1, layout.separator == " "
-    skipped, incomplete = array("q"), array("q")
+    skipped, incomplete = array("q", range(layout.begin)), array("q")
     counts: Counter[str] = Counter()
-    rows = index = 0
-    cells: list[str] = []
+    rows, index = 0, -1
     first_incomplete = (0, 0)
     blank = f' "\t{separator}'
-    control = 0
-    for index, raw in enumerate(text.raw_lines()):
-        line = raw
+    for block in text.blocks():
+        require_memory(file, len(text.data) + 48.0 * rows, f"{rows} lines, or more")
+        if len(skipped) > rows + _MOST_SKIPPED:
+            raise _no_table(file, text, [])
+        if text.is_clean and index + 1 >= layout.begin and _are_samples(block, separator, width):
+            rows += block.count(b"\n")
+            index += block.count(b"\n")
+            continue
+        lines = text.cut(block)
         if not text.is_clean:
-            line = raw.translate(_CONTROL)
-            control += len(raw) - len(line)
-        if index < layout.begin:
-            continue
-        if index % _BLOCK == 0:
-            require_memory(file, len(text.data) + 48.0 * rows, f"{rows} lines, or more")
-            if len(skipped) > rows + _MOST_SKIPPED:
-                raise _no_table(file, text, [])
-        if (len(line.split()) == width if spaced else line.count(separator) == marks) and (
-            line[:1] in _BEGINS
-        ):
-            rows += 1
-            continue
-        bare = line.strip(blank)
-        if not bare:
+            counts["control character left out"] += len(block.decode()) - len("\n".join(lines)) - 1
+        for line in lines:
+            index += 1
+            if index < layout.begin:
+                continue
+            bare = line.strip(blank)
+            if not bare:
+                skipped.append(index)
+                continue
+            cells = layout.cells(line)
+            if bare.startswith(_COMMENT):
+                kind = "comment left out"
+            elif tuple(cells) in layout.header:
+                kind = "repeated header left out"
+            elif len(cells) == width and (
+                any(map(_is_value, cells)) or all(cell.lower() in _MISSING for cell in cells)
+            ):
+                rows += 1
+                continue
+            elif any(map(_is_number, cells)):
+                kind = _INCOMPLETE
+                first_incomplete = first_incomplete if incomplete else (index, len(cells))
+                incomplete.append(index)
+            elif len(cells) == width and set(cells) & set(layout.names):
+                raise RecordingError(
+                    "Another header stands among the samples.",
+                    file=file,
+                    where=f"line {index + 1}",
+                    found=shortened(", ".join(cells)),
+                    expected="one table in a file, its columns in one order",
+                )
+            else:
+                kind = "line of text left out"
+            counts[kind] += 1
             skipped.append(index)
-            continue
-        cells = layout.cells(line)
-        if bare.startswith(_COMMENT):
-            kind = "comment left out"
-        elif tuple(cells) in layout.header:
-            kind = "repeated header left out"
-        elif len(cells) == width and (
-            any(map(_is_value, cells)) or all(cell.lower() in _MISSING for cell in cells)
-        ):
-            rows += 1
-            continue
-        elif any(map(_is_number, cells)):
-            kind = _INCOMPLETE
-            first_incomplete = first_incomplete if incomplete else (index, len(cells))
-            incomplete.append(index)
-        else:
-            kind = "line of text left out"
-        counts[kind] += 1
-        skipped.append(index)
     if incomplete and incomplete[-1] == index:
         counts[_INCOMPLETE] -= 1
         counts["cut last line left out"] += 1
@@ -677,11 +694,27 @@ def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int,
             found=f"{found} cells",
             expected=f"{width}, as in the header",
         )
-    bom = 1 if text.encoding == "utf-16" else 0
-    counts["control character left out"] += max(control - bom, 0)
     if not rows:
         raise _no_table(file, text, [])
     return skipped, rows, {kind: count for kind, count in counts.items() if count > 0}
+
+
+def _are_samples(block: bytes, separator: str, width: int) -> bool:
+    """Whether every line begins as samples do and has as many cells, without cutting one."""
+    import numpy as np
+
+    codes = np.frombuffer(block, np.uint8)
+    ends = np.flatnonzero(codes == ord("\n"))
+    begins = np.concatenate([[0], ends[:-1] + 1])
+    if block[-1:] != b"\n" or not np.isin(codes[begins], _BEGINS).all():
+        return False
+    if separator == " ":
+        gaps = codes <= ord(" ")
+        cells = np.flatnonzero(~gaps & np.concatenate([[True], gaps[:-1]]))
+    else:
+        cells = np.flatnonzero(codes == ord(separator))
+        width -= 1
+    return bool(np.all(np.diff(np.searchsorted(cells, ends), prepend=0) == width))
 
 
 _SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".lvm", ".asc", ".prn")

@@ -102,7 +102,8 @@ def _group(stored: Any, number: int) -> Group:
     columns: dict[str, AnyArray] = {}
     reasons: dict[str, str] = {}
     for name, index in zip(names, others, strict=True):
-        samples = np.asarray(stored.get(group=number, index=index, raw=True).samples)
+        signal = stored.get(group=number, index=index, raw=True, ignore_invalidation_bits=True)
+        samples = np.asarray(signal.samples)
         if samples.ndim != 1:
             continue
         reason = scales[index].withheld or (withheld and f"{withheld} on its time")
@@ -111,6 +112,8 @@ def _group(stored: Any, number: int) -> Group:
             columns[name] = samples[:0]
         elif samples.dtype.kind in "biuf":
             columns[name] = scales[index].of(samples)
+            if signal.invalidation_bits is not None:
+                columns[name] = np.where(signal.invalidation_bits, np.nan, columns[name])
         else:
             columns[name] = samples
     acquired = getattr(stored.groups[number].channel_group, "acq_name", "")
