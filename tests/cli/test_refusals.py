@@ -259,18 +259,18 @@ def test_unknown_columns_lead_to_init_and_leave_nothing(foreign, capsys):
 def test_init_says_what_is_still_to_be_filled_in(foreign, capsys):
     assert cli.status(["init", "monday.csv", "friday.csv"]) == 0
     told = capsys.readouterr().out
-    for text in ("gear_ratio", "limit_rad", "bayesbl run monday.toml"):
+    for text in ("gear_ratio", "limit (when to repair)", "bayesbl run monday.toml"):
         assert text in told
     assert told.count("no unit found") == 1
     text = (foreign / "monday.toml").read_text()
-    filled = re.sub(r"(?m)^# (gear_ratio|limit_rad|decide_before|date|repaired) =", r"\1 =", text)
+    filled = re.sub(r"(?m)^# (gear_ratio|limit|decide_before|date|repaired) =", r"\1 =", text)
     (foreign / "filled.toml").write_text(filled)
     config = load_config(foreign / "filled.toml")
     assert config.joint.gear_ratio == 120.0
-    assert config.joint.limit_rad == 1.2e-3
+    assert config.joint.limit.stated().delta_rad() == pytest.approx(1.2e-3)
     assert config.joint.decide_before > config.dates[-1]
     assert all(recording.repaired for recording in config.recordings)
-    assert "half the total play" in text
+    assert "half the play" in text
 
 
 def test_commands_to_type_are_quoted(foreign, capsys):
