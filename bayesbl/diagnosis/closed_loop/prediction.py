@@ -41,8 +41,7 @@ def simulated_pairs(
     """All recordings with both simulations; of held-out ones only start and phases are fitted."""
     found = []
     for i, seen in enumerate(final.fit.model.recordings):
-        before = nominal.fit.model.signals(nominal.fit.point, i)[0]
-        after = final.fit.model.signals(final.fit.point, i)[0]
+        before, after = nominal.fit.simulated(i), final.fit.simulated(i)
         found.append(SimulatedPair(seen, "used", before, after))
     for seen in held_out:
         before, after = predicted(nominal, seen), predicted(final, seen)
@@ -82,14 +81,12 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
         for k, trial in enumerate(trials):
             trial[1 : 1 + len(phases)] = 0.5 * math.pi * k
     fits = [fit_simulated(model, trial) for trial in trials]
-    best = min(fits, key=lambda f: f.chi_square)
-    return np.asarray(model.signals(best.point, 0)[0])
+    return min(fits, key=lambda f: f.chi_square).simulated(0)
 
 
 def residuals_of(pair: SimulatedPair) -> list[PieceResiduals]:
     """One entry for each channel, its RMS that of the samples that are compared."""
-    excluded = pair.seen.excluded
-    scale = 1.0 if excluded is None else float(np.mean(~excluded)) ** -0.5
+    scale = float(np.mean(pair.seen.compared)) ** -0.5
     before, after = (scale * pair.seen.left_by(made) for made in (pair.before, pair.after))
     return [
         piece_residuals(pair.seen.name, channel, pair.use, before[k], after[k], pair.seen.lag)
