@@ -12,6 +12,10 @@ StageProgress = Callable[[str, int, int], None]
 """Called with (what is being done, steps made, steps allowed)."""
 
 
-def of_stage(progress: StageProgress | None, stage: str) -> Progress | None:
-    """The progress of one stage, if any is shown."""
-    return None if progress is None else partial(progress, stage)
+def silent(made: int, allowed: int) -> None:
+    """Nobody is told."""
+
+
+def of_stage(progress: StageProgress | None, stage: str) -> Progress:
+    """The progress of one stage."""
+    return silent if progress is None else partial(progress, stage)

@@ -15,7 +15,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.effect_declaration import EffectParameter
+from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import SLOTS, Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import FloatArray
@@ -134,6 +135,12 @@ See docs/design.md, "What recordings cannot tell apart".
 
 SMALLEST_SHARPNESS_GAP = 50.0
 """α·δ below which the arctan form has no dead zone left, only a weak shaft."""
+
+
+def declaration_of(name: str) -> ParameterInfo | EffectParameter:
+    """What is declared of a bench parameter or ``effect.parameter``, also by its slot's name."""
+    owner, _, own = name.replace("__", ".").partition(".")
+    return effect_named(owner).parameter(own) if own else PARAMETER_INFO[owner]
 
 
 def label(slot: Slot) -> str:

@@ -32,7 +32,7 @@ from bayesbl.identification.verdict import reason_of
 from bayesbl.identification.wrong_by_far import is_plausible
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.signals import GAP
-from bayesbl.model_search.refit import Explanation, nominal_explanation
+from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED
@@ -46,7 +46,7 @@ def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
 
 
 def identification_tree(
-    found: Identification, problem: Problem, level: float, kind: IntervalKind
+    result: Identification, problem: Problem, level: float, kind: IntervalKind
 ) -> xr.DataTree:
     """The whole result, without its origin.
 
@@ -55,18 +55,18 @@ def identification_tree(
     level, kind
         Of the credible intervals.
     """
-    table = _disagreement(found, problem)
-    bench = identified_bench(found, problem)
-    reason = reason_of(found, problem, level)
-    answer = _answer(found, problem, table, level, kind, withheld=reason is not None)
+    table = _disagreement(result, problem)
+    bench = identified_bench(result, problem)
+    reason = reason_of(result, problem, level)
+    answer = _answer(result, problem, table, level, kind, withheld=reason is not None)
     tree = xr.DataTree.from_dict(
         {
-            "identified": _identified(found, problem, bench),
-            "posterior": posterior_dataset(found.posterior),
+            "identified": _identified(result, problem, bench),
+            "posterior": posterior_dataset(result.posterior),
             "disagreement": of_rows(disagreement_group("as the channel"), table.pieces),
         }
     )
-    doubts = found.posterior.diagnostics.reasons
+    doubts = result.posterior.diagnostics.reasons
     outcome = "withheld" if reason else ("usable" if doubts else "converged")
     tree.attrs = {
         "kind": "identify",
@@ -81,7 +81,7 @@ def identification_tree(
     return tree
 
 
-def _identified(found: Identification, problem: Problem, bench: Bench) -> xr.Dataset:
+def _identified(result: Identification, problem: Problem, bench: Bench) -> xr.Dataset:
     names, joint = list(problem.parameters), bench.identified
     covariance = np.full((len(names), len(names)), np.nan)
     if joint is not None:
@@ -98,24 +98,24 @@ def _identified(found: Identification, problem: Problem, bench: Bench) -> xr.Dat
     return dataset(IDENTIFIED, values, {"parameter": names, "parameter_": names})
 
 
-def _disagreement(found: Identification, problem: Problem) -> DisagreementTable:
+def _disagreement(result: Identification, problem: Problem) -> DisagreementTable:
     """Before: the data sheet's values with gap and start angles fitted.
 
     What no joint can be is not simulated: ``final``, so that nothing differs from what was found.
     """
     own = set(problem.parameters)
     unknowns = [u for u in problem.unknowns if u.name not in own]
-    before = found.final
+    before = result.final
     if is_plausible(problem):
         sheet = fit_aligned(problem.bench, problem.used, unknowns, problem.workers)
-        before = nominal_explanation(sheet)
-    pairs = simulated_pairs(before, found.final, problem.held_out)
+        before = Explanation((), sheet)
+    pairs = simulated_pairs(before, result.final, problem.held_out)
     pieces = [piece for pair in pairs for piece in residuals_of(pair)]
     return disagreement_table(pieces, in_units_of_noise=True)
 
 
 def _answer(
-    found: Identification,
+    result: Identification,
     problem: Problem,
     table: DisagreementTable,
     level: float,
@@ -123,18 +123,18 @@ def _answer(
     *,
     withheld: bool,
 ) -> IdentificationAnswer:
-    draws = parameter_draws(found, problem.parameters)
+    draws = parameter_draws(result, problem.parameters)
     positive = [i for i, own in enumerate(draws.T) if own.min() > 0.0]
     together = not_told_apart([problem.parameters[i] for i in positive], draws[:, positive])
     answer: IdentificationAnswer = {
-        "verdict": found.verdict,
+        "verdict": result.verdict,
         "parameters": {
             name: _parameter(problem.bench, name, own, level, kind)
             for name, own in zip(problem.parameters, draws.T, strict=True)
         },
         "gaps": {
             name: None if withheld else interval(own, level, kind)
-            for name, own in _gaps(found, problem).items()
+            for name, own in _gaps(result, problem).items()
         },
         "gap_shared": problem.shares_gap,
         "effects": [
@@ -142,18 +142,20 @@ def _answer(
                 "name": name,
                 "parameters": {
                     parameter: interval_of(estimate, level, kind)
-                    for parameter, estimate in estimates(found.final, name, found.posterior).items()
+                    for parameter, estimate in estimates(
+                        result.final, name, result.posterior
+                    ).items()
                 },
-                "indistinguishable_from": _alike(found, name),
+                "indistinguishable_from": _alike(result, name),
             }
-            for name in _free_effects(found.final)
+            for name in _free_effects(result.final)
         ],
-        "missing": [list(members) for members in found.missing],
-        "data_sheet_error": plain(found.beyond),
+        "missing": [list(members) for members in result.missing],
+        "data_sheet_error": plain(result.beyond),
         "not_told_apart": plain(together),
         "disagreement": disagreement_summary(table),
-        "suggested_recording": plain(_suggested(found.final)),
-        "diagnostics": sampling_summary(found.posterior),
+        "suggested_recording": plain(_suggested(result.final)),
+        "diagnostics": sampling_summary(result.posterior),
     }
     if not withheld:
         answer["bench"] = IDENTIFIED_BENCH
@@ -175,14 +177,14 @@ def _suggested(final: Explanation) -> NextRecording | None:
         return None  # a suggestion is not worth a result
 
 
-def _alike(found: Identification, name: str) -> list[str]:
-    return [other for members in found.missing if members[0] == name for other in members[1:]]
+def _alike(result: Identification, name: str) -> list[str]:
+    return [other for members in result.missing if members[0] == name for other in members[1:]]
 
 
-def _gaps(found: Identification, problem: Problem) -> dict[str, FloatArray]:
+def _gaps(result: Identification, problem: Problem) -> dict[str, FloatArray]:
     """Draws of δ by recording, in rad; of all recordings the same where they share it."""
     return {
-        seen.name: found.posterior.values(GAP, None if problem.shares_gap else seen.name)
+        seen.name: result.posterior.values(GAP, None if problem.shares_gap else seen.name)
         for seen in problem.used
     }
 

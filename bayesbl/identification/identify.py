@@ -21,7 +21,7 @@ from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.identification.problem import Problem, is_explained
+from bayesbl.identification.problem import Problem
 from bayesbl.identification.wrong_by_far import (
     explanations_from_afar,
     freed,
@@ -30,29 +30,22 @@ from bayesbl.identification.wrong_by_far import (
 )
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
 from bayesbl.matching.signals import GAP
 from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.model_search.catalogue import Candidate, OrderPeak, candidates, order_peaks
-from bayesbl.model_search.closed_loop import (
-    FittedSet,
-    NamedCandidate,
-    Naming,
-    name_missing,
-    weighed,
-)
-from bayesbl.model_search.constants import FALSE_ALARM, NAMED_AT
+from bayesbl.model_search.closed_loop import FittedSet, Naming, name_missing, weighed
+from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.model_search.refit import (
     Explanation,
     from_afar,
     is_gross,
-    nominal_explanation,
     polished,
     refit,
     with_noise,
     with_own_noise,
 )
-from bayesbl.progress import Progress, StageProgress, of_stage
+from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -105,8 +98,8 @@ class DoubtfulValues:
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
-    """What the recordings say.
+class Match:
+    """The recordings fitted.
 
     Attributes
     ----------
@@ -119,25 +112,29 @@ class Identification:
         The value of the data sheet that is wrong, if one is.
     missing
         Effects that the bench lacks, by name, each with those it cannot be told from.
-    check
-        What still repeats.
     doubtful
         Values that may be wrong, too improbable to be named; ``None`` without any.
     """
 
     nominal: Explanation
     final: Explanation
-    verdict: Verdict
-    beyond: BeyondDataSheet | None
-    missing: tuple[tuple[str, ...], ...]
-    check: tuple[RepeatingPower, ...]
-    doubtful: DoubtfulValues | None
-    posterior: DirectPosterior
+    beyond: BeyondDataSheet | None = None
+    missing: tuple[tuple[str, ...], ...] = ()
+    doubtful: DoubtfulValues | None = None
 
     @property
     def completed(self) -> bool:
         """Whether what was found is in the final bench."""
         return self.final.names != self.nominal.names
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification(Match):
+    """What the recordings say; ``check``: what still repeats."""
+
+    verdict: Verdict
+    check: tuple[RepeatingPower, ...]
+    posterior: DirectPosterior
 
 
 def identify(
@@ -153,20 +150,39 @@ def identify(
     UserError
         If the bench cannot be simulated or a recording is too short.
     """
+    match = _match(problem, progress)
+    check = tuple(disagreements(match.final.fit))
+    verdict: Verdict = "agrees" if agrees(check) else "unexplained"
+    if match.missing:
+        verdict = "missing_effect"
+    drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
+    posterior = sample_direct(match.final.fit, sampler, seed, drawing, simulating)
+    # As wide as impacts that are not alike ask for.
+    posterior = widened(posterior, *seed.spawn(1))
+    return Identification(
+        match.nominal,
+        match.final,
+        match.beyond,
+        match.missing,
+        match.doubtful,
+        verdict=verdict,
+        check=check,
+        posterior=posterior,
+    )
+
+
+def _match(problem: Problem, progress: StageProgress | None) -> Match:
+    """The data sheet, completed by what explains the recordings."""
     # A match with a sheet that no joint can be as would take minutes or fail.
-    nominal = None
-    if is_plausible(problem):
-        nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
+    nominal = _nominal(problem, progress) if is_plausible(problem) else None
     far_off = nominal is None or (may_be_wrong_by_far(problem) and _is_far_off(nominal))
-    if far_off:
-        far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
-        if far is not None:
-            before = nominal or far[0]
-            return _identification(before, far[0], far[1], (), None, sampler, seed, progress)
+    far = far_beyond_data_sheet(problem, of_stage(progress, AFAR)) if far_off else None
+    if far is not None:
+        return replace(far, nominal=nominal or far.final)
     if nominal is None:
-        nominal = _believed(_nominal(problem, of_stage(progress, "Fitting the bench")))
+        nominal = _nominal(problem, progress)
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
-    naming: Naming = name_missing(
+    naming = name_missing(
         nominal.fit,
         partial(_hypotheses, problem, nominal),
         progress=of_stage(progress, "Naming what is missing"),
@@ -174,48 +190,24 @@ def identify(
     if naming.repeats and not far_off:
         far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
         if far is not None:
-            return _identification(nominal, far[0], far[1], (), None, sampler, seed, progress)
-    final, beyond = nominal, None
+            return replace(far, nominal=nominal)
+    doubtful = _doubtful(naming, problem)
     missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
-    if naming.effects:
-        named = with_own_noise(naming.final)
-        named = replace(named, fit=believed(named.fit, FALSE_ALARM))
-        asked = problem.effects == "catalogue" or all(
-            set(members) <= set(DELAYS) for members in missing
-        )
-        final = named if asked else nominal
-        wrong = [e for e in naming.effects if e.candidate.kind == "parameter"]
-        if wrong and asked:
-            beyond = _beyond(final, wrong[0], problem)
-    return _identification(
-        nominal, final, beyond, missing, _doubtful(naming, problem), sampler, seed, progress
-    )
+    is_asked = problem.effects == "catalogue" or all(set(m) <= set(DELAYS) for m in missing)
+    if not naming.effects or not is_asked:
+        return Match(nominal, nominal, missing=missing, doubtful=doubtful)
+    named = with_own_noise(naming.final)
+    final = replace(named, fit=believed(named.fit))
+    wrong = next((e for e in naming.effects if e.candidate.kind == "parameter"), None)
+    beyond = None
+    if wrong is not None:
+        beyond = _beyond(final, wrong.candidate, wrong.members[1:], problem)
+    return Match(nominal, final, beyond, missing, doubtful)
 
 
 def _is_far_off(nominal: Explanation) -> bool:
     """Whether the match leaves more than noise does. Only the order of two searches rests on it."""
     return nominal.fit.chi_square > 2.0 * nominal.fit.residual.size
-
-
-def _identification(
-    nominal: Explanation,
-    final: Explanation,
-    beyond: BeyondDataSheet | None,
-    missing: tuple[tuple[str, ...], ...],
-    doubtful: DoubtfulValues | None,
-    sampler: SamplerSettings,
-    seed: np.random.SeedSequence,
-    progress: StageProgress | None,
-) -> Identification:
-    """With draws about the fit, as wide as impacts that are not alike ask for."""
-    check = tuple(disagreements(final.fit))
-    verdict: Verdict = "agrees" if agrees(list(check), FALSE_ALARM) else "unexplained"
-    if missing:
-        verdict = "missing_effect"
-    drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
-    posterior = sample_direct(final.fit, sampler, seed, drawing, simulating)
-    posterior = widened(posterior, *seed.spawn(1))
-    return Identification(nominal, final, verdict, beyond, missing, check, doubtful, posterior)
 
 
 def _hypotheses(
@@ -225,82 +217,84 @@ def _hypotheses(
     effects = candidates(nominal.fit.model.bench, problem.used, "all", peaks)
     # A reference that was sampled has round corners, as by a delay.
     moving = all(seen.motion is not None for seen in problem.used)
-    found = [c for c in effects if c.kind == "effect" and not (moving and c.name in DELAYS)]
+    hypotheses = [c for c in effects if c.kind == "effect" and not (moving and c.name in DELAYS)]
     for name in problem.parameters:
         value, half = problem.bench.value(name), problem.bench.tolerances[name]
         if value > half:
             usual = np.array([math.log1p(half / value)])
-            found.append(replace(freed(name, nominal.fit.value(name)), usual=usual))
-    return found
+            hypotheses.append(replace(freed(name, nominal.fit.value(name)), usual=usual))
+    return hypotheses
 
 
-def _nominal(problem: Problem, progress: Progress | None) -> Explanation:
-    """The bench within its tolerances, effects asked for by name added one after the other."""
-    fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, progress)
-    found = nominal_explanation(fit)
-    if problem.effects in ("catalogue", ()):
-        return found
-    asked = candidates(problem.bench, problem.used, problem.effects, order_peaks(fit))
-    for candidate in (c for c in asked if c.kind == "effect"):
-        starts = [candidate.neutral + np.nan_to_num(candidate.usual), *candidate.starts]
-        unmoved = np.zeros(found.fit.point.size)
-        tried = [refit(found, [(candidate, start)], unmoved) for start in starts]
-        if is_gross(found) and candidate.scanned:
-            tried += from_afar(found, [candidate])
-        fits = [e for e in tried if e is not None]
-        found = min(fits, key=lambda e: e.fit.chi_square, default=found)
-    found = with_noise(polished(found), remaining_noise(found.fit))
-    return with_own_noise(found)
+def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
+    """The bench within its tolerances where it can be believed, with the effects asked for by name.
 
-
-def _believed(nominal: Explanation) -> Explanation:
-    """The same where the bench can be believed, and without standstills to name what is missing.
-
-    No law of the catalogue holds for friction at rest, and every joint has some.
+    Without standstills to name what is missing: no law of the catalogue holds for friction at rest,
+    and every joint has some.
     """
-    fit = believed(nominal.fit, FALSE_ALARM)
-    if fit is nominal.fit and not is_explained(nominal):
+    stage = of_stage(progress, "Fitting the bench")
+    fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, stage)
+    nominal = Explanation((), fit)
+    if problem.effects not in ("catalogue", ()):
+        nominal = _with_effects(nominal, problem, order_peaks(fit))
+    fit = believed(nominal.fit)
+    if fit is nominal.fit and not is_explained(nominal.fit):
         fit = in_motion(fit) or fit
     return replace(nominal, fit=fit)
 
 
-def far_beyond_data_sheet(
-    problem: Problem, progress: Progress | None = None
-) -> tuple[Explanation, BeyondDataSheet] | None:
+def _with_effects(
+    nominal: Explanation, problem: Problem, peaks: Sequence[OrderPeak]
+) -> Explanation:
+    """Effects asked for by name added one after the other."""
+    best = nominal
+    asked = candidates(problem.bench, problem.used, problem.effects, peaks)
+    for candidate in (c for c in asked if c.kind == "effect"):
+        starts = [candidate.neutral + np.nan_to_num(candidate.usual), *candidate.starts]
+        unmoved = np.zeros(best.fit.point.size)
+        tried = [refit(best, [(candidate, start)], unmoved) for start in starts]
+        if is_gross(best) and candidate.scanned:
+            tried += from_afar(best, [candidate])
+        fits = [e for e in tried if e is not None]
+        best = min(fits, key=lambda e: e.fit.chi_square, default=best)
+    return with_own_noise(with_noise(polished(best), remaining_noise(best.fit)))
+
+
+def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Match | None:
     """One value beyond its tolerance that explains all, wherever in its whole range it lies.
 
     ``progress``: called with (places scanned, places in all).
     """
     rough = sorted(explanations_from_afar(problem, progress), key=lambda e: e.fit.chi_square)
     fitted = [with_noise(polished(e), remaining_noise(e.fit)) for e in rough[:3]]
-    own = [weighed(e) for e in fitted if is_explained(e) and _is_outside(e, problem)]
+    own = [weighed(e) for e in fitted if is_explained(e.fit) and _is_outside(e, problem)]
     if not own:
         return None
     chosen = max(own, key=lambda one: one.log_evidence)
     near = chosen.log_evidence + math.log(1.0 - NAMED_AT)
     others = [e.explanation for e in own if e is not chosen and e.log_evidence > near]
-    alike = tuple((e.candidates[-1], e) for e in others)
-    name = NamedCandidate(chosen.explanation.candidates[-1], math.inf, 1.0, alike)
-    return chosen.explanation, _beyond(chosen.explanation, name, problem)
+    could_be, final = tuple(e.candidates[-1].name for e in others), chosen.explanation
+    return Match(final, final, _beyond(final, final.candidates[-1], could_be, problem))
 
 
 def _is_outside(explanation: Explanation, problem: Problem) -> bool:
     """Whether the parameter freed last is beyond its tolerance."""
     name = explanation.candidates[-1].name
-    found = float(explanation.fit.model.unknowns[-1].value(explanation.fit.point[-1]))
-    return abs(found - problem.bench.value(name)) > problem.bench.tolerances[name]
+    value = float(explanation.fit.model.unknowns[-1].value(explanation.fit.point[-1]))
+    return abs(value - problem.bench.value(name)) > problem.bench.tolerances[name]
 
 
-def _beyond(final: Explanation, named: NamedCandidate, problem: Problem) -> BeyondDataSheet:
-    name, fit = named.name, final.fit
-    (place,) = final.places(named.candidate)
+def _beyond(
+    final: Explanation, candidate: Candidate, could_be: tuple[str, ...], problem: Problem
+) -> BeyondDataSheet:
+    name, fit = candidate.name, final.fit
+    (place,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
     ends = [math.log(end) for end in (value - half, value + half) if end > 0.0]
     sd = math.sqrt(float(weighed(final).covariance[place, place]))
     at = float(fit.point[place])
-    return BeyondDataSheet(
-        name, value, half, math.exp(at), min(abs(at - end) for end in ends) / sd, named.members[1:]
-    )
+    deviations = min(abs(at - end) for end in ends) / sd
+    return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)
 
 
 def _doubtful(naming: Naming, problem: Problem) -> DoubtfulValues | None:
@@ -321,24 +315,24 @@ def _doubtful(naming: Naming, problem: Problem) -> DoubtfulValues | None:
     return DoubtfulValues(tuple(names), probability, np.array(values))
 
 
-def parameter_draws(found: Identification, names: Sequence[str]) -> FloatArray:
+def parameter_draws(result: Identification, names: Sequence[str]) -> FloatArray:
     """Draws of the bench's parameters in their units, shape (draw, k).
 
     Of a parameter that was sought beyond its tolerance, those of the wider range.
     """
-    unknowns = found.final.fit.model.unknowns
+    unknowns = result.final.fit.model.unknowns
     last = {u.name: i for i, u in enumerate(unknowns) if u.recording is None}
-    flat = found.posterior.draws.reshape(-1, len(unknowns))
+    flat = result.posterior.draws.reshape(-1, len(unknowns))
     return np.column_stack([unknowns[last[n]].value(flat[:, last[n]]) for n in names])
 
 
-def identified_bench(found: Identification, problem: Problem) -> Bench:
+def identified_bench(result: Identification, problem: Problem) -> Bench:
     """The bench with what was found; parameters above zero have a joint normal prior of logarithms.
 
     The tolerance of each alone is that of a uniform prior of the same standard deviation.
     """
-    bench = augmented_bench(found.final)
-    draws = parameter_draws(found, problem.parameters)
+    bench = augmented_bench(result.final)
+    draws = parameter_draws(result, problem.parameters)
     parameters = dict(bench.parameters)
     for name, own in zip(problem.parameters, draws.T, strict=True):
         logarithm = np.log(own) if own.min() > 0.0 else None

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesbl.diagnosis.closed_loop.suggest import ROTATIONS, SPEED_SHARES
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
-from bayesbl.matching.observed import Observed, begin_of
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.recording.types import FloatArray
 
@@ -63,12 +63,12 @@ def next_recording(fit: SimulatedFit) -> NextRecording | None:
     recordings = fit.model.recordings
     moving = all(seen.motion is not None for seen in recordings)
     tried = _motions(recordings) if moving else _rotations(fit.model)
-    found = [
+    options = [
         _judged(fit, shared, before, seen, information)
         for seen, place in tried
         if (information := _information(fit, shared, seen, place)) is not None
     ]
-    return max(found, key=lambda one: one.information_bits, default=None)
+    return max(options, key=lambda one: one.information_bits, default=None)
 
 
 def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
@@ -103,7 +103,7 @@ def _motions(recordings: Sequence[Observed]) -> Iterator[tuple[Observed, int]]:
     """Each recorded motion at each pace, in the place of its recording."""
     for place, seen in enumerate(recordings):
         assert seen.motion is not None
-        begun = np.arange(seen.samples) < begin_of(seen)
+        begun = np.arange(seen.samples) < seen.first_compared
         for pace in PACES:
             slower = seen.motion.at_pace(pace)
             speed = pace * seen.reference_speed_rpm
@@ -137,7 +137,7 @@ def _information(
     Its start angle, and phases of effects, are those of the recording in that place.
     """
     model = fit.model
-    own = [i for i, u in enumerate(model.unknowns) if u.recording in (None, seen.name)]
+    own = model.places_in(place)
     unknowns = [model.unknowns[i] for i in own]
     there = SimulatedSignals(model.bench, [seen], unknowns, [model.noise[place]], model.workers)
     point = fit.point[own]
@@ -147,9 +147,11 @@ def _information(
         return None
     matrix = derivatives(there, point, fit.steps[own])
     start = matrix[:, [k for k, u in enumerate(unknowns) if u.name in OF_ITS_START]]
-    gap = next((k for k, u in enumerate(unknowns) if u.name == GAP), None)
+    gap = there.place_of(GAP, seen.name)
     columns = [own.index(i) if i in own else gap for i in shared]
-    told = np.column_stack([np.zeros(len(matrix)) if k is None else matrix[:, k] for k in columns])
+    by_shared = np.column_stack(
+        [np.zeros(len(matrix)) if k is None else matrix[:, k] for k in columns]
+    )
     root, _ = np.linalg.qr(start)
-    left = told - root @ (root.T @ told)
-    return np.asarray((ROTATIONS if seen.motion is None else 1.0) * left.T @ left)
+    beside_start = by_shared - root @ (root.T @ by_shared)
+    return np.asarray((ROTATIONS if seen.motion is None else 1.0) * beside_start.T @ beside_start)

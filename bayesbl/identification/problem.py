@@ -8,7 +8,6 @@ from typing import Literal
 
 from bayesbl.bench.bench import Bench
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import (
     Unknown,
     effect_unknowns,
@@ -16,8 +15,6 @@ from bayesbl.matching.signals import (
     reference_delay_unknown,
     start_angle_unknown,
 )
-from bayesbl.model_search.constants import FALSE_ALARM
-from bayesbl.model_search.refit import Explanation
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +67,3 @@ def parameter_unknown(bench: Bench, name: str) -> Unknown:
         return Unknown(name, value - half, value + half)
     low, high = math.log(value - half), math.log(value + half)
     return Unknown(name, low, high, logarithmic=True, flat_in_value=True)
-
-
-def is_explained(explanation: Explanation) -> bool:
-    return agrees(disagreements(explanation.fit), FALSE_ALARM)

@@ -44,7 +44,7 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[Together]:
     """
     logarithms = np.log(draws)
     groups = list(_groups(logarithms))
-    found = [
+    known_together = [
         _together(names, logarithms, group, "ratios", _largest(logarithms, group))
         for group in groups
     ]
@@ -53,8 +53,8 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[Together]:
             continue
         product = float((logarithms[:, i] + logarithms[:, j]).std())
         if product < SHARPER * min(logarithms[:, i].std(), logarithms[:, j].std()):
-            found.append(_together(names, logarithms, (i, j), "product", product))
-    return found
+            known_together.append(_together(names, logarithms, (i, j), "product", product))
+    return known_together
 
 
 def _together(

@@ -10,53 +10,52 @@ from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import Problem
 from bayesbl.identification.well_known_factors import guess_of
-from bayesbl.matching.predictive_check import RepeatingPower, agrees
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, standing_out
 from bayesbl.matching.signals import GAP
-from bayesbl.model_search.constants import FALSE_ALARM
 from bayesbl.units import in_words
 
 
-def reason_of(found: Identification, problem: Problem, level: float = 0.9) -> str | None:
+def reason_of(result: Identification, problem: Problem, level: float = 0.9) -> str | None:
     """Why gaps and bench are withheld; ``None`` where they are not. ``level``: of the interval."""
-    if found.missing and not found.completed:
-        return _lacking(found)
-    if found.beyond is not None:
-        return beyond_in_words(found, problem)
-    if found.verdict == "unexplained" or _stands_out(found):
+    if result.missing and not result.completed:
+        return _lacking(result)
+    if result.beyond is not None:
+        return beyond_in_words(result, problem)
+    if result.verdict == "unexplained" or _stands_out(result):
         return (
             "No values within the tolerances, no single value beyond them and no effect of the "
             "catalogue explain these recordings: something of the joint is not in the bench, "
             "several values of the data sheet are wrong, or the gap was not the same in all "
             "recordings (give their dates). "
-            f"{left_over(found.check)} Check the data sheet, or widen its tolerances."
+            f"{left_over(result.check)} Check the data sheet, or widen its tolerances."
         )
-    if found.posterior.diagnostics.outcome == "withheld":
-        return " ".join(found.posterior.diagnostics.reasons)
+    if result.posterior.diagnostics.outcome == "withheld":
+        return " ".join(result.posterior.diagnostics.reasons)
     gaps = [None] if problem.shares_gap else [seen.name for seen in problem.used]
-    decided = _decided_by_edges(found, gaps, level)
+    decided = _decided_by_edges(result, gaps, level)
     if decided is not None:
         return decided
     for gap in gaps:
-        beyond = found.posterior.beyond_tolerance(gap, level)
+        beyond = result.posterior.beyond_tolerance(gap, level)
         if beyond is not None:
             # The wrong value need not be the one that δ depends on: all at an edge are told.
-            return " ".join([beyond, *found.posterior.diagnostics.reasons])
+            return " ".join([beyond, *result.posterior.diagnostics.reasons])
     return None
 
 
-def _lacking(found: Identification) -> str:
-    names = " and ".join(" or ".join(map(in_words, members)) for members in found.missing)
+def _lacking(result: Identification) -> str:
+    names = " and ".join(" or ".join(map(in_words, members)) for members in result.missing)
     lacks = (
         f"The bench lacks an effect that these recordings show: {names}. Let it be found "
         '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
         "data sheet under [[effects]]."
     )
-    return with_bench_file_hint(lacks, (members[0] for members in found.missing))
+    return with_bench_file_hint(lacks, (members[0] for members in result.missing))
 
 
-def beyond_in_words(found: Identification, problem: Problem) -> str:
+def beyond_in_words(result: Identification, problem: Problem) -> str:
     """Which value of the data sheet is wrong, by how much, and what else it could be."""
-    wrong = found.beyond
+    wrong = result.beyond
     assert wrong is not None
     text = (
         f"{wrong.name} lies {wrong.deviations:.0f} standard deviations outside its data sheet: "
@@ -70,14 +69,14 @@ def beyond_in_words(found: Identification, problem: Problem) -> str:
 
 
 def _decided_by_edges(
-    found: Identification, gaps: Sequence[str | None], level: float
+    result: Identification, gaps: Sequence[str | None], level: float
 ) -> str | None:
     """Why δ is one of the tolerances, not of the recordings; ``None`` where it is not."""
-    doubtful = found.doubtful
+    doubtful = result.doubtful
     if doubtful is None:
         return None
     for gap, (before, after) in zip(gaps, doubtful.gaps_rad, strict=True):
-        draws = found.posterior.values(GAP, gap)
+        draws = result.posterior.values(GAP, gap)
         low, high = np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
         if abs(after - before) > 0.5 * (high - low):
             names = " or ".join(map(in_words, doubtful.names))
@@ -92,8 +91,7 @@ def _decided_by_edges(
 
 def left_over(check: Sequence[RepeatingPower]) -> str:
     """Where most is left, of what stands out of the noise."""
-    standing = [e for e in check if not agrees([e], FALSE_ALARM / len(check))]
-    worst = max(standing or check, key=lambda entry: entry.ratio)
+    worst = max(standing_out(check) or check, key=lambda entry: entry.ratio)
     where = f"orders up to {worst.highest_order}" if worst.highest_order else "the mean"
     return (
         f"Most is left in {worst.channel} of {worst.recording}, {where}: {worst.ratio:.3g} times "
@@ -101,6 +99,6 @@ def left_over(check: Sequence[RepeatingPower]) -> str:
     )
 
 
-def _stands_out(found: Identification) -> bool:
+def _stands_out(result: Identification) -> bool:
     """Whether anything still repeats although effects were named."""
-    return found.completed and not agrees(list(found.check), FALSE_ALARM)
+    return result.completed and not agrees(result.check)

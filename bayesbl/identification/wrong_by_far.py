@@ -77,7 +77,7 @@ def may_be_wrong_by_far(problem: Problem) -> bool:
     return not asked and all(seen.motion is None for seen in problem.used)
 
 
-def explanations_from_afar(problem: Problem, progress: Progress | None) -> list[Explanation]:
+def explanations_from_afar(problem: Problem, progress: Progress) -> list[Explanation]:
     """Rough fits of one parameter each from its best place, the others within tolerances.
 
     Of all parameters that contend: a promise is off by as much as signals bend. ``progress``:
@@ -87,8 +87,7 @@ def explanations_from_afar(problem: Problem, progress: Progress | None) -> list[
     candidates = _candidates(problem)
     best: dict[str, Place] = {}
     for scanned, candidate in enumerate(candidates):
-        if progress is not None:
-            progress(scanned, len(candidates))
+        progress(scanned, len(candidates))
         place = _place(model, candidate)
         known = best.get(candidate.name)
         if place is not None and (known is None or place.left < known.left):

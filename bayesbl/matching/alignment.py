@@ -19,7 +19,7 @@ from bayesbl.matching.motions import motion_starts, noise_of, remembered_start, 
 from bayesbl.matching.observed import Observed, without_start
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.noise.channel_noise import ChannelNoise
-from bayesbl.progress import Progress
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
@@ -37,7 +37,7 @@ def fit_aligned(
     recordings: Sequence[Observed],
     unknowns: Sequence[Unknown],
     workers: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> SimulatedFit:
     """The most probable point of all unknowns, from the recordings alone.
 
@@ -47,14 +47,12 @@ def fit_aligned(
     """
     noise = [noise_of(seen, seen.signals) for seen in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
-    if progress is not None:
-        progress(0, STARTS_FITTED + NOISE_ROUNDS)
+    progress(0, STARTS_FITTED + NOISE_ROUNDS)
     starts = _each_settled(model, aligned_starts(model))
     fits: list[SimulatedFit] = []
     for start in starts:
         fits.append(fit_simulated(model, start, rough=True))
-        if progress is not None:
-            progress(len(fits), len(starts) + NOISE_ROUNDS)
+        progress(len(fits), len(starts) + NOISE_ROUNDS)
     best = min(fits, key=lambda fit: fit.chi_square)
     best = replace(best, model=replace(model, noise=remaining_noise(best)))
     recordings = [_forgetful(best, i) for i in range(len(recordings))]
@@ -75,17 +73,13 @@ def _forgetful(fit: SimulatedFit, index: int) -> Observed:
     seen = fit.model.recordings[index]
     if seen.motion is None:
         return seen
-    left = remembered_start(fit, index)
-    return without_start(seen, int(np.sum(left > FORGOTTEN)))
+    remembered = remembered_start(fit, index)
+    return without_start(seen, int(np.sum(remembered > FORGOTTEN)))
 
 
 def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
     """Noise of each recording from rotation differences of the fit's residuals."""
-    model = fit.model
-    return [
-        noise_of(seen, seen.left_by(model.signals(fit.point, i)[0]))
-        for i, seen in enumerate(model.recordings)
-    ]
+    return [noise_of(seen, fit.unexplained(i)) for i, seen in enumerate(fit.model.recordings)]
 
 
 def aligned_starts(
@@ -102,13 +96,11 @@ def aligned_starts(
         Coordinates to scan besides the gap, by index in a point; all combinations are tried.
         Other unknowns start at their prior's centre, or the middle of their range.
     """
-    names = [(u.name, u.recording) for u in model.unknowns]
     start = np.array([u.middle for u in model.unknowns])
     starts = np.repeat(start[None], STARTS_FITTED, axis=0)
     by_gap: dict[int | None, list[int]] = {}
     for i, seen in enumerate(model.recordings):
-        gaps = [k for k, (n, of) in enumerate(names) if n == GAP and of in (None, seen.name)]
-        by_gap.setdefault(gaps[0] if gaps else None, []).append(i)
+        by_gap.setdefault(model.place_of(GAP, seen.name), []).append(i)
     for place, members in by_gap.items():
         scanned = dict(grids or {})
         if place is not None:
@@ -119,9 +111,8 @@ def aligned_starts(
         for coordinate in scanned:
             starts[:, coordinate] = points[chosen, coordinate]
         for i, (angles, _) in zip(members, aligned, strict=True):
-            key = (START_ANGLE, model.recordings[i].name)
-            if key in names:
-                at = names.index(key)
+            at = model.place_of(START_ANGLE, model.recordings[i].name)
+            if at is not None:
                 starts[:, at] = _nearest_turn(angles[chosen], model.unknowns[at])
     _, first = np.unique(starts, axis=0, return_index=True)
     return [with_shifts(model, starts[k]) for k in np.sort(first)]
@@ -130,18 +121,18 @@ def aligned_starts(
 def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
     """The point with what was learned where each recording shows it, by a scan of its period."""
     start = start.copy()
-    own = {(u.name, u.recording) for u in model.unknowns}
     terms = model.bench.learned_terms
     for (i, seen), term in itertools.product(enumerate(model.recordings), terms):
-        if (term.shift_slot, seen.name) not in own:
+        place = model.place_of(term.shift_slot, seen.name)
+        if place is None:
             continue
-        place = model.index(term.shift_slot, seen.name)
         tried = SHIFTS_TRIED * term.orders
         trials = np.repeat(start[None], tried, axis=0)
         trials[:, place] = np.linspace(-0.5, 0.5, tried, endpoint=False)
         trials[:, place] *= term.period
-        left = model.whitened_of(trials, i)
-        start = trials[int(np.argmin(np.nan_to_num(np.einsum("ij,ij->i", left, left), nan=np.inf)))]
+        residuals = model.whitened_of(trials, i)
+        chi_square = np.einsum("ij,ij->i", residuals, residuals)
+        start = trials[int(np.argmin(np.nan_to_num(chi_square, nan=np.inf)))]
     return start
 
 
@@ -218,17 +209,17 @@ def _aligned(
     model: SimulatedSignals, points: FloatArray, members: Sequence[int]
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Best start angle at each point, shape (m,), and χ² left there, shape (m,), by recording."""
-    found = {
+    by_member = {
         i: start_angles(model, points, i) for i in members if model.recordings[i].motion is not None
     }
-    steady = [i for i in members if i not in found]
+    steady = [i for i in members if i not in by_member]
     # Piece by piece, so that recordings at one speed find each other's simulations still kept.
     pieces = np.array_split(points, math.ceil(len(points) / POINTS_AT_ONCE))
     aligned = [[_align(model, piece, i) for i in steady] for piece in pieces]
     for i, parts in zip(steady, zip(*aligned, strict=True), strict=True):
-        angle, left = np.concatenate(parts).T
-        found[i] = angle, left
-    return [found[i] for i in members]
+        angle, chi_square = np.concatenate(parts).T
+        by_member[i] = angle, chi_square
+    return [by_member[i] for i in members]
 
 
 def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
@@ -240,12 +231,12 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
     # Points often differ only in the unknowns of other recordings, and candidates only in whose.
     matrix, place = np.unique(matrix, axis=0, return_inverse=True)
-    found = model.recent.signals(
+    aligned = model.recent.signals(
         matrix,
         ("alignment", seen.name, hash(folded.tobytes()), tuple(weight)),
         partial(_correlated, model, seen, folded, weight),
     )
-    return found[place.ravel()]
+    return aligned[place.ravel()]
 
 
 def _correlated(
@@ -275,11 +266,13 @@ def _correlated(
     power = np.einsum("c,mcj->m", weight, simulated**2)
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
     own = float(weight @ (folded**2).sum(axis=1))
-    left = own + power - 2.0 * gain[np.arange(len(matrix)), best]
+    chi_square = own + power - 2.0 * gain[np.arange(len(matrix)), best]
     rotations = seen.samples / seen.lag
     direction = math.copysign(1.0, seen.reference_speed_rpm)
     angle = direction * 2.0 * math.pi * best / size
-    return np.column_stack([angle, np.where(np.isfinite(left), rotations * left, np.inf)])
+    return np.column_stack(
+        [angle, np.where(np.isfinite(chi_square), rotations * chi_square, np.inf)]
+    )
 
 
 def _rotations(

@@ -69,15 +69,21 @@ def _within_a_rotation(
 
     ``None`` where the benches (m, SLOTS) do not repeat, or not together, or the samples end before.
     """
-    turn_s = rotation_period_s(matrix)
-    times = np.arange(samples) / sampling_hz
-    if times[-1] <= turn_s[0] or np.any(turn_s != turn_s[0]) or not repeat_each_rotation(matrix):
+    turn_s, times = _common_rotation_s(matrix), np.arange(samples) / sampling_hz
+    if turn_s is None or times[-1] <= turn_s:
         return None, None
-    within = times % turn_s[0]
+    within = times % turn_s
     order = np.argsort(within, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(samples)
     return within[order], place
+
+
+def _common_rotation_s(matrix: FloatArray) -> float | None:
+    """Time after which all of these benches (m, SLOTS) repeat; ``None`` where one does not."""
+    turns_s = rotation_period_s(matrix)
+    repeat = np.all(turns_s == turns_s[0]) and repeat_each_rotation(matrix)
+    return float(turns_s[0]) if repeat else None
 
 
 def _begun_at(matrix: FloatArray, motor_start_rad: float, workers: int) -> FloatArray:
@@ -123,10 +129,8 @@ def in_whole_ticks(matrix: FloatArray, seen: Observed) -> FloatArray:
 
 
 def repeats(matrix: FloatArray, seen: Observed) -> bool:
-    """Whether simulation and sampling are both periodic in the load rotation, all rows alike."""
-    if seen.motion is not None:
+    """Whether these benches repeat after a whole number of samples, less than the recording has."""
+    if seen.motion is not None or seen.lag >= seen.samples:
         return False
-    turns = rotation_period_s(matrix) * seen.sampling_hz
-    if np.any(np.abs(turns - seen.lag) > 1e-6) or seen.lag >= seen.samples:
-        return False
-    return repeat_each_rotation(matrix)
+    turn_s = _common_rotation_s(matrix)
+    return turn_s is not None and abs(turn_s * seen.sampling_hz - seen.lag) <= 1e-6

@@ -23,7 +23,7 @@ import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import loop_noise, turns_of
-from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
+from bayesbl.matching.signals import GAP, START_ANGLE
 from bayesbl.noise.impact_scatter import Scatter, early_and_late
 from bayesbl.recording.types import FloatArray
 
@@ -71,11 +71,13 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
     # Of residuals beside the fit, as it is seen through the scores.
     hidden = 2.0 * covariance - covariance @ whole @ covariance
     rows = [model.by_recording(row) for row in (fit.residual, *derivatives.T)]
-    found = []
+    impacts = []
     for place, seen in enumerate(model.recordings):
         residual, *columns = (turns_of(row[place], seen) for row in rows)
         slopes = np.stack(columns, axis=-1)
-        along = slopes @ covariance[_gap(model, place)]
+        gap = model.place_of(GAP, seen.name)
+        assert gap is not None
+        along = slopes @ covariance[gap]
         halves = _halves(along, len(seen.signals))
 
         def scores(
@@ -98,15 +100,15 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         scatter = Scatter.of(*scores(along), None if loop is None else loop.factors(along))
         factors = scatter.likely(FACTORS)
         late = np.zeros(FACTORS)
-        angle = _start_angle(model, place)
+        angle = model.place_of(START_ANGLE, seen.name)
         if angle is not None and seen.motion is None and scatter.freedom > 0.0:
             fast = _fast(slopes[..., angle], len(seen.signals))
             power = np.median(np.sum((fast[:, None] * halves) ** 2, axis=2))
             if power > 0.0:
                 late = early_and_late(*scores(fast / power), factors)
         every = np.stack([row[place].ravel() for row in rows[1:]], axis=1)
-        found.append(Impacts(place, every, scatter, factors, late))
-    return found
+        impacts.append(Impacts(place, every, scatter, factors, late))
+    return impacts
 
 
 def scattered(
@@ -134,7 +136,7 @@ def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
     smeared ringing lacks. Zero where one of the two cannot be simulated.
     """
     model, square = fit.model, float(impacts.late.mean())
-    angle = _start_angle(model, impacts.place)
+    angle = model.place_of(START_ANGLE, model.recordings[impacts.place].name)
     if square == 0.0 or angle is None:
         return np.zeros(fit.point.size)
     beside = np.repeat(fit.point[None], 2, axis=0)
@@ -143,13 +145,6 @@ def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:
     lacks = residual - model.whitened_of(beside, impacts.place).mean(axis=0)
     moved = fit.covariance @ (impacts.derivatives.T @ lacks) / square
     return np.nan_to_num(moved) if np.all(np.isfinite(moved)) else np.zeros(moved.size)
-
-
-def _start_angle(model: SimulatedSignals, place: int) -> int | None:
-    """Index of a recording's start angle, where it is unknown."""
-    name = model.recordings[place].name
-    found = [k for k, u in enumerate(model.unknowns) if u.name == START_ANGLE]
-    return next((k for k in found if model.unknowns[k].recording in (None, name)), None)
 
 
 def _fast(slopes: FloatArray, channels: int) -> FloatArray:
@@ -167,10 +162,3 @@ def _halves(along: FloatArray, channels: int) -> FloatArray:
     begin = int(np.argmin(around[:half] + around[half : 2 * half])) + window // 2
     first = (np.arange(power.size) - begin) % power.size < half
     return np.tile(np.stack([first, ~first]), (1, channels)).astype(np.float64)
-
-
-def _gap(model: SimulatedSignals, place: int) -> int:
-    """Index of a recording's δ: its own, or that of all."""
-    name = model.recordings[place].name
-    own = [k for k, u in enumerate(model.unknowns) if u.name == GAP and u.recording == name]
-    return own[0] if own else model.index(GAP)

@@ -80,11 +80,11 @@ class SimulatedFit:
         Infinite where nothing depends on a coordinate, as on the angle of an axis without gravity.
         """
         norms = np.sqrt(np.diag(self.curvature))
-        told = norms > 0.0
-        scaled = self.curvature[np.ix_(told, told)] / np.outer(norms[told], norms[told])
-        found = np.full(norms.size, np.inf)
-        found[told] = np.sqrt(np.diag(np.linalg.pinv(scaled))) / norms[told]
-        return found
+        shown = norms > 0.0
+        scaled = self.curvature[np.ix_(shown, shown)] / np.outer(norms[shown], norms[shown])
+        bound = np.full(norms.size, np.inf)
+        bound[shown] = np.sqrt(np.diag(np.linalg.pinv(scaled))) / norms[shown]
+        return bound
 
     def derivatives(self) -> FloatArray:
         """Of the whitened signals by the coordinates at the point, J, shape (N, d).
@@ -114,6 +114,14 @@ class SimulatedFit:
             return self.point
         pull = self.derivatives().T @ self.residual + prior_pull(model, self.point)
         return np.asarray(self.point + self.covariance @ pull)
+
+    def simulated(self, place: int) -> FloatArray:
+        """Channels of a recording, shape (c, n)."""
+        return np.asarray(self.model.signals(self.point, place)[0])
+
+    def unexplained(self, place: int) -> FloatArray:
+        """Its channels less their simulation, shape (c, n); 0 where excluded."""
+        return self.model.recordings[place].left_by(self.simulated(place))
 
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""

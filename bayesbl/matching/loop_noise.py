@@ -12,7 +12,7 @@ How much of the noise goes round is seen by the current: what the recorder adds 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -23,7 +23,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.motion import Motion, held_motion, through
 from bayesbl.bench.steady import noise_through_loop
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import ROUNDING, Observed, begin_of, whole_rotations
+from bayesbl.matching.observed import ROUNDING, Observed, whole_rotations
 from bayesbl.matching.signals import REFERENCE_DELAY
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.probabilities import f_sf, normal_isf
@@ -55,8 +55,8 @@ def turns_of(rows: FloatArray, seen: Observed) -> FloatArray:
     Of a motion its cycles; of one that does not repeat, a single one. What the last lacks by its
     rounding is taken for zero.
     """
-    rows = rows[:, begin_of(seen) :]
-    lag = seen.lag if seen.motion is None or seen.cycle is not None else rows.shape[1]
+    rows = rows[:, seen.first_compared :]
+    lag = seen.lag if seen.repeats else rows.shape[1]
     return np.concatenate([whole_rotations(row, lag) for row in rows], axis=1)
 
 
@@ -125,8 +125,8 @@ def degrees_of_freedom(rows: FloatArray) -> float:
     trace = float(np.trace(products))
     squares = (float(np.sum(products**2)) - trace**2 / free) * free**2
     squares /= (free - 1) * (free + 2)
-    found = trace**2 / squares if squares > 0.0 else math.inf
-    return float(np.clip(found, 1.0, rows.shape[1]))
+    degrees = trace**2 / squares if squares > 0.0 else math.inf
+    return float(np.clip(degrees, 1.0, rows.shape[1]))
 
 
 def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
@@ -138,14 +138,14 @@ def noise_along(fit: SimulatedFit) -> Callable[[FloatArray], FloatArray]:
     of_recording = cache(partial(_factors, fit))
 
     def factors(change: FloatArray) -> FloatArray:
-        total, found = 0.0, np.zeros(len(QUANTILES))
+        total, summed = 0.0, np.zeros(len(QUANTILES))
         for place, rows in enumerate(fit.model.by_recording(change)):
             along = turns_of(rows, fit.model.recordings[place])
             power = float(np.sum(along**2))
             if power > 0.0:
-                found += power * of_recording(place)(along)
+                summed += power * of_recording(place)(along)
                 total += power
-        return found / total if total > 0.0 else np.ones(1)
+        return summed / total if total > 0.0 else np.ones(1)
 
     return factors
 
@@ -197,14 +197,8 @@ def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
     every = np.fft.rfftfreq(seen.samples)
     sensor = np.sqrt(np.interp(every, frequency[passed], sensor_power, left=level))
     linear = np.stack([np.interp(every, *row) for row in loop])[: len(seen.signals)]
-    # The same for all comparisons at this point under this noise.
-    under = noise.coefficients.tobytes(), noise.root.tobytes()
-    made = model.recent.signals(
-        vector,
-        ("noise in the loop", seen.name, *under),
-        lambda _: _rotations(fit, place, sensor, linear)[None],
-    )
-    return LoopNoise(shares, *made[0]) if np.all(np.isfinite(made)) else None
+    made = _rotations(fit, place, "noise in the loop", _noise(fit, place, sensor, linear))
+    return LoopNoise(shares, *made) if np.all(np.isfinite(made)) else None
 
 
 def _around_the_loop(
@@ -224,46 +218,65 @@ def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, Com
     By Welch's method, of what does not repeat; white noise has its variance for power. ``None``
     where hardly a stretch is without lost samples.
     """
-    model, seen = fit.model, fit.model.recordings[place]
-    left = seen.left_by(model.signals(fit.point[None], place)[0])
-    kept = np.ones(seen.samples, dtype=bool) if seen.excluded is None else ~seen.excluded
-    if seen.motion is None or seen.cycle is not None:
-        left = (left[:, seen.lag :] - left[:, : -seen.lag]) / math.sqrt(2.0)
+    seen = fit.model.recordings[place]
+    unexplained = fit.unexplained(place)
+    kept = seen.compared
+    if seen.repeats:
+        unexplained = (unexplained[:, seen.lag :] - unexplained[:, : -seen.lag]) / math.sqrt(2.0)
         kept = kept[seen.lag :] & kept[: -seen.lag]
-    size = left.shape[1] // STRETCHES
+    size = unexplained.shape[1] // STRETCHES
     if size < STRETCHES:
         return None
     window = np.hanning(size + 2)[1:-1]
-    stretches = sliding_window_view(left, size, axis=1)[:, :: size // 2]
+    stretches = sliding_window_view(unexplained, size, axis=1)[:, :: size // 2]
     whole = sliding_window_view(kept, size)[:: size // 2].all(axis=1)
     if whole.sum() < FEWEST_STRETCHES:
         return None
-    found = np.fft.rfft(stretches[:, whole] * window, axis=2) / np.sqrt(np.sum(window**2))
-    power: FloatArray = np.mean(np.abs(found[0]) ** 2, axis=0)
-    cross: ComplexArray = np.mean(found[-1] * found[0].conj(), axis=0)
+    spectra = np.fft.rfft(stretches[:, whole] * window, axis=2) / np.sqrt(np.sum(window**2))
+    power: FloatArray = np.mean(np.abs(spectra[0]) ** 2, axis=0)
+    cross: ComplexArray = np.mean(spectra[-1] * spectra[0].conj(), axis=0)
     return np.asarray(np.fft.rfftfreq(size), dtype=np.float64), power, cross
 
 
 def _rotations(
-    fit: SimulatedFit, place: int, sensor: FloatArray, linear: ComplexArray
+    fit: SimulatedFit, place: int, what: str, draws: Iterator[tuple[FloatArray, FloatArray]]
 ) -> FloatArray:
-    """Whitened rotations of noise in the loop, by its simulation and by the linear loop, (2, R, m).
+    """Whitened rotations of a recording by noise of two kinds, (2, R, c lag).
+
+    ``draws``: of both, as channels (c, n); the same for all comparisons at this point under this
+    noise, and made once.
+    """
+    model = fit.model
+    seen, noise = model.recordings[place], model.noise[place]
+
+    def made(_: FloatArray) -> FloatArray:
+        turns: list[list[FloatArray]] = []
+        while sum(len(first) for first, _ in turns) < ROTATIONS:
+            turns.append([turns_of(noise.whiten(channels), seen) for channels in next(draws)])
+        return np.stack([np.concatenate(kind) for kind in zip(*turns, strict=True)])[None]
+
+    vector = model.vectors(fit.point[None], seen)
+    key = (what, seen.name, noise.coefficients.tobytes(), noise.root.tobytes())
+    return np.asarray(model.recent.signals(vector, key, made)[0])
+
+
+def _noise(
+    fit: SimulatedFit, place: int, sensor: FloatArray, linear: ComplexArray
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Draws of noise in the loop, by its simulation and by the linear loop.
 
     ``sensor``: of white noise to that of the speed sensor, by frequency, (n//2 + 1,); ``linear``:
     of that to the channels, (c, n//2 + 1).
     """
-    seen, noise = fit.model.recordings[place], fit.model.noise[place]
+    seen = fit.model.recordings[place]
     undisturbed = _simulated(fit, place, np.zeros(seen.samples), seen.sampling_hz)
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
-    turns: list[FloatArray] = []
-    while sum(map(len, turns)) < 2 * ROTATIONS:
+    while True:
         drawn = sensor * np.fft.rfft(rng.standard_normal(seen.samples))
         disturbance = np.fft.irfft(drawn, seen.samples)
         added = _simulated(fit, place, disturbance, seen.sampling_hz) - undisturbed
         added[0] += disturbance
-        for channels in (added, np.fft.irfft(linear * drawn, seen.samples)):
-            turns.append(turns_of(noise.whiten(channels), seen))
-    return np.stack([np.concatenate(turns[0::2]), np.concatenate(turns[1::2])])
+        yield added, np.fft.irfft(linear * drawn, seen.samples)
 
 
 def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
@@ -272,24 +285,18 @@ def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
     The recorder's, and an encoder's: what its counts make of the speed goes round in the loop, as
     the controller has them too. Empty where nothing is rounded, or that cannot be simulated.
     """
-    model = fit.model
-    seen, noise = model.recordings[place], model.noise[place]
-    if all(own.steps is None for own in seen.rounding):
+    if all(own.steps is None for own in fit.model.recordings[place].rounding):
         return []
-    vector = model.vectors(fit.point[None], seen)
-    under = noise.coefficients.tobytes(), noise.root.tobytes()
-    made = model.recent.signals(
-        vector, ("rounding", seen.name, *under), lambda matrix: _rounded(fit, place, matrix)[None]
-    )
-    return [rows for rows in made[0] if np.all(np.isfinite(rows))]
+    made = _rotations(fit, place, "rounding", _rounded(fit, place))
+    return [rows for rows in made if np.all(np.isfinite(rows))]
 
 
-def _rounded(fit: SimulatedFit, place: int, vector: FloatArray) -> FloatArray:
-    """Both cases, (2, R, c lag); the second nan where the speed is not in steps."""
-    seen, noise = fit.model.recordings[place], fit.model.noise[place]
-    exact = fit.model.signals(fit.point[None], place)[0]
-    left = seen.left_by(exact)
+def _rounded(fit: SimulatedFit, place: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Draws of both cases; the second nan where the speed is not in steps."""
+    model, seen = fit.model, fit.model.recordings[place]
+    exact, unexplained = fit.simulated(place), fit.unexplained(place)
     # A controller that is slower or faster than the recorder differentiates from tick to tick.
+    vector = model.vectors(fit.point[None], seen)
     period = float(vector[0, Slot.sampled_control__period_s])
     ticks_hz = 1.0 / period if period > 0.0 else seen.sampling_hz
     time = np.arange(seen.samples) / seen.sampling_hz
@@ -300,10 +307,12 @@ def _rounded(fit: SimulatedFit, place: int, vector: FloatArray) -> FloatArray:
         steps = replace(steps, differentiated=True)
     undisturbed = _simulated(fit, place, np.zeros(at_ticks.size), ticks_hz)
     rng = np.random.default_rng(0)
-    turns: list[FloatArray] = []
-    while sum(map(len, turns)) < 2 * ROTATIONS:
+    while True:
         alone = np.stack(
-            [own.drawn(a, b, rng) for own, a, b in zip(seen.rounding, exact, left, strict=False)]
+            [
+                own.drawn(a, b, rng)
+                for own, a, b in zip(seen.rounding, exact, unexplained, strict=False)
+            ]
         )
         around = np.full_like(alone, np.nan)
         if steps is not None:
@@ -311,8 +320,7 @@ def _rounded(fit: SimulatedFit, place: int, vector: FloatArray) -> FloatArray:
             around = _simulated(fit, place, disturbance, ticks_hz) - undisturbed
             around[0] += disturbance[shown]
             around[1:] += alone[1:]
-        turns += [turns_of(noise.whiten(channels), seen) for channels in (alone, around)]
-    return np.stack([np.concatenate(turns[0::2]), np.concatenate(turns[1::2])])
+        yield alone, around
 
 
 def _simulated(
@@ -330,14 +338,11 @@ def _simulated(
     known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known}
     if seen.motion is not None:
         known = dict(seen.known)
-        late = [
-            k
-            for k, u in enumerate(model.unknowns)
-            if u.name == REFERENCE_DELAY and u.recording == seen.name
-        ]
+        late = model.place_of(REFERENCE_DELAY, seen.name)
         # The reference is late; the noise, which is put into it, is not.
-        asked = seen.motion.speed_rpm(time - float(np.sum(point[late])))
-        point[late] = 0.0
+        asked = seen.motion.speed_rpm(time - (0.0 if late is None else float(point[late])))
+        if late is not None:
+            point[late] = 0.0
     asked[1:] -= disturbance_rpm[1:]
     speed = asked / RPM_PER_RAD_PER_S
     ticks = held_motion(Motion(through(time, speed), time[-1]), time.size, ticks_hz)

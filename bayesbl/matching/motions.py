@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayesbl.bench.kernel import TWIST, Slot
 from bayesbl.bench.simulation import simulate_motions
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import FAST_S, Observed, begin_of
+from bayesbl.matching.observed import FAST_S, Observed
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.noise.channel_noise import (
     HIGHEST_ORDER,
@@ -104,8 +104,7 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
         moved[0, Slot.start_angle_rad] += shift_rad
         return simulate_motions(moved, motion, *size, start_flank=flank)[0, seen.rows]
 
-    counted = np.full(seen.samples, 1.0) if seen.excluded is None else 1.0 - seen.excluded
-    weight = counted / model.noise[index].sd[:, None] ** 2
+    weight = seen.compared / model.noise[index].sd[:, None] ** 2
     forward = signals(0.0, 1.0)
     if _angle_place(model, index) is None:
         return _from_each_sample_on(weight * (forward - signals(0.0, -1.0)) ** 2)
@@ -117,9 +116,9 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     apart = forward - signals(shift, -1.0)
     taken = _from_each_sample_on(weight * apart * column) ** 2
     of_column = _from_each_sample_on(weight * column**2)
-    left = _from_each_sample_on(weight * apart**2)
-    left -= np.divide(taken, of_column, out=np.zeros(left.size), where=of_column > 0.0)
-    return left
+    remembered = _from_each_sample_on(weight * apart**2)
+    remembered -= np.divide(taken, of_column, out=np.zeros(remembered.size), where=of_column > 0.0)
+    return remembered
 
 
 def _from_each_sample_on(values: FloatArray) -> FloatArray:
@@ -165,7 +164,7 @@ def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray
         Shape (d,): where everything else stands.
     """
     name = model.recordings[0].name
-    gap = next(k for k, u in enumerate(model.unknowns) if (u.name, u.recording) == (GAP, name))
+    gap = model.index(GAP, name)
     place = _angle_place(model, 0)
 
     def scanned(gaps: int, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -178,18 +177,18 @@ def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray
         return tried.reshape(angles.size, gaps, -1), cost.reshape(angles.size, gaps)
 
     likely = [np.zeros(1)] if place is None else _likely_angles(scanned)
-    found: list[tuple[float, FloatArray]] = []
+    valleys: list[tuple[float, FloatArray]] = []
     for angles in likely:
         points, costs = scanned(GAPS_SCANNED_FINELY, angles)
-        found += [(float(costs[k]), points[k]) for k in _valleys(costs)]
+        valleys += [(float(costs[k]), points[k]) for k in _valleys(costs)]
     step = np.zeros(start.size)
     step[gap] = (model.high[gap] - model.low[gap]) / (GAPS_SCANNED_FINELY - 1)
     if place is None:
-        return _best(found, step)
+        return _best(valleys, step)
     step[place] = FINE_ANGLE
     for _ in range(PAIR_REFINEMENTS):
         step[place] /= 4.0
-        starts, found = _best(found, step), []
+        starts, valleys = _best(valleys, step), []
         about = np.zeros((BESIDE.size, ABOUT.size, start.size))
         about[..., gap] = step[gap] * BESIDE[:, None]
         about[..., place] = step[place] * ABOUT
@@ -197,15 +196,15 @@ def motion_starts(model: SimulatedSignals, start: FloatArray) -> list[FloatArray
             points = np.clip(own + about, model.low, model.high)
             cost = _rough_chi_square(model, points.reshape(-1, start.size), 0)
             costs = cost.reshape(about.shape[:2])
-            found += [(float(costs[k]), points[k]) for k in _valleys(costs)]
+            valleys += [(float(costs[k]), points[k]) for k in _valleys(costs)]
         step[gap] /= 2.0
-    return _best(found, step)
+    return _best(valleys, step)
 
 
-def _best(found: list[tuple[float, FloatArray]], step: FloatArray) -> list[FloatArray]:
+def _best(valleys: list[tuple[float, FloatArray]], step: FloatArray) -> list[FloatArray]:
     """Points of the lowest χ², the best first, no two within a step of each other."""
     kept: list[FloatArray] = []
-    for _, point in sorted(found, key=lambda own: own[0]):
+    for _, point in sorted(valleys, key=lambda own: own[0]):
         if all(np.any(np.abs(point - other) > 1.5 * step) for other in kept):
             kept.append(point)
     return kept[:VALLEYS_FITTED]
@@ -235,18 +234,18 @@ def _valleys(cost: FloatArray) -> list[tuple[int, int]]:
 
 def _angle_place(model: SimulatedSignals, recording: int) -> int | None:
     """Place of a recording's start angle; ``None`` where it is known or nothing depends on it."""
-    key = (START_ANGLE, model.recordings[recording].name)
-    names = [(u.name, u.recording) for u in model.unknowns]
-    return names.index(key) if key in names and model.bench.value("gravity_torque_nm") else None
+    if not model.bench.value("gravity_torque_nm"):
+        return None
+    return model.place_of(START_ANGLE, model.recordings[recording].name)
 
 
 def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
     """χ² of one motion as if its noise were white, from its first seconds, (m, d) to (m,)."""
     seen = model.recordings[recording]
     assert seen.motion is not None
-    scanned = begin_of(seen) + max(seen.cycle or 0, round(SCANNED_S * seen.sampling_hz))
-    compared = np.ones(seen.samples) if seen.excluded is None else 1.0 - seen.excluded
-    compared, signals = compared[:scanned], seen.signals[:, :scanned]
+    scanned = seen.first_compared + max(seen.cycle or 0, round(SCANNED_S * seen.sampling_hz))
+    compared = seen.compared[:scanned].astype(np.float64)
+    signals = seen.signals[:, :scanned]
     matrix = model.bench.measurement.seen_by(model.vectors(points, seen), seen.sampling_hz)
     cost = np.empty(len(points))
     for begin in range(0, len(points), AT_ONCE):
@@ -259,8 +258,8 @@ def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: in
             workers=model.workers,
             failures="nan",
         )[:, seen.rows]
-        left = (signals - simulated) ** 2
-        cost[rows] = np.einsum("c,mcn,n->m", model.noise[recording].sd ** -2.0, left, compared)
+        squares = (signals - simulated) ** 2
+        cost[rows] = np.einsum("c,mcn,n->m", model.noise[recording].sd ** -2.0, squares, compared)
     cost *= seen.samples / compared.size
     return np.where(np.isfinite(cost), cost, np.inf)
 

@@ -41,28 +41,18 @@ class NormalPrior:
 
         ``shared``: names of those that all recordings share, ``None`` for others.
         """
-        found = [] if joint is None else [i for i, n in enumerate(shared) if n in joint.names]
-        together = np.zeros((len(found), centre.size))
-        if joint is not None and found:
-            together[:, found] = joint.whitening([str(shared[i]) for i in found])
+        joined = [] if joint is None else [i for i, n in enumerate(shared) if n in joint.names]
+        together = np.zeros((len(joined), centre.size))
+        if joint is not None and joined:
+            together[:, joined] = joint.whitening([str(shared[i]) for i in joined])
         alone = sd.copy()
-        alone[found] = np.inf
+        alone[joined] = np.inf
         return cls(centre, alone, together)
 
     @property
     def precision(self) -> FloatArray:
         """Inverse covariance, 0 for what has no normal prior, shape (d, d)."""
         return np.asarray(np.diag(self.sd**-2.0) + self.together.T @ self.together)
-
-    @property
-    def is_together(self) -> FloatArray:
-        """1 for what has its prior together with others, shape (d,)."""
-        return np.asarray(np.any(self.together != 0.0, axis=0), dtype=float)
-
-    @property
-    def rows(self) -> FloatArray:
-        """Derivative of :meth:`deviations` by the point with its sign changed, shape (k, d)."""
-        return np.concatenate([np.diag(1.0 / self.sd)[np.isfinite(self.sd)], self.together])
 
     def deviations(self, point: FloatArray) -> FloatArray:
         """Centre minus coordinate, whitened, shape (k,)."""
@@ -72,5 +62,5 @@ class NormalPrior:
     def log_density(self, points: FloatArray) -> FloatArray:
         """Up to a constant, shape (m, d) to (m,)."""
         away = points - self.centre
-        found = -0.5 * ((away / self.sd) ** 2).sum(axis=1)
-        return np.asarray(found - 0.5 * ((away @ self.together.T) ** 2).sum(axis=1))
+        density = -0.5 * ((away / self.sd) ** 2).sum(axis=1)
+        return np.asarray(density - 0.5 * ((away @ self.together.T) ** 2).sum(axis=1))

@@ -156,6 +156,21 @@ class Observed:
             return self.cycle or self.samples // 4
         return round(self.rotation_period_s * self.sampling_hz)
 
+    @property
+    def repeats(self) -> bool:
+        """Whether the same comes again, after a rotation or a cycle of the motion."""
+        return self.motion is None or self.cycle is not None
+
+    @property
+    def compared(self) -> BoolArray:
+        """Samples that are not excluded, shape (n,)."""
+        return np.ones(self.samples, dtype=bool) if self.excluded is None else ~self.excluded
+
+    @property
+    def first_compared(self) -> int:
+        """First sample of a motion that is compared."""
+        return 0 if self.motion is None else int(np.argmax(self.compared))
+
     def left_by(self, simulated: FloatArray) -> FloatArray:
         """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there."""
         left = self.signals - simulated
@@ -491,16 +506,12 @@ def _without(seen: Observed, left_out: BoolArray) -> Observed:
     return replace(seen, excluded=excluded)
 
 
-def begin_of(seen: Observed) -> int:
-    """First sample of a motion that is compared."""
-    return 0 if seen.motion is None or seen.excluded is None else int(np.argmin(seen.excluded))
-
-
-def whole_rotations(row: FloatArray, lag: int) -> FloatArray:
-    """Whitened residuals (n,) by rotation, (r, lag).
+def whole_rotations(rows: FloatArray, lag: int) -> FloatArray:
+    """Whitened residuals (n, …) by rotation, (r, lag, …).
 
     The last may lack its rounding, as by the samples that whitening takes: that is taken for zero.
     """
-    rotations = math.floor(row.size / lag + ROUNDING)
-    padded = np.pad(row, (0, max(rotations * lag - row.size, 0)))
-    return np.asarray(padded[: rotations * lag].reshape(rotations, lag))
+    rotations = math.floor(len(rows) / lag + ROUNDING)
+    missing = max(rotations * lag - len(rows), 0)
+    padded = np.pad(rows, [(0, missing), *[(0, 0)] * (rows.ndim - 1)])
+    return np.asarray(padded[: rotations * lag].reshape(rotations, lag, *rows.shape[1:]))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
-from bayesbl.progress import Progress
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import (
     Ensembles,
@@ -154,25 +155,20 @@ class DirectPosterior:
         return self.fit.model.unknowns[i].value(self.draws[..., i])
 
 
-class _LogDensity:
-    """log posterior by the surrogate."""
-
-    def __init__(self, model: SimulatedSignals, surrogate: Surrogate) -> None:
-        self._model, self._surrogate = model, surrogate
-
-    def __call__(self, points: FloatArray) -> FloatArray:
-        prior, chi_square = self._model.log_prior(points), self._surrogate.chi_square(points)
-        # A bench nowhere near the recordings overflows; such a point has no weight.
-        finite = np.isfinite(chi_square)
-        return np.where(finite, prior, -np.inf) - 0.5 * np.where(finite, chi_square, 0.0)
+def _log_density(model: SimulatedSignals, surrogate: Surrogate, points: FloatArray) -> FloatArray:
+    """ln of the posterior by the surrogate, (m, d) to (m,)."""
+    prior, chi_square = model.log_prior(points), surrogate.chi_square(points)
+    # A bench nowhere near the recordings overflows; such a point has no weight.
+    finite = np.isfinite(chi_square)
+    return np.where(finite, prior, -np.inf) - 0.5 * np.where(finite, chi_square, 0.0)
 
 
 def sample_direct(
     fit: SimulatedFit,
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
-    progress: Progress | None = None,
-    simulating: Progress | None = None,
+    progress: Progress = silent,
+    simulating: Progress = silent,
     *,
     withheld: bool = False,
 ) -> DirectPosterior:
@@ -219,10 +215,10 @@ def sample_direct(
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
         chi_square, surrogate = regress(model, flat, local.centre, local.covariance, simulating)
         failed = float(np.mean(~np.isfinite(chi_square)))
-        found = _Weighted.by(walked, draws, expected, chi_square, refits)
-        if best is not None and found.effective <= best.effective:
+        weighted = _Weighted.by(walked, draws, expected, chi_square, refits)
+        if best is not None and weighted.effective <= best.effective:
             break  # made of draws that hardly weigh: no surrogate made of it can be better
-        best = found
+        best = weighted
         if best.effective >= GOOD_SHARE * len(flat):
             break
     assert best is not None
@@ -269,20 +265,20 @@ def _independent(draws: FloatArray, settings: SamplerSettings, share: float) -> 
     return Walk(chains, 1.0, len(chains[-1]), np.full(settings.ensembles, share), True)
 
 
-def widened(found: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
+def widened(posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
     """With what impacts scatter by beyond their noise, within the ranges of the unknowns.
 
     See :mod:`bayesbl.matching.impacts`.
     """
-    model = found.fit.model
-    flat = found.draws.reshape(-1, found.draws.shape[-1])
-    wider = scattered(found.fit, flat, _covariance(flat), np.random.default_rng(seed))
+    model = posterior.fit.model
+    flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
+    wider = scattered(posterior.fit, flat, _covariance(flat), np.random.default_rng(seed))
     # Beyond the end of a range there is nothing: such a draw stays as it was.
     within = np.all((wider > model.low) & (wider < model.high), axis=1)
     wider = np.where(within[:, None], wider, flat)
     before, after = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (flat, wider))
     widening = after / np.maximum(before, 1e-300)
-    return replace(found, draws=wider.reshape(found.draws.shape), widening=widening)
+    return replace(posterior, draws=wider.reshape(posterior.draws.shape), widening=widening)
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,9 +315,11 @@ class _Check:
         ends = np.unique(np.abs(draws - tails).argmin(axis=1))[: CHECKED // 2]
         evenly = np.linspace(0, len(draws) - 1, CHECKED - ends.size).astype(np.int64)
         place = np.concatenate([evenly, ends])
-        found = _log_weights(expected[place], simulated_chi_square(model, draws[place]))
-        found -= found[: evenly.size].mean() if np.all(np.isfinite(found)) else 0.0
-        return cls(found[: evenly.size], found[evenly.size :])
+        log_weights = _log_weights(expected[place], simulated_chi_square(model, draws[place]))
+        log_weights -= (
+            log_weights[: evenly.size].mean() if np.all(np.isfinite(log_weights)) else 0.0
+        )
+        return cls(log_weights[: evenly.size], log_weights[evenly.size :])
 
     @property
     def effective_share(self) -> float:
@@ -390,14 +388,14 @@ def _walk(
     local: _Local,
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Walk:
     """Independent draws, or emcee until chains are long and the gap's interval stands still."""
-    target, box = _LogDensity(model, surrogate), (model.low, model.high)
+    target, box = partial(_log_density, model, surrogate), (model.low, model.high)
     generator = np.random.default_rng(seed.spawn(1)[0])
-    found = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
-    if found is not None:
-        return _independent(found[0], settings, found[1])
+    independent = independent_draws(target, local.peak, local.covariance, box, DRAWS, generator)
+    if independent is not None:
+        return _independent(independent[0], settings, independent[1])
     walkers = walkers_needed(len(model.unknowns))
     start_seed, walk_seed = seed.spawn(2)
     starts = local.drawn(settings.ensembles * walkers, (model.low, model.high), start_seed)
@@ -415,8 +413,8 @@ def _walk(
 
 def _covariance(points: FloatArray) -> FloatArray:
     """Of draws, (m, d) to (d, d); never singular, even where draws lie at a bound."""
-    found = np.atleast_2d(np.cov(points.T))
-    return np.asarray(found + 1e-12 * np.diag(np.diag(found) + 1e-30))
+    covariance = np.atleast_2d(np.cov(points.T))
+    return np.asarray(covariance + 1e-12 * np.diag(np.diag(covariance) + 1e-30))
 
 
 def _ticks_decide(fit: SimulatedFit, generator: np.random.Generator) -> bool:
@@ -451,7 +449,7 @@ def _judge(
 
     ``why``: few draws carry the weight, with what to do about it.
     """
-    found = walked.judged({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
+    diagnostics = walked.judged({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
     failures = [*_at_bound(model, draws)]
     if effective < FEWEST_EFFECTIVE:
         failures.append(
@@ -463,11 +461,13 @@ def _judge(
             f"{failed:.0%} of the simulations near the optimum failed: the bench cannot run there."
         )
     if failures:
-        found = replace(found, outcome="withheld", reasons=(*failures, *found.reasons))
+        diagnostics = replace(
+            diagnostics, outcome="withheld", reasons=(*failures, *diagnostics.reasons)
+        )
     edges = tuple(sentence for _, _, sentence in _at_edges(model, draws))
-    if edges and found.outcome == "converged":
-        found = replace(found, outcome="usable")
-    return replace(found, reasons=(*found.reasons, *edges))
+    if edges and diagnostics.outcome == "converged":
+        diagnostics = replace(diagnostics, outcome="usable")
+    return replace(diagnostics, reasons=(*diagnostics.reasons, *edges))
 
 
 def _at_edges(

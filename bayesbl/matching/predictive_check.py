@@ -7,6 +7,7 @@ does not repeat.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import degrees_of_freedom, loop_noise, rounded_rotations
-from bayesbl.matching.observed import Observed, begin_of, whole_rotations
+from bayesbl.matching.observed import Observed, whole_rotations
 from bayesbl.probabilities import chi2_isf, chi2_sf, f_sf
 from bayesbl.recording.types import ComplexArray, FloatArray
 
@@ -23,6 +24,9 @@ BANDS = (0, 8, 32, 128, 512)
 
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
 
+
+FALSE_ALARM = 0.01
+"""Of the check, over all that it tests."""
 
 CHANCE_EDGES = np.geomspace(1.0, 1e-8, 400)
 CHANCES = 0.5 * (CHANCE_EDGES[1:] + CHANCE_EDGES[:-1])
@@ -55,20 +59,20 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     """One entry for each recording, channel and band."""
     model = fit.model
     parts = model.by_recording(fit.residual)
-    found = [
+    by_recording = [
         [
             RepeatingPower(seen.name, channel, *entry)
-            for channel, row in zip(seen.channels, part[:, begin_of(seen) :], strict=True)
+            for channel, row in zip(seen.channels, part[:, seen.first_compared :], strict=True)
             for entry in _by_band(row, seen, scatters=not noise.repeats)
         ]
         for seen, noise, part in zip(model.recordings, model.noise, parts, strict=True)
     ]
-    count = sum(map(len, found))
-    for place, entries in enumerate(found):
+    count = sum(map(len, by_recording))
+    for place, entries in enumerate(by_recording):
         # What no rate of false alarms takes for more than noise needs no closer look.
         if any(entry.probability * count < 1.0 for entry in entries):
-            found[place] = _looked_at_closer(fit, place, entries)
-    return [entry for entries in found for entry in entries]
+            by_recording[place] = _looked_at_closer(fit, place, entries)
+    return [entry for entries in by_recording for entry in entries]
 
 
 def _looked_at_closer(
@@ -82,8 +86,8 @@ def _looked_at_closer(
     known, and what either leaves is no disagreement.
     """
     seen, noise = fit.model.recordings[place], fit.model.noise[place]
-    rows = fit.model.by_recording(fit.residual)[place][:, begin_of(seen) :]
-    if seen.motion is not None and seen.cycle is None:
+    rows = fit.model.by_recording(fit.residual)[place][:, seen.first_compared :]
+    if not seen.repeats:
         return entries
     turns = np.stack([whole_rotations(row, seen.lag) for row in rows], axis=1)
     rotations = len(turns)
@@ -142,16 +146,29 @@ def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[i
 
     Without its begin a motion of two cycles has less than two that are compared.
     """
-    if seen.motion is not None and seen.cycle is None:
+    if not seen.repeats:
         return _slow(row, seen.lag, scatters=scatters)
     if scatters and len(whole_rotations(row, seen.lag)) < 2:
         return _slow(row, row.size // 4, scatters=scatters)
     return _repeating(row, seen.lag, scatters=scatters)
 
 
-def agrees(found: list[RepeatingPower], false_alarm: float = 0.01) -> bool:
-    """Whether no entry stands out, at a family-wise false-alarm rate (Bonferroni)."""
-    return all(entry.probability * len(found) > false_alarm for entry in found)
+def standing_out(
+    entries: Sequence[RepeatingPower], false_alarm: float = FALSE_ALARM
+) -> list[RepeatingPower]:
+    """Entries that noise does not explain, at a family-wise false-alarm rate (Bonferroni)."""
+    # What has no probability stands out too.
+    return [entry for entry in entries if not entry.probability * len(entries) > false_alarm]
+
+
+def agrees(entries: Sequence[RepeatingPower], false_alarm: float = FALSE_ALARM) -> bool:
+    """Whether noise explains all entries."""
+    return not standing_out(entries, false_alarm)
+
+
+def is_explained(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> bool:
+    """Whether nothing repeats that is not noise."""
+    return agrees(disagreements(fit), false_alarm)
 
 
 def _spectrum(turns: FloatArray) -> ComplexArray:

@@ -84,6 +84,11 @@ class Unknown:
     flat_in_value: bool = False
 
     @property
+    def key(self) -> tuple[str, str | None]:
+        """Name and recording."""
+        return self.name, self.recording
+
+    @property
     def label(self) -> str:
         """Name, with the recording where it belongs to one."""
         name = f"drift of {self.name}" if self.added else self.name
@@ -131,15 +136,15 @@ def reference_delay_unknown(recording: str) -> Unknown:
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:
     """Every bench parameter not known exactly: uniform within its tolerance, or as identified."""
-    found, joint = [], bench.identified
+    unknowns, joint = [], bench.identified
     for name, half in bench.tolerances.items():
         value = bench.value(name)
         if joint is None or name not in joint.names:
-            found.append(Unknown(name, value - half, value + half))
+            unknowns.append(Unknown(name, value - half, value + half))
         else:
             low, middle, high = joint.range(name, value)
-            found.append(Unknown(name, low, high, middle, joint.sd(name), logarithmic=True))
-    return found
+            unknowns.append(Unknown(name, low, high, middle, joint.sd(name), logarithmic=True))
+    return unknowns
 
 
 def drift_unknowns(
@@ -152,14 +157,14 @@ def drift_unknowns(
     may_drift
         Half-width by the name of a bench parameter or ``effect.parameter``, in its unit.
     """
-    found = []
+    unknowns = []
     for name, half in may_drift.items():
         value = bench.value(name)
         signed = name in PARAMETER_INFO and PARAMETER_INFO[name].signed
         low = -half if signed or value < 0.0 else max(-half, -value)
         slot = name.replace(".", "__")
-        found += [Unknown(slot, low, half, recording=r, added=True) for r in recordings[1:]]
-    return found
+        unknowns += [Unknown(slot, low, half, recording=r, added=True) for r in recordings[1:]]
+    return unknowns
 
 
 def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
@@ -167,21 +172,21 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
 
     The motor's angle at the first sample differs between recordings, and the phase with it.
     """
-    found = []
+    unknowns = []
     for effect in bench.effects:
         for item in effect_named(effect.name).parameters:
             name = f"{effect.name}__{item.name}"
             given = effect.parameters.get(item.name)
             if item.role == "phase":
-                found += [Unknown(name, recording=recording) for recording in recordings]
+                unknowns += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
-                found.append(Unknown(name, low, largest(name), given.value, given.sd))
+                unknowns.append(Unknown(name, low, largest(name), given.value, given.sd))
     for learned in bench.learned_terms:
-        found += shift_unknowns(learned, recordings)
+        unknowns += shift_unknowns(learned, recordings)
         known = zip(learned.names, learned.coefficients, learned.deviations, strict=False)
-        found += [Unknown(name, centre=value, sd=sd) for name, value, sd in known if sd > 0.0]
-    return found
+        unknowns += [Unknown(name, centre=value, sd=sd) for name, value, sd in known if sd > 0.0]
+    return unknowns
 
 
 def shift_unknowns(learned: LearnedTerm, recordings: Sequence[str]) -> list[Unknown]:
@@ -260,8 +265,17 @@ class SimulatedSignals:
 
     def index(self, name: str, recording: str | None = None) -> int:
         """Index of an unknown in a point."""
-        keys = [(u.name, u.recording) for u in self.unknowns]
-        return keys.index((name, recording))
+        return [u.key for u in self.unknowns].index((name, recording))
+
+    def place_of(self, name: str, recording: str) -> int | None:
+        """Index of a recording's own unknown, or of that of all; ``None`` where it is known."""
+        keys = [u.key for u in self.unknowns]
+        return next((keys.index((name, r)) for r in (recording, None) if (name, r) in keys), None)
+
+    def places_in(self, recording: int) -> list[int]:
+        """Indices of all unknowns that a recording depends on."""
+        name = self.recordings[recording].name
+        return [i for i, u in enumerate(self.unknowns) if u.recording in (None, name)]
 
     def beside(self, bench: Bench, unknowns: Sequence[Unknown]) -> SimulatedSignals:
         """The comparison of another bench with further unknowns, all else alike."""
@@ -316,12 +330,12 @@ class SimulatedSignals:
         )
         accuracy = accuracy_rpm(self.noise[recording], seen) * (COARSER if self.continuous else 1.0)
         samples = seen.lag if repeats(matrix, seen) else seen.samples
-        found = self.recent.signals(
+        stretches = self.recent.signals(
             matrix,
             (*seen.rows, samples, seen.sampling_hz, accuracy, seen.motor_start_rad, seen.motion),
             partial(simulated, seen, samples, accuracy, self.workers, "nan"),
         )
-        return found[place.ravel()]
+        return stretches[place.ravel()]
 
     def require(self, point: FloatArray) -> None:
         """Nothing, where all recordings can be simulated at a point (d,).
@@ -395,6 +409,12 @@ class SimulatedSignals:
             for part, seen in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
         ]
 
+    def only_in(self, recording: int, white: FloatArray) -> FloatArray:
+        """Whitened residuals (N,) of one recording, zero in all others."""
+        part = np.zeros_like(white)
+        self.by_recording(part)[recording][:] = self.by_recording(white)[recording]
+        return part
+
     def whitened_of(self, points: FloatArray, recording: int) -> FloatArray:
         """Whitened residuals of one recording, (m, d) to (m, c (n − p)); 0 where excluded."""
         points = np.atleast_2d(points)
@@ -429,5 +449,5 @@ class SimulatedSignals:
         """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""
         own = np.array([u.prior_sd**-2.0 for u in self.unknowns])
         together = self.normal_prior.together
-        own *= 1.0 - self.normal_prior.is_together
+        own[np.any(together != 0.0, axis=0)] = 0.0
         return np.asarray(np.diag(own) + together.T @ together)

@@ -42,12 +42,12 @@ class RecentSimulations:
         """
         keys = [(settings, row.tobytes()) for row in matrix]
         with self._lock:
-            found = {i: self._kept[key] for i, key in enumerate(keys) if key in self._kept}
-        missing = [i for i in range(len(keys)) if i not in found]
+            known = {i: self._kept[key] for i, key in enumerate(keys) if key in self._kept}
+        missing = [i for i in range(len(keys)) if i not in known]
         if missing:
             # What is missing may be made with this cache, which forgets some meanwhile.
-            found |= zip(missing, simulate(matrix[missing]), strict=True)
-        ordered = [found[i] for i in range(len(keys))]
+            known |= zip(missing, simulate(matrix[missing]), strict=True)
+        ordered = [known[i] for i in range(len(keys))]
         with self._lock:
             self._keep(keys, ordered)
         return np.stack(ordered)

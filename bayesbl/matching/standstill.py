@@ -10,21 +10,21 @@ from bayesbl.errors import RecordingError
 from bayesbl.matching.alignment import refitted
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, with_held_reference, without_standstill
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.predictive_check import FALSE_ALARM, is_explained
 from bayesbl.matching.signals import REFERENCE_DELAY
 
 
-def believed(fit: SimulatedFit, false_alarm: float) -> SimulatedFit:
+def believed(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> SimulatedFit:
     """The fit, or the first of three others of its motions that the check passes where it does not.
 
     A digital drive holds its reference from sample to sample; and what friction does at a
     standstill is not what it does in motion.
     """
-    if agrees(disagreements(fit), false_alarm) or not _moves(fit):
+    if is_explained(fit, false_alarm) or not _moves(fit):
         return fit
-    for found in _others(fit):
-        if agrees(disagreements(found), false_alarm):
-            return found
+    for other in _others(fit):
+        if is_explained(other, false_alarm):
+            return other
     return fit
 
 
@@ -66,7 +66,4 @@ def _moves(fit: SimulatedFit) -> bool:
 
 def _compared(recordings: Sequence[Observed]) -> int:
     """Samples that are compared, of all recordings."""
-    return sum(
-        seen.samples if seen.excluded is None else int((~seen.excluded).sum())
-        for seen in recordings
-    )
+    return sum(int(seen.compared.sum()) for seen in recordings)

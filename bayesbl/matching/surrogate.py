@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.matching.signals import SimulatedSignals
-from bayesbl.progress import Progress
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 POINTS_PER_TERM = 3
@@ -43,9 +43,9 @@ class _Part:
         u = (points[:, self.index] - self.centre) @ self.inverse_root.T
         known = np.linalg.norm(u, axis=1) < self.reach
         terms = _terms(u[known])
-        found = np.full(len(points), np.inf)
-        found[known] = np.einsum("mp,mp->m", terms @ self.gram, terms)
-        return found
+        chi_square = np.full(len(points), np.inf)
+        chi_square[known] = np.einsum("mp,mp->m", terms @ self.gram, terms)
+        return chi_square
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Surrogate:
 
 def points_needed(model: SimulatedSignals) -> int:
     """How many points :func:`regress` needs for its polynomials."""
-    largest = max(len(_own(model, i)) for i in range(len(model.recordings)))
+    largest = max(len(model.places_in(i)) for i in range(len(model.recordings)))
     return POINTS_PER_TERM * (1 + largest + largest * (largest + 1) // 2)
 
 
@@ -70,7 +70,7 @@ def regress(
     points: FloatArray,
     centre: FloatArray,
     covariance: FloatArray,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> tuple[FloatArray, Surrogate]:
     """Full simulations at some points: χ² at each, and the polynomials through them.
 
@@ -91,7 +91,7 @@ def regress(
     chi_square = np.zeros(len(points))
     parts = []
     for i in range(len(model.recordings)):
-        index = _own(model, i)
+        index = np.array(model.places_in(i))
         root = np.linalg.cholesky(covariance[np.ix_(index, index)])
         inverse_root = np.linalg.inv(root)
         u = (points[:, index] - centre[index]) @ inverse_root.T
@@ -108,9 +108,8 @@ def regress(
             normal += phi.T @ phi
             product = phi.T @ residual[good]
             right = product if begin == 0 else right + product
-            if progress is not None:
-                made = i * len(points) + min(begin + AT_ONCE, len(points))
-                progress(made, len(points) * len(model.recordings))
+            made = i * len(points) + min(begin + AT_ONCE, len(points))
+            progress(made, len(points) * len(model.recordings))
         # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         gram = inverse @ (right @ right.T) @ inverse
@@ -128,12 +127,6 @@ def simulated_chi_square(model: SimulatedSignals, points: FloatArray) -> FloatAr
 def _sums_of_squares(residuals: FloatArray) -> FloatArray:
     """Of each row, (m, N) to (m,)."""
     return np.asarray(np.einsum("mn,mn->m", residuals, residuals))
-
-
-def _own(model: SimulatedSignals, recording: int) -> NDArray[np.int64]:
-    """Unknowns that one recording depends on."""
-    name = model.recordings[recording].name
-    return np.array([i for i, u in enumerate(model.unknowns) if u.recording in (None, name)])
 
 
 def _terms(u: FloatArray) -> FloatArray:

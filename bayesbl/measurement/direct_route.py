@@ -16,19 +16,19 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import EFFECT_BY_NAME, effect_named
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.bench.learned import LEARNED_TERMS
-from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
-from bayesbl.matching.observed import Observed, begin_of, observed
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, standing_out
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
@@ -134,12 +134,10 @@ class DirectMatch:
 
         Through shared unknowns a misfit in one recording moves the gap of all.
         """
-        entries = list(self.check)
         return [
             entry
-            for entry in entries
-            if not agrees([entry], FALSE_ALARM / len(entries))
-            and (self.shares_unknowns or entry.recording == recording)
+            for entry in standing_out(self.check, FALSE_ALARM)
+            if self.shares_unknowns or entry.recording == recording
         ]
 
     def model_check(self, recording: str, level: float) -> JointCheck:
@@ -587,10 +585,8 @@ def unit_and_meaning(name: str) -> tuple[str, str]:
             return "1", f"where the variable of the {what} is at the first sample, rad or s"
         return learned.unit, f"coefficient of the {what}: {name.partition('__')[2]}"
     if "__" in name:
-        effect, parameter = name.split("__")
-        for item in EFFECT_BY_NAME[effect].parameters:
-            if item.name == parameter:
-                return item.unit or "1", f"{item.meaning} of {effect}"
+        item = declaration_of(name)
+        return item.unit or "1", f"{item.meaning} of {name.partition('__')[0]}"
     return "rad", "load angle at the first sample, 0 hangs straight down"
 
 
@@ -753,7 +749,7 @@ def _sample_stats(posterior: DirectPosterior) -> xr.Dataset:
 def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:
     fit = posterior.fit
     seen = fit.model.recordings[index]
-    simulated = fit.model.signals(fit.point, index)[0]
+    simulated = fit.simulated(index)
     values: dict[str, object] = {"rotation_period_s": seen.rotation_period_s, **_motion(fit, index)}
     for channel, measured, model in zip(seen.channels, seen.signals, simulated, strict=True):
         values[f"simulated_{channel}"] = model
@@ -769,7 +765,7 @@ def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
     changes = flank_changes(fit, index)
     found: dict[str, object] = {
         "reference_speed_rpm": seen.motion.speed_rpm(np.arange(seen.samples) / seen.sampling_hz),
-        "compared_from_s": begin_of(seen) / seen.sampling_hz,
+        "compared_from_s": seen.first_compared / seen.sampling_hz,
         "repeats": float(seen.cycle is not None),
         "flank_changes": float(len(changes)),
     }

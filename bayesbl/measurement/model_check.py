@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.bench.effects import effect_named, with_bench_file_hint
-from bayesbl.bench.parameters import PARAMETER_INFO
+from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
@@ -49,7 +49,7 @@ def feature_items(fit: SimulatedFit, recording: str) -> list[CheckItem]:
     seen = model.recordings[place]
     if seen.motion is not None:
         return []
-    simulated = model.signals(fit.point[None], place)[0]
+    simulated = fit.simulated(place)
     direction = math.copysign(1.0, seen.reference_speed_rpm)
     samples = seen.rotation_period_s * seen.sampling_hz
 
@@ -83,7 +83,7 @@ def check_of_comparison(
         sentences,
         [
             BlindSpot(
-                f"{spoken(spot.name)} by {_size(spot.size, spot.believed, spot.unit)}",
+                f"{spoken(spot.name)} by {_size(spot.size, spot.expected, spot.unit)}",
                 "too small for these recordings to show",
                 spot.error_rad,
             )
@@ -213,8 +213,8 @@ def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> str:
 
 
 def _item(changed: ChangedParameter) -> CheckItem:
-    z = (changed.found - changed.believed) / changed.sd if changed.sd > 0.0 else 0.0
-    return CheckItem(changed.name, changed.found, changed.believed, changed.unit, z)
+    z = (changed.estimate - changed.expected) / changed.sd if changed.sd > 0.0 else 0.0
+    return CheckItem(changed.name, changed.estimate, changed.expected, changed.unit, z)
 
 
 def _sentence(changed: ChangedParameter) -> str:
@@ -225,10 +225,10 @@ def _sentence(changed: ChangedParameter) -> str:
 
 def _as_found(changed: ChangedParameter) -> str:
     share = ""
-    if changed.believed:
-        percent = 100.0 * (changed.found / changed.believed - 1.0)
+    if changed.expected:
+        percent = 100.0 * (changed.estimate / changed.expected - 1.0)
         share = f" ({'+' if percent > 0.0 else ''}{number(percent, 1)} %)"
-    text = f"{spoken(changed.name)} of {changed.found:.4g} instead of {changed.believed:.4g}"
+    text = f"{spoken(changed.name)} of {changed.estimate:.4g} instead of {changed.expected:.4g}"
     return f"{text} {changed.unit}".rstrip() + share
 
 
@@ -246,8 +246,7 @@ def spoken(name: str) -> str:
         return f"{PARAMETER_INFO[effect].meaning} ({name})"
     if not parameter:
         return name.replace("_", " ")
-    meaning = next(p.meaning for p in effect_named(effect).parameters if p.name == parameter)
-    return f"{effect.replace('_', ' ')}, {meaning} ({name})"
+    return f"{effect.replace('_', ' ')}, {declaration_of(name).meaning} ({name})"
 
 
 def _width(draws_rad: FloatArray, level: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from bayesbl.bench.kernel import Slot
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes, remembered_start
-from bayesbl.matching.observed import begin_of, standstills
+from bayesbl.matching.observed import standstills
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL
@@ -50,7 +50,7 @@ def unseen_gap(posterior: DirectPosterior, index: int) -> str | None:
 def unknown_start(fit: SimulatedFit, index: int) -> str | None:
     """Why how a motion began keeps δ unknown; ``None`` if it does not."""
     seen = fit.model.recordings[index]
-    if seen.motion is None or remembered_start(fit, index)[begin_of(seen)] <= REMEMBERED:
+    if seen.motion is None or remembered_start(fit, index)[seen.first_compared] <= REMEMBERED:
         return None
     return (
         "On which flank the teeth stood when the recording began is not known: nothing presses "
@@ -115,7 +115,7 @@ def motion_notes(fit: SimulatedFit, index: int) -> list[str]:
             "The reference is taken as held from each sample to the next, as a digital drive has "
             "it: a straight line between samples does not explain the recording."
         )
-    begin = begin_of(seen)
+    begin = seen.first_compared
     stands = standstills(seen, fit.model.bench)[begin:]
     if seen.excluded is not None and stands.any() and seen.excluded[begin:][stands].all():
         notes.append("Standstills are left out, because friction at rest is not that of motion.")

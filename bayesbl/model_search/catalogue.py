@@ -38,6 +38,8 @@ HARMONICS = (2.0, 3.0, 4.0)
 """Multiples of an order that may be its harmonics: an eccentricity has them, and a ripple."""
 
 LOWEST_ORDER = 0.45
+ORDER_FALSE_ALARM = 1e-3
+"""Of a line at any order, over all of them."""
 PADDING = 4
 SIDEBANDS = 2.5
 """Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
@@ -95,21 +97,63 @@ class Candidate:
         return self.name if self.recording is None else f"{self.name} ({self.recording})"
 
     @property
-    def key(self) -> tuple[str, float | None]:
-        """Label and, of what turns with the motor, the order: what tells candidates apart."""
+    def order(self) -> float | None:
+        """Of the motor; ``None`` of what does not repeat with its angle."""
         order = None if self.effect is None else self.effect.parameters.get("order")
-        return self.label, None if order is None else order.value
+        return None if order is None else order.value
+
+    @property
+    def key(self) -> tuple[str, float | None]:
+        """What tells candidates apart."""
+        return self.label, self.order
+
+    @property
+    def unknown_keys(self) -> frozenset[tuple[str, str | None]]:
+        """Of its unknowns, that no other candidate beside it may have."""
+        return frozenset(unknown.key for unknown in self.unknowns)
+
+    @property
+    def law(self) -> tuple[str, str | None]:
+        """Name and recording."""
+        return self.name, self.recording
+
+    @property
+    def held_law(self) -> tuple[str, str | None] | None:
+        """The law that this one is, but for one term; ``None`` of most."""
+        law = effect_named(self.name).torque if self.kind == "effect" else None
+        return None if law is None or law.contains is None else (law.contains, self.recording)
+
+    @property
+    def is_periodic(self) -> bool:
+        """It repeats with the motor angle, its phases to be fitted first."""
+        return self.effect is not None and effect_named(self.name).is_periodic
+
+    @property
+    def amplitudes(self) -> list[int]:
+        """Places of the unknowns that change something at the neutral point."""
+        if self.effect is None:
+            return list(range(len(self.unknowns)))
+        return self._places("amplitude")
+
+    @property
+    def phases(self) -> list[int]:
+        """Places of the phases among its unknowns."""
+        return [] if self.effect is None else self._places("phase")
+
+    def _places(self, role: Role) -> list[int]:
+        roles = {f"{self.name}__{p.name}": p.role for p in effect_named(self.name).parameters}
+        return [i for i, u in enumerate(self.unknowns) if roles[u.name] == role]
 
     @property
     def is_positive(self) -> bool:
         """It has one size, which is not negative."""
-        places = amplitude_places(self)
+        places = self.amplitudes
         return len(places) == 1 and self.unknowns[places[0]].low >= self.neutral[places[0]]
 
     def is_at_full_size(self, start: FloatArray) -> bool:
         """Whether a start has a size: that of an elastic part, whose frequency would be another
         with another size."""
-        places = amplitude_places(self)
+        places = self.amplitudes
         return bool(np.any(start[places] != self.neutral[places])) and any(
             np.array_equal(start, own) for own in self.starts
         )
@@ -164,8 +208,8 @@ class OrderPeak:
     power: float
 
 
-def order_peaks(fit: SimulatedFit, count: int = 3, false_alarm: float = 1e-3) -> list[OrderPeak]:
-    """The strongest motor orders above the noise, at a stated false-alarm rate for all together."""
+def order_peaks(fit: SimulatedFit, count: int = 3) -> list[OrderPeak]:
+    """The strongest motor orders above the noise, one falsely in a thousand fits."""
     spectra = [_spectrum(fit, i) for i in range(len(fit.model.recordings))]
     highest = max(order[-1] for order, _, _ in spectra)
     step = min(order[1] - order[0] for order, _, _ in spectra)
@@ -177,17 +221,17 @@ def order_peaks(fit: SimulatedFit, count: int = 3, false_alarm: float = 1e-3) ->
         degrees[within] += 2.0 * channels
 
     # Under noise alone twice the summed power is χ² with two degrees per recording and channel.
-    limit = 0.5 * chi2_isf(false_alarm / grid.size, np.maximum(degrees, 1.0))
-    found: list[OrderPeak] = []
+    limit = 0.5 * chi2_isf(ORDER_FALSE_ALARM / grid.size, np.maximum(degrees, 1.0))
+    peaks: list[OrderPeak] = []
     excess = np.where(power > limit, power, 0.0)
-    while len(found) < count and excess.max() > 0.0:
+    while len(peaks) < count and excess.max() > 0.0:
         k = int(np.argmax(excess))
         peak, nearest = float(grid[k]), round(float(grid[k]))
         if nearest and abs(peak - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):
             peak = float(nearest)
-        found.append(OrderPeak(peak, float(power[k])))
+        peaks.append(OrderPeak(peak, float(power[k])))
         excess[np.abs(grid - grid[k]) < 0.05] = 0.0
-    return found
+    return peaks
 
 
 def _spectrum(fit: SimulatedFit, recording: int) -> tuple[FloatArray, FloatArray, int]:
@@ -228,7 +272,7 @@ def candidates(
         Bench parameters that are unknown anyway, and so no candidates.
     """
     present = {effect.name for effect in bench.effects}
-    found = []
+    hypotheses = []
     for effect in EFFECTS:
         if effect.name in present or not (effects == "all" or effect.name in effects):
             continue
@@ -241,11 +285,13 @@ def candidates(
         if effect.between_channels and any(len(seen.signals) < 2 for seen in recordings):
             continue
         if effect.is_periodic:
-            found += _periodic(bench, effect, recordings, peaks, motor_angle_known)
+            hypotheses += _periodic(bench, effect, recordings, peaks, motor_angle_known)
         else:
-            found.append(_plain(bench, effect))
-    found += [_parameter(bench, name) for name in CORRECTABLE_PARAMETERS if name not in declared]
-    return found
+            hypotheses.append(_plain(bench, effect))
+    hypotheses += [
+        _parameter(bench, name) for name in CORRECTABLE_PARAMETERS if name not in declared
+    ]
+    return hypotheses
 
 
 def _plain(bench: Bench, effect: Effect) -> Candidate:
@@ -253,14 +299,18 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
     sought = [p for p in parameters if effect.sought_alone in (None, p.name)]
     unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
     neutral = np.array([p.neutral for p in sought])
+    candidate = Candidate(
+        effect.name,
+        "effect",
+        unknowns,
+        neutral,
+        effect=_neutral_effect(effect),
+        usual=_usual(bench, effect, sought),
+    )
     if effect.resonance is not None:
         places = tuple(_resonances(bench, effect, effect.resonance))
-        return replace(
-            Candidate(effect.name, "effect", unknowns, neutral, places),
-            unknowns=tuple(_near(effect, unknowns, places)),
-            effect=_neutral_effect(effect),
-            usual=_usual(bench, effect, [p.name for p in sought]),
-        )
+        near = tuple(_near(effect, unknowns, places))
+        return replace(candidate, unknowns=near, starts=places)
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
     if effect.enters in ("load", "shaft"):
@@ -276,16 +326,7 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
             scanned[i] = middle
     for i, own in ((i, p.starts) for i, p in enumerate(sought) if isinstance(p, Shape)):
         starts += tuple(np.where(np.arange(neutral.size) == i, start, neutral) for start in own)
-    return Candidate(
-        effect.name,
-        "effect",
-        unknowns,
-        neutral,
-        starts,
-        scanned,
-        _neutral_effect(effect),
-        usual=_usual(bench, effect, [p.name for p in sought]),
-    )
+    return replace(candidate, starts=starts, scanned=scanned)
 
 
 def _resonances(bench: Bench, effect: Effect, at: Resonance) -> Iterator[FloatArray]:
@@ -323,15 +364,14 @@ def _near(
             yield unknown
 
 
-def _usual(bench: Bench, effect: Effect, names: Sequence[str]) -> FloatArray:
+def _usual(bench: Bench, effect: Effect, parameters: Sequence[EffectParameter]) -> FloatArray:
     """Usual sizes of an effect's parameters on a bench."""
-    found = [effect.parameter(name) for name in names]
     return np.array(
         [
             abs(search_scale(bench, effect, p) * p.typical)
             if isinstance(p, Amplitude)
             else math.nan
-            for p in found
+            for p in parameters
         ]
     )
 
@@ -354,7 +394,7 @@ def _periodic(
     (amplitude,) = effect.amplitudes
     amplitude = amplitude.scaled(search_scale(bench, effect, amplitude))
     owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
-    found = []
+    hypotheses = []
     for peak in peaks:
         if peak.order != round(peak.order) or (not effect.has_order and peak.order != 1.0):
             continue
@@ -363,11 +403,11 @@ def _periodic(
         at_peak = _neutral_effect(effect, order=peak.order)
         neutral = np.zeros(len(unknowns))
         usual = np.full(len(unknowns), math.nan)
-        usual[0] = _usual(bench, effect, [amplitude.name])[0]
-        found.append(
+        usual[0] = _usual(bench, effect, [amplitude])[0]
+        hypotheses.append(
             Candidate(effect.name, "effect", tuple(unknowns), neutral, effect=at_peak, usual=usual)
         )
-    return found
+    return hypotheses
 
 
 def _parameter(bench: Bench, name: str) -> Candidate:
@@ -389,12 +429,6 @@ def _neutral_effect(effect: Effect, **given: float) -> BenchEffect:
     )
 
 
-def held_by(candidate: Candidate) -> tuple[str, str | None] | None:
-    """Name and recording of the effect that another one is, but for one term; ``None`` of most."""
-    law = effect_named(candidate.name).torque if candidate.kind == "effect" else None
-    return None if law is None or law.contains is None else (law.contains, candidate.recording)
-
-
 def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | None:
     """A constant torque in each recording; ``None`` if the bench has such an offset already.
 
@@ -410,7 +444,7 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
     unknowns = tuple(
         Unknown(name, torque.low, torque.high, recording=seen.name) for seen in recordings
     )
-    usual = np.repeat(_usual(bench, effect, [torque.name]), len(unknowns))
+    usual = np.repeat(_usual(bench, effect, [torque]), len(unknowns))
     return Candidate(
         effect.name,
         "effect",
@@ -421,42 +455,11 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
     )
 
 
-def is_periodic(candidate: Candidate) -> bool:
-    """Whether the candidate repeats with the motor angle, its phases to be found first."""
-    return candidate.effect is not None and effect_named(candidate.name).is_periodic
-
-
 def is_harmonic(candidate: Candidate, present: Sequence[Candidate]) -> bool:
     """Whether its order is a low multiple of that of something present, and may be its harmonic.
 
     A real ripple has several orders, a bench one of each effect: beside it another effect at a
     harmonic has no rival and would be named whatever it is.
     """
-    order = candidate.key[1]
-    orders = [other.key[1] for other in present]
+    order, orders = candidate.order, [other.order for other in present]
     return order is not None and any(o is not None and order / o in HARMONICS for o in orders)
-
-
-def quadrant_phases(candidate: Candidate) -> list[int]:
-    """Places of the phases among the candidate's unknowns."""
-    return _places(candidate, "phase")
-
-
-def amplitude_places(candidate: Candidate) -> list[int]:
-    """Places of the unknowns that change something at the neutral point."""
-    if candidate.effect is None:
-        return list(range(len(candidate.unknowns)))
-    return _places(candidate, "amplitude")
-
-
-def _places(candidate: Candidate, role: Role) -> list[int]:
-    if candidate.effect is None:
-        return []
-    effect = effect_named(candidate.name)
-    roles = {f"{effect.name}__{p.name}": p.role for p in effect.parameters}
-    return [i for i, u in enumerate(candidate.unknowns) if roles[u.name] == role]
-
-
-def wrapped(phase_rad: float) -> float:
-    """Phase in [−π, π)."""
-    return (phase_rad + math.pi) % (2.0 * math.pi) - math.pi

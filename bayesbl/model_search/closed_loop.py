@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,21 +25,12 @@ import numpy as np
 from bayesbl.bench.effects import effect_named
 from bayesbl.matching.least_squares import SimulatedFit, prior_pull
 from bayesbl.matching.loop_noise import loop_noise
-from bayesbl.matching.observed import ROUNDING, Observed, begin_of
-from bayesbl.matching.predictive_check import BANDS, agrees, disagreements
+from bayesbl.matching.observed import Observed, whole_rotations
+from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.model_search.always_in import Direction, always_terms
-from bayesbl.model_search.catalogue import (
-    Candidate,
-    OrderPeak,
-    amplitude_places,
-    held_by,
-    is_harmonic,
-    is_periodic,
-    order_peaks,
-)
+from bayesbl.model_search.catalogue import Candidate, OrderPeak, is_harmonic, order_peaks
 from bayesbl.model_search.constants import (
-    FALSE_ALARM,
     FORM_SHARE,
     HOPEFUL_SHARE,
     LEAVES_MOST,
@@ -61,13 +53,12 @@ from bayesbl.model_search.refit import (
     columns_of,
     from_afar,
     is_gross,
-    nominal_explanation,
     polished,
     promised,
     reduced,
     refit,
 )
-from bayesbl.progress import Progress
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 CONTENDERS = 4
@@ -120,7 +111,7 @@ class FittedSet:
     @cached_property
     def explains_all(self) -> bool:
         """Whether nothing repeats any more."""
-        return agrees(disagreements(self.fit), FALSE_ALARM)
+        return is_explained(self.fit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +201,7 @@ def name_missing(
     *,
     max_effects: int = 3,
     among: Sequence[Direction] = (),
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Naming:
     """The posterior over sets of candidates, and the names that it gives.
 
@@ -224,7 +215,7 @@ def name_missing(
     progress
         Called with (fits made, fits expected).
     """
-    posterior = _Search(nominal_explanation(nominal_fit), candidates, max_effects, among, progress)
+    posterior = _Search(Explanation((), nominal_fit), candidates, max_effects, among, progress)
     posterior.climb()
     return posterior.answer()
 
@@ -238,7 +229,7 @@ class _Search:
         candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
         most: int,
         among: Sequence[Direction],
-        progress: Progress | None,
+        progress: Progress,
     ) -> None:
         self._catalogue, self._most, self._among = candidates, most, among
         self._progress = progress
@@ -289,59 +280,47 @@ class _Search:
 
     def _scan(self) -> None:
         """Candidates that move the gap, from their whole range and the gap's."""
-        for found in from_afar(self.nominal.explanation, list(self._candidates.values())):
-            self._add(polished(found))
+        for explanation in from_afar(self.nominal.explanation, list(self._candidates.values())):
+            self._add(polished(explanation))
             # Where another law is missing too, alone it is drawn away again.
-            self._explore(weighed(found, self._among, self._noise))
+            self._explore(weighed(explanation, self._among, self._noise))
 
     def answer(self) -> Naming:
         """Names by the one rule."""
         fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
-        top = fitted[0].log_evidence
-        weights = np.exp([own.log_evidence - top for own in fitted])
+        nominal, best = self.nominal.explanation, fitted[0].explanation
+        weights = np.exp([own.log_evidence - fitted[0].log_evidence for own in fitted])
         sets = tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
-        best = fitted[0]
-        if not best.explanation.candidates:
-            nominal = self.nominal.explanation
-            return Naming(nominal, nominal, (), sets, not best.explains_all)
-        if self._is_unexplained(best):
-            nominal = self.nominal.explanation
-            return Naming(nominal, nominal, (), sets, True, best.explanation)
-        effects, kept = [], []
+        naming = Naming(nominal, nominal, (), sets, repeats=True)
+        if not best.candidates:
+            return replace(naming, repeats=not fitted[0].explains_all)
+        if self._is_unexplained(fitted[0]):
+            return replace(naming, nearest=best)
         labels = [(frozenset(own.explanation.names), p) for own, p in sets]
-        inclusion = {
-            label: sum(p for own, p in labels if label in own) for label in best.explanation.names
-        }
-        certain = [label for label, p in inclusion.items() if p >= NAMED_AT]
-        groups = [(label,) for label in certain] + list(confounded(labels, certain))
-        for group in groups:
-            place = [k for k, name in enumerate(best.explanation.names) if name in group]
-            if not place:
+        inclusion = {name: sum(p for own, p in labels if name in own) for name in best.names}
+        certain = [name for name, p in inclusion.items() if p >= NAMED_AT]
+        effects, idle = [], set(range(len(best.candidates)))
+        for group in [*((name,) for name in certain), *confounded(labels, certain)]:
+            place = next((k for k, name in enumerate(best.names) if name in group), None)
+            if place is None:
                 continue
-            candidate = best.explanation.candidates[place[0]]
-            kept.append(place[0])
-            rest = self._without(best, place[0])
-            gain = math.inf if rest is None else rest.fit.chi_square - best.fit.chi_square
+            idle.discard(place)
+            name, rest = best.names[place], self._without(fitted[0], place)
+            gain = math.inf if rest is None else rest.fit.chi_square - fitted[0].fit.chi_square
             rivals = tuple(
                 (c, own.explanation)
                 for own, p in sets
                 for c in own.explanation.candidates
                 if c.label in group
-                and candidate.label not in own.explanation.names
+                and name not in own.explanation.names
                 and p > (1.0 - NAMED_AT) * 0.1
             )
-            effects.append(NamedCandidate(candidate, gain, inclusion[candidate.label], rivals))
-        final: Explanation | None = best.explanation
-        if len(kept) < len(best.explanation.candidates):
-            idle = set(range(len(best.explanation.candidates))) - set(kept)
-            final = reduced(self.nominal.explanation, best.explanation, idle)
-        final = final or self.nominal.explanation
-        return Naming(
-            self.nominal.explanation,
-            final,
-            tuple(effects),
-            sets,
-            not effects and not self.nominal.explains_all,
+            effects.append(NamedCandidate(best.candidates[place], gain, inclusion[name], rivals))
+        return replace(
+            naming,
+            final=(reduced(nominal, best, idle) if idle else best) or nominal,
+            effects=tuple(effects),
+            repeats=not effects and not self.nominal.explains_all,
         )
 
     def _is_unexplained(self, own: FittedSet) -> bool:
@@ -425,24 +404,22 @@ class _Search:
                 own = sizes[begin : begin + shape.usual.size] * shape.usual
                 begin += shape.usual.size
                 starts.append((shape.candidate, promised(shape.candidate, shape.start, own)))
-            found = refit(explanation, starts, shift)
-            if found is not None:
-                self._add(found)
+            fitted = refit(explanation, starts, shift)
+            if fitted is not None:
+                self._add(fitted)
 
     def _open(self, base: Explanation) -> Iterator[Candidate]:
         """What may stand beside a set."""
-        holds = {(c.name, c.recording) for c in base.candidates}
-        held = {held_by(c) for c in base.candidates}
-        own = {(u.name, u.recording) for c in base.candidates for u in c.unknowns}
+        laws = {c.law for c in base.candidates}
+        held = {c.held_law for c in base.candidates}
+        taken = {key for c in base.candidates for key in c.unknown_keys}
         for candidate in self._candidates.values():
-            where = candidate.name, candidate.recording
-            if candidate.label in base.names or where in held or held_by(candidate) in holds:
+            if candidate.label in base.names or taken & candidate.unknown_keys:
                 continue
-            if is_harmonic(candidate, base.candidates):
+            if candidate.law in held or candidate.held_law in laws:
                 continue
-            if own & {(u.name, u.recording) for u in candidate.unknowns}:
-                continue
-            yield candidate
+            if not is_harmonic(candidate, base.candidates):
+                yield candidate
 
     def _add(self, explanation: Explanation) -> FittedSet:
         """A set with its evidence; the better one of two fits."""
@@ -452,8 +429,7 @@ class _Search:
             near = own.log_evidence > self.best.log_evidence + math.log(1.0 - NAMED_AT)
             if near or own.excess < LEAVES_MOST * self.best.excess:
                 own = self._weighed(polished(explanation))
-            if self._progress is not None:
-                self._progress(len(self._sets), max(len(self._sets), CONTENDERS + 2))
+            self._progress(len(self._sets), max(len(self._sets), CONTENDERS + 2))
         known = self._sets.get(keys)
         if known is None or own.log_evidence > known.log_evidence:
             self._sets[keys] = own
@@ -472,36 +448,28 @@ class _Search:
         self, explanation: Explanation, candidates: Sequence[Candidate]
     ) -> tuple[Linearised, list[_Shape]]:
         """The view at a fit, with candidates as terms, each with what they are."""
-        fit = explanation.fit
-        parts: list[FloatArray] = []
+        terms: list[Term] = []
         shapes: list[_Shape] = []
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
         for candidate in candidates:
-            for start, own in zip(
-                (candidate.neutral, *candidate.starts),
-                self._columns(fit, candidate, simulated),
-                strict=True,
-            ):
-                if own:
-                    usual = candidate.usual[amplitude_places(candidate)]
-                    usual = np.resize(usual, len(own))
-                    parts.append(np.stack(own, axis=1) * usual)
-                    shapes.append(_Shape(candidate, start, usual))
-        view = linearised(explanation, parts, self._among, self._noise)
-        count: dict[str, int] = {}
-        for shape in shapes:
-            count[shape.candidate.label] = count.get(shape.candidate.label, 0) + 1
-        terms = [
-            replace(
-                term,
-                hypothesis=shape.candidate.label,
-                positive=shape.candidate.is_positive and term.columns.shape[1] == 1,
-                prior_weight=1.0 / count[shape.candidate.label],
-                excludes=self._excluded(shape.candidate),
-            )
-            for term, shape in zip(view.terms, shapes, strict=False)
-        ]
-        return replace(view, terms=[*terms, *view.terms[len(shapes) :]]), shapes
+            starts = (candidate.neutral, *candidate.starts)
+            by_start = self._columns(explanation.fit, candidate, simulated)
+            for start, columns in zip(starts, by_start, strict=True):
+                if not columns:
+                    continue
+                usual = np.resize(candidate.usual[candidate.amplitudes], len(columns))
+                shapes.append(_Shape(candidate, start, usual))
+                terms.append(
+                    Term(
+                        candidate.label,
+                        np.stack(columns, axis=1) * usual,
+                        positive=candidate.is_positive and len(columns) == 1,
+                        excludes=self._excluded(candidate),
+                    )
+                )
+        looks = Counter(term.hypothesis for term in terms)
+        terms = [replace(term, prior_weight=1.0 / looks[term.hypothesis]) for term in terms]
+        return linearised(explanation, terms, self._among, self._noise), shapes
 
     def _columns(
         self,
@@ -509,45 +477,33 @@ class _Search:
         candidate: Candidate,
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]],
     ) -> list[list[FloatArray]]:
-        """Of one recording's candidate the rows of that recording, where all share the effect."""
-        if candidate.recording is None or is_periodic(candidate):
+        """Of one recording's candidate the rows of that recording, where all share the effect.
+
+        So what is known of the recording has not changed in it.
+        """
+        if candidate.recording is None or candidate.is_periodic:
             return columns_of(fit, candidate)
-        key = candidate.name, candidate.key[1]
+        key = candidate.name, candidate.order
         if key not in simulated:
             # Its unknowns in one recording and everywhere are the same change there.
-            everywhere = replace(
-                candidate,
-                recording=None,
-                unknowns=tuple(replace(u, recording=None) for u in candidate.unknowns),
-            )
+            shared = tuple(replace(u, recording=None) for u in candidate.unknowns)
+            everywhere = replace(candidate, recording=None, unknowns=shared)
             simulated[key] = columns_of(fit, everywhere)
-        names = [seen.name for seen in fit.model.recordings]
-        kept = []
-        for own in simulated[key]:
-            columns = []
-            for column in own:
-                part = np.zeros_like(column)
-                place = names.index(candidate.recording)
-                fit.model.by_recording(part)[place][:] = fit.model.by_recording(column)[place]
-                columns.append(part)
-            kept.append(columns)
-        return kept
+        place = [seen.name for seen in fit.model.recordings].index(candidate.recording)
+        return [[fit.model.only_in(place, column) for column in own] for own in simulated[key]]
 
     def _excluded(self, candidate: Candidate) -> frozenset[str]:
         """Labels of what cannot stand beside a candidate."""
-        own = {(u.name, u.recording) for u in candidate.unknowns}
-        bare = {u.name for u in candidate.unknowns}
-        held = held_by(candidate)
-        found = set()
+        names = {u.name for u in candidate.unknowns}
+        excluded = set()
         for other in self._candidates.values():
-            theirs = {(u.name, u.recording) for u in other.unknowns}
-            shares = bool(own & theirs) or (
-                bool(bare & {u.name for u in other.unknowns})
-                and None in (candidate.recording, other.recording)
+            shares = bool(candidate.unknown_keys & other.unknown_keys) or (
+                None in (candidate.recording, other.recording)
+                and bool(names & {u.name for u in other.unknowns})
             )
-            if shares or (other.name, other.recording) == held or is_harmonic(other, [candidate]):
-                found.add(other.label)
-        return frozenset(found - {candidate.label})
+            if shares or other.law == candidate.held_law or is_harmonic(other, [candidate]):
+                excluded.add(other.label)
+        return frozenset(excluded - {candidate.label})
 
 
 def weighed(
@@ -580,23 +536,17 @@ def weighed(
 
 def linearised(
     explanation: Explanation,
-    parts: Sequence[FloatArray],
+    terms: Sequence[Term],
     among: Sequence[Direction] = (),
     noise: Sequence[Sequence[FloatArray]] | None = None,
 ) -> Linearised:
-    """The view at a fit: a term for each of ``parts``, (N, k) each, then what is always there."""
+    """The view at a fit: terms of whitened signals, (N, k) each, then what is always there."""
     fit = explanation.fit
     noise = _loop_noise(fit) if noise is None else noise
-    labels, always = always_terms(fit, among) if among else ((), [])
+    labels, columns = always_terms(fit, among) if among else ((), [])
+    always = [label.term(by) for label, by in zip(labels, columns, strict=True)]
     forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
-    view = _banded(fit, [*parts, *always], forms, noise)
-    own, beside = view.terms[: len(parts)], view.terms[len(parts) :]
-    terms = [
-        *own,
-        *(label.term(t.columns) for label, t in zip(labels, beside, strict=False)),
-        *(replace(t, always=True) for t in beside[len(labels) :]),
-    ]
-    return replace(view, terms=terms)
+    return _banded(fit, [*terms, *always], forms, noise)
 
 
 def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
@@ -627,10 +577,8 @@ def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[Floa
     if candidate not in laws_of_shaft(explanation):
         return
     fit = explanation.fit
-    point = fit.point.copy()
-    at = explanation.places(candidate)
-    for place in amplitude_places(candidate):
-        point[at[place]] = candidate.neutral[place]
+    point, at = fit.point.copy(), np.array(explanation.places(candidate))
+    point[at[candidate.amplitudes]] = candidate.neutral[candidate.amplitudes]
     signal = fit.model.whitened(point)[0] - fit.residual
     if np.all(np.isfinite(signal)):
         yield signal
@@ -638,23 +586,28 @@ def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[Floa
 
 def _banded(
     fit: SimulatedFit,
-    parts: Sequence[FloatArray],
+    terms: Sequence[Term],
     forms: Sequence[FloatArray],
     noise: Sequence[Sequence[FloatArray]],
 ) -> Linearised:
-    """Derivatives, columns and residual of a fit by bands of load orders.
+    """Derivatives, terms and residual of a fit by bands of load orders.
 
-    Of ``parts``, each (N, k), a term each; of ``forms``, (N,) each, one more for every piece of a
-    band and channel of a recording. Only inner products matter: a triangle has those of all rows.
+    Of ``forms``, (N,) each, a term more for every piece of a band and channel of a recording. Only
+    inner products matter: a triangle has those of all rows.
     """
     model, d = fit.model, fit.point.size
-    widths = [part.shape[1] for part in parts]
+    widths = [term.columns.shape[1] for term in terms]
     derivatives, pull = fit.derivatives(), prior_pull(model, fit.point)
     # What the end of its range has stopped goes no further, whatever would explain more there.
     stopped = (fit.point <= model.low) | (fit.point >= model.high)
     derivatives[:, stopped], pull[stopped] = 0.0, 0.0
     everything = np.hstack(
-        [derivatives, *parts, *(form[:, None] for form in forms), fit.residual[:, None]]
+        [
+            derivatives,
+            *(term.columns for term in terms),
+            *(form[:, None] for form in forms),
+            fit.residual[:, None],
+        ]
     )
     total = everything.T @ everything
     size, own = everything.shape[1], len(forms)
@@ -663,10 +616,10 @@ def _banded(
     for seen, rows in zip(model.recordings, np.split(everything, ends), strict=True):
         channels = rows.reshape(len(seen.signals), -1, size)
         for channel in channels:
-            for place, piece in enumerate(_by_band(channel[begin_of(seen) :], seen)):
+            for place, piece in enumerate(_by_band(channel[seen.first_compared :], seen)):
                 pieces[place].append(piece)
     first = d + sum(widths)
-    several = sum(len(band) for band in pieces) if own else 0
+    several = sum(len(band) for band in pieces)
     count = noise[0][0].shape[1] if noise else 0
     usual = {BANDS[0]: MEAN_SHARE * _largest_line(model)}
     blocks, bands, begin, at = [], [], 0, 0
@@ -675,9 +628,8 @@ def _banded(
         for piece, around in itertools.zip_longest(band, noise[place] if noise else ()):
             total -= piece.T @ piece
             form = np.zeros((len(piece), several * own))
-            for k in range(own if several else 0):
-                form[:, at * own + k] = FORM_SHARE * piece[:, first + k]
-            at += 1 if several else 0
+            form[:, at * own : (at + 1) * own] = FORM_SHARE * piece[:, first : first + own]
+            at += 1
             by_loop = np.zeros((len(piece), 0)) if around is None else around
             stacked.append(np.hstack([piece[:, :first], form, by_loop, piece[:, -1:]]))
         rows = np.concatenate(stacked)
@@ -696,17 +648,19 @@ def _banded(
     rest = np.hstack([root[:, :-1], np.zeros((len(root), several * own + count)), root[:, -1:]])
     view = np.concatenate([*blocks, rest])
     ends = d + np.cumsum([0, *widths])
-    terms = [Term("", view[:, a:b]) for a, b in itertools.pairwise(ends)]
-    terms += [Term("always", view[:, k : k + 1]) for k in range(first, view.shape[1] - 1)]
+    pairs = zip(terms, itertools.pairwise(ends), strict=True)
+    banded = [replace(term, columns=view[:, a:b]) for term, (a, b) in pairs]
+    banded += [
+        Term("always", view[:, k : k + 1], always=True) for k in range(first, view.shape[1] - 1)
+    ]
     return Linearised(
         view[:, -1],
         view[:, :d],
         model.prior_precision(),
         pull,
-        terms,
+        banded,
         np.zeros((len(view), 0)),
-        (),
-        bands,
+        bands=bands,
     )
 
 
@@ -715,7 +669,7 @@ def _largest_line(model: SimulatedSignals) -> float:
     largest = []
     for seen, noise in zip(model.recordings, model.noise, strict=True):
         for row in noise.whiten(seen.signals):
-            _, *bands = _by_band(row[begin_of(seen) :, None], seen)
+            _, *bands = _by_band(row[seen.first_compared :, None], seen)
             largest.append(max((float(np.abs(b).max()) for b in bands if len(b)), default=0.0))
     return max(float(np.median(largest)), 1.0)
 
@@ -737,7 +691,7 @@ def _loop_noise(fit: SimulatedFit) -> list[list[FloatArray]]:
             made.append((place, scale * rows))
     if not made:
         return []
-    found: list[list[FloatArray]] = [[] for _ in BANDS]
+    columns: list[list[FloatArray]] = [[] for _ in BANDS]
     width = LOOP_COLUMNS * len(made)
     by_place = dict(made)
     for place, seen in enumerate(model.recordings):
@@ -756,9 +710,9 @@ def _loop_noise(fit: SimulatedFit) -> list[list[FloatArray]]:
             out[:, at : at + most] = left[:, :most] * sizes[:most]
         begin = 0
         for k, band in enumerate(bands):
-            found[k % len(BANDS)].append(out[begin : begin + len(band)])
+            columns[k % len(BANDS)].append(out[begin : begin + len(band)])
             begin += len(band)
-    return found
+    return columns
 
 
 def _by_band(rows: FloatArray, seen: Observed) -> Iterator[FloatArray]:
@@ -766,22 +720,18 @@ def _by_band(rows: FloatArray, seen: Observed) -> Iterator[FloatArray]:
 
     A motion that does not repeat counts as one rotation, in cycles a quarter of it.
     """
-    repeats = seen.motion is None or seen.cycle is not None
-    lag = seen.lag if repeats else len(rows)
-    turns = math.floor(len(rows) / lag + ROUNDING)
-    padded = np.zeros((turns * lag, rows.shape[1]))
-    padded[: min(len(rows), turns * lag)] = rows[: turns * lag]
-    yield from _spectral_bands(padded.reshape(turns, lag, -1).sum(axis=0) / math.sqrt(turns), seen)
+    lag = seen.lag if seen.repeats else len(rows)
+    turns = whole_rotations(rows, lag)
+    yield from _spectral_bands(turns.sum(axis=0) / math.sqrt(len(turns)), seen)
 
 
 def _spectral_bands(mean: FloatArray, seen: Observed) -> Iterator[FloatArray]:
     """Of a rotation (lag, p) by bands of load orders, (k, p) each."""
-    repeats = seen.motion is None or seen.cycle is not None
     spectrum = np.fft.rfft(mean, axis=0) / math.sqrt(len(mean))
     yield spectrum[:1].real
     below = 1
     for highest in BANDS[1:]:
-        end = min(highest if repeats else 4 * highest, len(spectrum) - 2) + 1
+        end = min(highest if seen.repeats else 4 * highest, len(spectrum) - 2) + 1
         band = spectrum[below : max(end, below)] * math.sqrt(2.0)
         yield np.concatenate([band.real, band.imag])
         below = max(end, below)

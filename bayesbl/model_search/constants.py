@@ -42,9 +42,6 @@ WEIGHED_SHARE = 0.999
 CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
 
-FALSE_ALARM = 0.01
-"""Of the check whether anything repeats, over all that it tests."""
-
 UNEXPLAINED_SHARE = 0.05
 """Of the disagreement: what no hypothesis holds, from which on nothing is named."""
 

@@ -17,25 +17,24 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import Slot
-from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, PARAMETER_INFO
+from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.loop_noise import noise_along
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
 from bayesbl.model_search.catalogue import (
     USUAL_SHARE,
     Candidate,
     OrderPeak,
-    amplitude_places,
     candidates,
     order_peaks,
 )
 from bayesbl.model_search.closed_loop import name_missing
 from bayesbl.model_search.refit import Explanation, columns_of, with_own_noise
 from bayesbl.probabilities import chi2_isf, normal_isf
-from bayesbl.progress import Progress
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "friction_asymmetry")
@@ -68,28 +67,41 @@ MISSED = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class ChangedParameter:
+class _Quantity:
+    """A bench parameter, or one of an effect, as :meth:`Bench.vector` takes it."""
+
+    slot: str
+
+    @property
+    def name(self) -> str:
+        """As a user writes it: ``effect.parameter``."""
+        return self.slot.replace("__", ".")
+
+    @property
+    def unit(self) -> str:
+        """As declared."""
+        return declaration_of(self.slot).unit
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedParameter(_Quantity):
     """What the bench would have to have instead of what it has.
 
     Attributes
     ----------
-    name
-        Of the bench parameter, or ``effect.parameter``.
     recording
         The only one that it differs in; ``None`` where all recordings contradict the bench.
-    believed, found
-        In another recording and in this one, in ``unit``; by the bench and by the recordings where
-        no other recording has a value that is not its own.
+    expected, estimate
+        In another recording and in this one; by the bench and by the recordings where no other
+        recording has a value that is not its own.
     sd
-        Of ``found`` against ``believed``.
+        Of ``estimate`` against ``expected``.
     """
 
-    name: str
     recording: str | None
-    believed: float
-    found: float
+    expected: float
+    estimate: float
     sd: float
-    unit: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,23 +133,19 @@ class Rival:
 
 
 @dataclass(frozen=True, slots=True)
-class BlindSpot:
+class HiddenChange(_Quantity):
     """A change of the joint in its last recording that the check would not see.
 
     Attributes
     ----------
-    name
-        Of the bench parameter, or ``effect.parameter``.
-    believed, size
-        Its value by the bench, and the largest change of it that passes, in ``unit``.
+    expected, size
+        Its value by the bench, and the largest change of it that passes.
     error_rad
         By which it would move the change of δ from the first recording to the last; absolute.
     """
 
-    name: str
-    believed: float
+    expected: float
     size: float
-    unit: str
     error_rad: float
 
 
@@ -170,7 +178,7 @@ class JointFindings:
     changed: tuple[ChangedParameter, ...]
     could_be: tuple[str, ...]
     rivals: tuple[Rival, ...]
-    blind_spots: tuple[BlindSpot, ...]
+    blind_spots: tuple[HiddenChange, ...]
     motor_orders: tuple[int, ...] = ()
     allowed: tuple[ChangedParameter, ...] = ()
     part: AddedPart | None = None
@@ -191,7 +199,7 @@ def find_changes(
     nominal: SimulatedFit,
     *,
     among: Sequence[Direction] = (),
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> tuple[SimulatedFit, JointFindings]:
     """What the bench would have to have, in all recordings or in one, to explain them.
 
@@ -219,17 +227,17 @@ def find_changes(
     if final.candidates:
         # What changed is not noise: the interval rests on the noise estimated without it.
         final = with_own_noise(final)
-    explained = agrees(disagreements(final.fit), FALSE_ALARM)
+    explained = is_explained(final.fit, FALSE_ALARM)
     fit = final.fit if explained else nominal
     findings = JointFindings(
         tuple(seen.name for seen in nominal.model.recordings),
         explained,
         tuple(_parameters(final)) if explained else (),
-        tuple(dict.fromkeys(name for found in naming.effects for name in found.members)),
+        tuple(dict.fromkeys(name for effect in naming.effects for name in effect.members)),
         tuple(
             Rival(other.name, other.recording, _gaps(rival.fit))
-            for found in naming.effects
-            for other, rival in found.indistinguishable
+            for effect in naming.effects
+            for other, rival in effect.indistinguishable
         ),
         tuple(blind_spots(fit, among)) if explained else (),
         tuple(_motor_orders(nominal)),
@@ -247,27 +255,31 @@ def changed_beside(
     """
     names = tuple(seen.name for seen in fit.model.recordings)
     by_slot = {direction.slot: direction for direction in among}
-    told: list[ChangedParameter] = []
-    of_part = {} if part is None else part.values
-    allowed = [
-        ChangedParameter(
-            name.replace("__", "."), None, 0.0, value, part.sds[name] if part else 0.0, _unit(name)
-        )
-        for name, value in of_part.items()
-    ]
+    changed: list[ChangedParameter] = []
+    allowed = (
+        []
+        if part is None
+        else [
+            ChangedParameter(slot, None, 0.0, value, part.sds[slot])
+            for slot, value in part.values.items()
+        ]
+    )
     for place, unknown in enumerate(fit.model.unknowns):
         direction = by_slot.get(unknown.name)
         # A tolerance of the bench, or what the user lets drift, is flat.
         if direction is None or not math.isfinite(unknown.sd):
             continue
-        own = _as_changed(fit, place)
-        drifted = unknown.added and abs(own.found - own.believed) <= BEYOND * direction.drift
-        (allowed if drifted or not unknown.added else told).append(own)
+        difference = _as_changed(fit, place)
+        drifted = (
+            unknown.added
+            and abs(difference.estimate - difference.expected) <= BEYOND * direction.drift
+        )
+        (allowed if drifted or not unknown.added else changed).append(difference)
     return JointFindings(
         names,
         True,
-        tuple(told),
-        tuple(dict.fromkeys(c.name for c in told)),
+        tuple(changed),
+        tuple(dict.fromkeys(c.name for c in changed)),
         (),
         tuple(blind_spots(fit, among)),
         (),
@@ -286,10 +298,9 @@ def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
     def value(recording: Observed) -> float:
         return float(model.vectors(fit.point[None], recording)[0, Slot[unknown.name]])
 
-    found = value(seen)
-    believed = value(first) if unknown.added else float(model.bench.vector()[0, Slot[unknown.name]])
-    name = unknown.name.replace("__", ".")
-    return ChangedParameter(name, unknown.recording, believed, found, sd, _unit(unknown.name))
+    by_bench = float(model.bench.vector()[0, Slot[unknown.name]])
+    expected = value(first) if unknown.added else by_bench
+    return ChangedParameter(unknown.name, unknown.recording, expected, value(seen), sd)
 
 
 def _motor_orders(fit: SimulatedFit) -> list[int]:
@@ -316,7 +327,7 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
     fit = final.fit
     names = [seen.name for seen in fit.model.recordings]
     for candidate in final.candidates:
-        where, places = candidate.recording, _told_places(candidate)
+        where, places = candidate.recording, _stated_places(candidate)
         slots = [candidate.unknowns[place].name for place in places]
         others = [n for n in names if n != where and not _frees(final, slots, n)]
         turned = (
@@ -326,34 +337,28 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
             and all(_is_tolerated(fit, slot, fit.value(slot, where)) for slot in slots)
         )
         for place, slot in zip(places, slots, strict=True):
-            believed, found = float(candidate.neutral[place]), fit.value(slot, where)
+            expected, estimate = float(candidate.neutral[place]), fit.value(slot, where)
             sd = fit.sd(slot, where)
             if where is not None and others:
-                believed, sd = _in_another(fit, slot, where, others[0])
+                expected, sd = _in_another(fit, slot, where, others[0])
             if turned:
-                believed, found = found, believed
-            yield ChangedParameter(
-                slot.replace("__", "."),
-                names[1] if turned else where,
-                believed,
-                found,
-                sd,
-                _unit(slot),
-            )
+                yield ChangedParameter(slot, names[1], estimate, expected, sd)
+            else:
+                yield ChangedParameter(slot, where, expected, estimate, sd)
 
 
-def _told_places(candidate: Candidate) -> list[int]:
+def _stated_places(candidate: Candidate) -> list[int]:
     """Places of what a bench file needs: a period without its dead time is half of it."""
-    places = amplitude_places(candidate)
+    places = candidate.amplitudes
     if candidate.effect is None:
         return places
     effect = effect_named(candidate.name)
-    told = {
+    stated = {
         effect.slots[shape.name].name
         for shape in effect.shapes
         if shape.starts or effect.resonance is not None
     }
-    return places + [i for i, u in enumerate(candidate.unknowns) if u.name in told]
+    return places + [i for i, u in enumerate(candidate.unknowns) if u.name in stated]
 
 
 def _frees(final: Explanation, slots: Sequence[str], recording: str) -> bool:
@@ -393,13 +398,6 @@ def _in_another(fit: SimulatedFit, name: str, one: str, other: str) -> tuple[flo
     return float(values[1][0]), math.sqrt(float(slopes @ fit.covariance @ slopes))
 
 
-def _unit(name: str) -> str:
-    effect, _, parameter = name.partition("__")
-    if not parameter:
-        return PARAMETER_INFO[name].unit
-    return next(p.unit for p in effect_named(effect).parameters if p.name == parameter)
-
-
 def _candidates(
     fit: SimulatedFit, peaks: Sequence[OrderPeak], *, one_by_one: bool = False
 ) -> list[Candidate]:
@@ -411,7 +409,7 @@ def _candidates(
     bench, recordings = model.bench, model.recordings
     # A parameter of zero changes by no factor: an axis without gravity keeps none.
     changeable = {name: (name,) for name in CORRECTABLE_PARAMETERS} | CHANGED_TOGETHER
-    found = [
+    every = [
         *(c for c in candidates(bench, recordings, "all", peaks) if c.kind == "effect"),
         *(
             _changed(bench, name, names)
@@ -421,27 +419,27 @@ def _candidates(
         *_own_effects(bench),
     ]
     shared = {u.name for u in model.unknowns if u.recording is None}
-    everywhere = [c for c in found if not shared & {u.name for u in c.unknowns}]
+    everywhere = [c for c in every if not shared & {u.name for u in c.unknowns}]
     if len(recordings) == 1:
         return everywhere
-    own = {(u.name, u.recording) for u in model.unknowns}
-    at_one_speed = found if one_by_one else _with_friction_together(found)
+    own = {unknown.key for unknown in model.unknowns}
+    at_one_speed = every if one_by_one else _with_friction_together(every)
     within = [
         c.within(seen.name)
         for seen in recordings
-        for c in (at_one_speed if seen.motion is None and len(seen.signals) > 1 else found)
+        for c in (at_one_speed if seen.motion is None and len(seen.signals) > 1 else every)
     ]
     return [
         *everywhere,
-        *(c for c in within if not own & {(u.name, u.recording) for u in c.unknowns}),
+        *(c for c in within if not own & c.unknown_keys),
     ]
 
 
-def _with_friction_together(found: Sequence[Candidate]) -> list[Candidate]:
+def _with_friction_together(every: Sequence[Candidate]) -> list[Candidate]:
     """The same, with one candidate for all that friction may do in one recording."""
-    parts = [c for name in FRICTION[:2] for c in found if c.name == name]
+    parts = [c for name in FRICTION[:2] for c in every if c.name == name]
     if len(parts) < 2:
-        return list(found)
+        return list(every)
     together = Candidate(
         MOTOR_FRICTION,
         "parameter",
@@ -449,7 +447,7 @@ def _with_friction_together(found: Sequence[Candidate]) -> list[Candidate]:
         np.concatenate([c.neutral for c in parts]),
         usual=np.concatenate([c.usual for c in parts]),
     )
-    return [*(c for c in found if c.name not in FRICTION), together]
+    return [*(c for c in every if c.name not in FRICTION), together]
 
 
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
@@ -470,7 +468,7 @@ def _furthest(value: float, tolerance: float) -> tuple[float, float]:
 
 def _own_effects(bench: Bench) -> list[Candidate]:
     """Effects that the bench has, grown or shrunk; a controller's dead time, which may be any."""
-    found = []
+    resized = []
     for present in bench.effects:
         values, effect = present.complete(), effect_named(present.name)
         ranges = {
@@ -485,11 +483,11 @@ def _own_effects(bench: Bench) -> list[Candidate]:
             unknown = Unknown(f"{present.name}__{name}", low, high)
             neutral = np.array([values[name]])
             usual = np.array([OWN_EFFECT_SHARE * max(abs(values[name]), high - low)])
-            found.append(Candidate(present.name, "parameter", (unknown,), neutral, usual=usual))
-    return found
+            resized.append(Candidate(present.name, "parameter", (unknown,), neutral, usual=usual))
+    return resized
 
 
-def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[BlindSpot]:
+def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[HiddenChange]:
     """Changes in the last recording that would pass, the one that moves the change of δ most first.
 
     But for laws and drift ``among`` what is marginalised.
@@ -513,7 +511,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Blin
     marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
     for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)], one_by_one=True):
-        if candidate.recording != last or len(amplitude_places(candidate)) != 1:
+        if candidate.recording != last or len(candidate.amplitudes) != 1:
             continue
         if marginalised & {u.name for u in candidate.unknowns}:
             continue
@@ -522,7 +520,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Blin
             for columns in columns_of(fit, candidate)
             if columns
         ]
-    worst: dict[str, BlindSpot] = {}
+    worst: dict[str, HiddenChange] = {}
     for spot in sorted(spots, key=lambda spot: -spot.error_rad):
         worst.setdefault(spot.name, spot)
     return list(worst.values())
@@ -536,7 +534,7 @@ def _largest_hidden(
     toward: FloatArray,
     least: float,
     noise: Callable[[FloatArray], FloatArray],
-) -> BlindSpot:
+) -> HiddenChange:
     """The change that passes and moves δ most: max |pᵀη| with ηᵀIη = least², within its range."""
     matrix = np.column_stack(columns)
     across = derivatives.T @ matrix
@@ -545,7 +543,7 @@ def _largest_hidden(
     pull = toward @ moved
     hidden = np.linalg.pinv(information, hermitian=True) @ pull
     reach = math.sqrt(max(float(pull @ hidden), 0.0))
-    place = amplitude_places(candidate)[0]
+    place = candidate.amplitudes[0]
     unknown = candidate.unknowns[place]
     furthest = unknown.high - float(candidate.neutral[place])
     if reach > 0.0:
@@ -556,10 +554,5 @@ def _largest_hidden(
     if size > furthest or reach == 0.0:
         hidden *= furthest / size if size > 0.0 else 0.0
         size = furthest
-    return BlindSpot(
-        unknown.name.replace("__", "."),
-        float(candidate.neutral[place]),
-        size,
-        _unit(unknown.name),
-        abs(float(pull @ hidden)),
-    )
+    expected, error_rad = float(candidate.neutral[place]), abs(float(pull @ hidden))
+    return HiddenChange(unknown.name, expected, size, error_rad)

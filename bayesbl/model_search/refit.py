@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Sequence
 from contextlib import suppress
@@ -12,15 +13,8 @@ import numpy as np
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals, Unknown
-from bayesbl.model_search.catalogue import (
-    Candidate,
-    amplitude_places,
-    is_periodic,
-    quadrant_phases,
-    steady_torque,
-    wrapped,
-)
+from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
+from bayesbl.model_search.catalogue import Candidate, steady_torque
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 
@@ -73,19 +67,13 @@ class Explanation:
 
     def places(self, candidate: Candidate) -> list[int]:
         """Of a candidate's unknowns in a point."""
-        keys = [(u.name, u.recording) for u in self.fit.model.unknowns]
-        last = {key: place for place, key in enumerate(keys)}
-        return [last[u.name, u.recording] for u in candidate.unknowns]
+        last = {unknown.key: place for place, unknown in enumerate(self.fit.model.unknowns)}
+        return [last[unknown.key] for unknown in candidate.unknowns]
 
     @property
     def log_prior(self) -> float:
         """ln of the density of all that is added."""
         return sum(c.log_prior(self.fit.point[self.places(c)]) for c in self.candidates)
-
-
-def nominal_explanation(fit: SimulatedFit) -> Explanation:
-    """Nothing added."""
-    return Explanation((), fit)
 
 
 def with_noise(explanation: Explanation, noise: Sequence[ChannelNoise]) -> Explanation:
@@ -142,10 +130,10 @@ def refit(
         ]
         starts += [np.concatenate([there + moved, *own]) for moved in (share * shift, 0.0 * shift)]
     trials = np.clip(np.stack(starts), model.low, model.high)
-    left = np.array([chi_square(model, trial) for trial in trials])
+    chi_squares = np.array([chi_square(model, trial) for trial in trials])
     candidates = (*base.candidates, *(c for c, _ in added))
     with suppress(BenchError):
-        best, steps = trials[int(np.argmin(left))], base.fit.steps
+        best, steps = trials[int(np.argmin(chi_squares))], base.fit.steps
         fit = fit_simulated(model, best, steps, rough=True, known=base.fit.derivatives())
         return Explanation(candidates, fit)
     return None
@@ -189,9 +177,9 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
     for candidate in (c for c in candidates if c.scanned):
         beside = extended(free.fit.model, candidate)
         starts = _scanned_starts(beside, free, candidate)
-        left = [chi_square(beside, start) for start in starts]
-        for start, value in zip(starts, left, strict=True):
-            if value > BEHIND * min(left):
+        chi_squares = [chi_square(beside, start) for start in starts]
+        for start, value in zip(starts, chi_squares, strict=True):
+            if value > BEHIND * min(chi_squares):
                 continue
             with suppress(BenchError):
                 fit = fit_simulated(beside, start, free.fit.steps, rough=True)
@@ -199,10 +187,10 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
                 if known is None or fit.chi_square < known[0]:
                     own = np.r_[: nominal.fit.point.size, -len(candidate.unknowns) : 0]
                     alone = replace(fit, point=fit.point[own], steps=fit.steps[own])
-                    found = with_model(alone, extended(model, candidate))
-                    best[candidate.label] = fit.chi_square, Explanation((candidate,), found)
+                    refreshed = with_model(alone, extended(model, candidate))
+                    best[candidate.label] = fit.chi_square, Explanation((candidate,), refreshed)
     ranked = sorted(best.values(), key=lambda item: item[0])
-    return [e for left, e in ranked if left <= BEHIND * ranked[0][0]][:MOST_FROM_AFAR]
+    return [e for value, e in ranked if value <= BEHIND * ranked[0][0]][:MOST_FROM_AFAR]
 
 
 def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]]:
@@ -214,80 +202,69 @@ def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]
     that has a phase of its own (sine, cosine). Without what cannot be simulated.
     """
     model = extended(fit.model, candidate)
-    found = []
-    for start in (candidate.neutral, *candidate.starts):
-        places = amplitude_places(candidate)
-        bare = start.copy()
-        bare[places] = candidate.neutral[places]
-        point = np.concatenate([fit.point, bare])
-        columns = []
-        for i in places:
-            for phase in (0.0, 0.5 * math.pi) if is_periodic(candidate) else (None,):
-                by = float(start[i] - candidate.neutral[i])
-                columns += _difference(model, point, len(fit.point) + i, phase, candidate, by)
-        found.append(columns)
-    return found
+    phases = (0.0, 0.5 * math.pi) if candidate.is_periodic else (None,)
+    return [
+        [
+            column
+            for amplitude, phase in itertools.product(candidate.amplitudes, phases)
+            for column in _columns(model, fit.point, candidate, start, amplitude, phase)
+        ]
+        for start in (candidate.neutral, *candidate.starts)
+    ]
 
 
-def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Coordinates of a candidate from the sizes of its columns, in its units."""
-    coordinates = start.copy()
-    if not is_periodic(candidate):
-        places = amplitude_places(candidate)
-        if candidate.is_at_full_size(start):
-            return coordinates
-        coordinates[places] = candidate.neutral[places] + sizes
-        return coordinates
-    (place,) = amplitude_places(candidate)
-    owners = sizes.size // 2
-    sine, cosine = sizes[:owners], sizes[owners:]
-    # a sin(nθ + φ) = a cos φ · (phase 0) + a sin φ · (phase π/2)
-    amplitudes = np.hypot(sine, cosine)
-    coordinates[place] = float(np.median(amplitudes))
-    phases = np.arctan2(cosine, sine)
-    for k, at in enumerate(quadrant_phases(candidate)):
-        coordinates[at] = wrapped(float(phases[min(k, owners - 1)]))
-    return coordinates
-
-
-def _small(unknown: Unknown, coordinate: float) -> float:
-    """A thousandth of the range; to its lower end from a neutral value below it."""
-    return max(1e-3 * (unknown.high - unknown.low), unknown.low - coordinate)
-
-
-def _difference(
+def _columns(
     model: SimulatedSignals,
     point: FloatArray,
-    i: int,
-    phase: float | None,
     candidate: Candidate,
-    by: float = 0.0,
+    start: FloatArray,
+    amplitude: int,
+    phase: float | None,
 ) -> list[FloatArray]:
-    """Change of the whitened signals over an amount of one unknown; a column per phase owner.
+    """Change of the whitened signals by one amplitude; of a phase, one for each that has its own.
 
-    ``by``: that amount, 0 for a small one.
+    ``point``: without the candidate, whose unknowns are the model's last.
     """
-    moved = np.stack([point, point])
-    amount = by or _small(model.unknowns[i], float(point[i]))
-    moved[1, i] += amount
+    own = start.copy()
+    own[candidate.amplitudes] = candidate.neutral[candidate.amplitudes]
     if phase is not None:
-        for k in quadrant_phases(candidate):
-            moved[:, point.size - len(candidate.unknowns) + k] = phase
+        own[candidate.phases] = phase
+    amount = float(start[amplitude] - candidate.neutral[amplitude])
+    if amount == 0.0:
+        # A thousandth of the range; to its lower end from a neutral value below it.
+        unknown, at = candidate.unknowns[amplitude], float(own[amplitude])
+        amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - at)
+    moved = np.tile(np.concatenate([point, own]), (2, 1))
+    moved[1, point.size + amplitude] += amount
     of_ticks = any(u.name.startswith(SAMPLED) for u in candidate.unknowns)
-    z = (model if of_ticks else model.for_differences(point)).whitened(moved)
+    z = (model if of_ticks else model.for_differences(np.append(point, own))).whitened(moved)
     change = (z[0] - z[1]) / amount
     if not np.all(np.isfinite(change)):
         return []
     if phase is None:
         return [change]
-    names = [seen.name for seen in model.recordings]
-    owners = (
-        range(len(names)) if candidate.recording is None else [names.index(candidate.recording)]
-    )
-    parts = [np.zeros_like(change) for _ in owners]
-    for owner, part in zip(owners, parts, strict=True):
-        model.by_recording(part)[owner][:] = model.by_recording(change)[owner]
-    return parts
+    owners = [
+        k for k, seen in enumerate(model.recordings) if candidate.recording in (None, seen.name)
+    ]
+    return [model.only_in(owner, change) for owner in owners]
+
+
+def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Coordinates of a candidate from the sizes of its columns, in its units."""
+    if candidate.is_at_full_size(start):
+        return start
+    coordinates, amplitudes = start.copy(), candidate.amplitudes
+    if not candidate.is_periodic:
+        coordinates[amplitudes] = candidate.neutral[amplitudes] + sizes
+        return coordinates
+    sine, cosine = np.split(sizes, 2)
+    # a sin(nθ + φ) = a cos φ · (phase 0) + a sin φ · (phase π/2)
+    coordinates[amplitudes] = float(np.median(np.hypot(sine, cosine)))
+    phases = np.arctan2(cosine, sine)
+    for k, at in enumerate(candidate.phases):
+        phase = float(phases[min(k, phases.size - 1)])
+        coordinates[at] = (phase + math.pi) % (2.0 * math.pi) - math.pi
+    return coordinates
 
 
 def chi_square(model: SimulatedSignals, point: FloatArray) -> float:
@@ -302,9 +279,8 @@ def _scanned_starts(
 ) -> list[FloatArray]:
     own = len(base.fit.point)
     grids = {own + place: grid for place, grid in candidate.scanned.items()}
-    names = [u.name for u in model.unknowns]
-    if GAP in names:
-        gap = names.index(GAP)
+    gap = model.place_of(GAP, model.recordings[0].name)
+    if gap is not None:
         grids[gap] = np.linspace(model.low[gap], model.high[gap], SCANNED_GAPS)
     starts = aligned_starts(model, grids)
     for start in starts:

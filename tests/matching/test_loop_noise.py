@@ -12,7 +12,7 @@ from test_impacts import fitted, turning
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.loop_noise import LoopNoise, noise_along
 from bayesbl.model_search.closed_loop import weighed
-from bayesbl.model_search.refit import nominal_explanation
+from bayesbl.model_search.refit import Explanation
 from bayesbl.probabilities import f_sf
 from bayesbl.recording.types import FloatArray
 
@@ -90,7 +90,7 @@ def test_noise_in_the_loop_leaves_less_evidence(independent: ModuleType, in_loop
     evidence, squares = zip(
         *(
             (
-                weighed(nominal_explanation(replace(own, model=model))).log_evidence,
+                weighed(Explanation((), replace(own, model=model))).log_evidence,
                 float(own.residual @ own.residual),
             )
             for own in (fit, moved)

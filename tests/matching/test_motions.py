@@ -17,7 +17,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import changes_of, flank_changes
-from bayesbl.matching.observed import begin_of, observed
+from bayesbl.matching.observed import observed
 from bayesbl.matching.planning import Strokes, ranked_motions
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
@@ -199,8 +199,8 @@ def test_a_reference_that_a_drive_holds_is_found_so() -> None:
 
 
 def test_what_begins_unknown_is_left_out() -> None:
-    assert 0.02 < begin_of(observed(RECORDINGS["whole"][0], BENCH)) / 500.0 < 1.0
-    begin = begin_of(observed(RECORDINGS["cut in a stroke"][0], BENCH))
+    assert 0.02 < observed(RECORDINGS["whole"][0], BENCH).first_compared / 500.0 < 1.0
+    begin = observed(RECORDINGS["cut in a stroke"][0], BENCH).first_compared
     assert 0.02 < begin / 500.0 < 0.5
 
 

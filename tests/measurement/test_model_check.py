@@ -11,7 +11,7 @@ DAMPING = "shaft_damping_nm_s_per_rad"
 
 
 def test_rivals_of_one_name_are_told_by_their_recordings() -> None:
-    changed = ChangedParameter(DAMPING, "before", 231.0, 280.0, 5.0, "N m s/rad")
+    changed = ChangedParameter(DAMPING, "before", 231.0, 280.0, 5.0)
     rival = Rival(DAMPING, "after", np.array([8.0e-4, 7.6e-4]))
     found = JointFindings(("before", "after"), True, (changed,), (), (rival,), ())
     draws = 8.0e-4 + 1e-6 * np.linspace(-1.0, 1.0, 101)

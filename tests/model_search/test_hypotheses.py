@@ -11,7 +11,7 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 from bayesbl.model_search.catalogue import OrderPeak, candidates
-from bayesbl.model_search.refit import nominal_explanation
+from bayesbl.model_search.refit import Explanation
 
 
 def test_candidates_of_one_name_are_told_apart() -> None:
@@ -30,5 +30,5 @@ def test_explanations_by_the_same_names_are_told_apart() -> None:
     seen = observed(bench.simulate(8e-4, rotations=2.0, seed=np.random.default_rng(1)), bench)
     unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown(seen.name)]
     fit = fit_aligned(bench, [seen], unknowns)
-    first, second = nominal_explanation(fit), nominal_explanation(replace(fit))
+    first, second = Explanation((), fit), Explanation((), replace(fit))
     assert [first, second].index(second) == 1

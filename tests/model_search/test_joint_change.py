@@ -95,8 +95,8 @@ def test_the_change_found_has_the_size_that_it_has(independent):
     truth = times(0.9, "speed_gain_nm_s_per_rad")
     _, found = find_changes(nominal_fit(independent, truth, seed=2))
     (changed,) = found.changed
-    assert abs(changed.found - truth[changed.name]) < SURE * changed.sd
-    assert changed.believed == BELIEVED[changed.name]
+    assert abs(changed.estimate - truth[changed.name]) < SURE * changed.sd
+    assert changed.expected == BELIEVED[changed.name]
     assert changed.unit == "N m s/rad"
 
 
@@ -113,8 +113,8 @@ def test_a_change_within_a_tolerance_is_told_against_the_other_recording(indepen
     _, found = find_changes(nominal_fit(independent, times(1.12, name), seed=2, bench=bench))
     (changed,) = found.changed
     assert (changed.name, changed.recording) == (name, "after")
-    assert changed.found / changed.believed == pytest.approx(1.12, abs=SURE * changed.sd / value)
-    assert changed.believed == pytest.approx(value, rel=0.01)
+    assert changed.estimate / changed.expected == pytest.approx(1.12, abs=SURE * changed.sd / value)
+    assert changed.expected == pytest.approx(value, rel=0.01)
 
 
 def test_a_recording_beyond_the_tolerance_is_the_one_that_differs(independent):
@@ -125,7 +125,7 @@ def test_a_recording_beyond_the_tolerance_is_the_one_that_differs(independent):
     _, found = find_changes(nominal_fit(independent, {}, seed=2, first=wrong, bench=bench))
     (changed,) = found.changed
     assert (changed.name, changed.recording) == (name, "before")
-    assert abs(changed.found - changed.believed - 0.3 * value) < SURE * changed.sd
+    assert abs(changed.estimate - changed.expected - 0.3 * value) < SURE * changed.sd
 
 
 def test_what_is_known_of_a_recording_is_what_another_is_compared_with(independent):
@@ -142,8 +142,8 @@ def test_what_is_known_of_a_recording_is_what_another_is_compared_with(independe
     _, found = find_changes(fit)
     (changed,) = found.changed
     assert changed.recording == "before"
-    assert changed.believed == 1.1 * value
-    assert abs(changed.found - 1.2 * value) < SURE * changed.sd
+    assert changed.expected == 1.1 * value
+    assert abs(changed.estimate - 1.2 * value) < SURE * changed.sd
 
 
 def test_wear_is_not_taken_for_a_change_of_the_joint(independent):
@@ -168,7 +168,7 @@ def test_a_smoothed_speed_is_told_with_its_time_and_how_a_bench_states_it(indepe
     smoothed = {"speed_averaging__time_s": 4e-3}
     _, found = find_changes(nominal_fit(independent, smoothed, seed=6, first=smoothed))
     assert [c.name for c in found.changed] == ["speed_averaging.time_s"]
-    assert abs(found.changed[0].found - 4e-3) < SURE * found.changed[0].sd
+    assert abs(found.changed[0].estimate - 4e-3) < SURE * found.changed[0].sd
     assert "speed_filter_s under [measurement]" in against_the_bench(found)
 
 

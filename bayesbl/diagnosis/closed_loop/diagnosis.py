@@ -23,7 +23,7 @@ from bayesbl.diagnosis.diagnosis import (
 )
 from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP
 from bayesbl.model_search.closed_loop import Naming, laws_of_shaft, log_gap_of
 from bayesbl.model_search.constants import FORM_SHARE
@@ -240,5 +240,5 @@ def _learned_answer(found: Findings) -> LearnedAnswer | None:
         return None
     closed = found.after.closes(found.before)
     # Noise is told from what remains by its tests, not by a share of little.
-    remains = bool(found.after.remaining) or not agrees(disagreements(found.final.fit))
+    remains = bool(found.after.remaining) or not is_explained(found.final.fit)
     return answer_of(found.learned, closed, remains)

@@ -23,14 +23,14 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.predictive_check import FALSE_ALARM, is_explained
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.model_search.always_in import beside, laws
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, name_missing, weighed
-from bayesbl.model_search.constants import FALSE_ALARM, FORM_SHARE, UNEXPLAINED_SHARE
+from bayesbl.model_search.constants import FORM_SHARE, UNEXPLAINED_SHARE
 from bayesbl.model_search.refit import Explanation, reduced, with_own_noise
-from bayesbl.progress import Progress
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 MOST_EFFECTS = 3
@@ -126,7 +126,7 @@ def search(
     held_out: Sequence[Observed],
     unknowns: Sequence[Unknown],
     settings: ForwardSettings,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Findings:
     """Align, name what is missing, and analyse what it leaves.
 
@@ -226,7 +226,7 @@ def _with_learned(
         return None
     kept = () if naming.repeats else naming.effects
     names = replace(naming, final=learned.explanation, effects=kept)
-    if not kept and not agrees(disagreements(learned.explanation.fit)):
+    if not kept and not is_explained(learned.explanation.fit):
         # Behind what was learned a law of the catalogue may have been hidden.
         beside = missing(learned.explanation.fit)
         if beside.effects:

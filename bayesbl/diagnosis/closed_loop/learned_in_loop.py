@@ -261,7 +261,7 @@ def _typical_size(fit: SimulatedFit, hypothesis: Hypothesis) -> float:
     """Size that what is left would have as this, N m or rad: a step for derivatives."""
     model = fit.model
     seen = model.recordings[0]
-    left = np.sqrt(np.mean(seen.left_by(model.signals(fit.point, 0)[0]) ** 2, axis=1))
+    left = np.sqrt(np.mean(fit.unexplained(0) ** 2, axis=1))
     if hypothesis.side == "encoder":
         return float(left[0]) / abs(seen.reference_speed_rpm)
     if len(left) > 1:

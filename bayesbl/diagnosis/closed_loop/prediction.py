@@ -60,7 +60,7 @@ def simulated(explanation: Explanation, held_out: Sequence[Observed]) -> list[Fl
     """What an explanation says of its recordings, then of held-out ones, (c, n) each; of these only
     start and phases are fitted."""
     fit = explanation.fit
-    own = [fit.model.signals(fit.point, i)[0] for i in range(len(fit.model.recordings))]
+    own = [fit.simulated(i) for i in range(len(fit.model.recordings))]
     return [*own, *(predicted(explanation, seen) for seen in held_out)]
 
 
@@ -96,14 +96,12 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
         for k, trial in enumerate(trials):
             trial[1 : 1 + len(phases)] = 0.5 * math.pi * k
     fits = [fit_simulated(model, trial) for trial in trials]
-    best = min(fits, key=lambda f: f.chi_square)
-    return np.asarray(model.signals(best.point, 0)[0])
+    return min(fits, key=lambda f: f.chi_square).simulated(0)
 
 
 def residuals_of(pair: SimulatedPair) -> list[PieceResiduals]:
     """One entry for each channel, its RMS that of the samples that are compared."""
-    excluded = pair.seen.excluded
-    scale = 1.0 if excluded is None else float(np.mean(~excluded)) ** -0.5
+    scale = float(np.mean(pair.seen.compared)) ** -0.5
     before, after = (scale * pair.seen.left_by(made) for made in (pair.before, pair.after))
     return [
         piece_residuals(pair.seen.name, channel, pair.use, before[k], after[k], pair.seen.lag)
