@@ -41,10 +41,10 @@ from bayesbl.diagnosis.diagnosis import (
 from bayesbl.diagnosis.disagreement import (
     Disagreement,
     DisagreementTable,
+    ResidualNoise,
     disagreement_table,
     piece_residuals,
 )
-from bayesbl.diagnosis.residual_noise import ResidualNoise
 from bayesbl.diagnosis.residuals.analysis import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search

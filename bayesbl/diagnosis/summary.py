@@ -14,7 +14,6 @@ import xarray as xr
 from bayesbl.bench.learned import EncoderError, LearnedTerm, Side, Variable
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
-from bayesbl.diagnosis.residuals.analysis import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import Interval, IntervalKind, interval
@@ -54,7 +53,7 @@ class ParameterErrorSummary(TypedDict):
 
 
 class RemainingSummary(TypedDict):
-    """What still stands out after naming; the optional keys where a test of orders found it."""
+    """What still stands out after naming; ``chi_squared`` of a line whose test has one."""
 
     channel: str
     dependence: str
@@ -64,9 +63,7 @@ class RemainingSummary(TypedDict):
     highest_order: float | None
     frequency_hz: float | None
     recordings: list[str]
-    repeats_with: NotRequired[Literal["motor_angle"]]
-    order: NotRequired[float]
-    chi_squared: NotRequired[float]
+    chi_squared: float | None
 
 
 class LearnedDependence(TypedDict):
@@ -174,7 +171,7 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
         "effects": of(found.effects),
         "parameter_errors": of(found.parameter_errors),
         "bench_parameters": of(found.bench_parameters),
-        "remaining": [_remaining(entry) for entry in found.remaining],
+        "remaining": of(found.remaining),
         "disagreement": disagreement_summary(found.disagreement),
         "delta_rad_before": of(found.delta_before),
         "delta_rad_after": of(found.delta_after),
@@ -243,15 +240,6 @@ def plain(value: object, of_estimate: Callable[[Estimate], object] | None = None
     if isinstance(value, tuple | list):
         return [plain(item, of_estimate) for item in value]
     return None if isinstance(value, float) and math.isnan(value) else value
-
-
-def _remaining(entry: Unexplained) -> RemainingSummary:
-    found: RemainingSummary = plain(entry)
-    if entry.chi_squared is None:
-        del found["chi_squared"]
-    else:
-        found |= {"repeats_with": "motor_angle", "order": entry.lowest_order}
-    return found
 
 
 def disagreement_summary(table: DisagreementTable) -> DisagreementTableSummary:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from bayesbl.bench.bench import Bench, Drive
@@ -66,11 +66,11 @@ class Task:
             require_channels(recording, channels)
 
 
-def piece_of(recording: Recording, channel: str, use: Use) -> Piece:
-    """A recording, or some samples of it, as it is compared."""
+def piece_of(recording: Recording, channel: str) -> Piece:
+    """A recording as it is compared."""
     require_enough(recording, channel, recording.excluded)
     values = recording.channels[channel]
-    return Piece(recording.name, channel, use, recording.time_s, values, recording.excluded)
+    return Piece(recording.name, channel, "used", recording.time_s, values, recording.excluded)
 
 
 def require_enough(recording: Recording, channel: str, excluded: BoolArray | None) -> None:
@@ -91,13 +91,6 @@ def parts_of(uses: Sequence[Use], middle: int) -> list[tuple[Use, slice]]:
     """The samples of each use: all, or those before a middle and those from there on."""
     rows = [slice(None)] if len(uses) == 1 else [slice(None, middle), slice(middle, None)]
     return list(zip(uses, rows, strict=True))
-
-
-def rows_of(recording: Recording, rows: slice) -> Recording:
-    """Some samples of a recording."""
-    channels = {name: values[rows] for name, values in recording.channels.items()}
-    excluded = None if recording.excluded is None else recording.excluded[rows]
-    return replace(recording, time_s=recording.time_s[rows], channels=channels, excluded=excluded)
 
 
 def sound(

@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import xarray as xr
@@ -40,7 +40,7 @@ from bayesbl.measurement.compatibility import (
 )
 from bayesbl.measurement.measurement import Reason, Task, estimator_of
 from bayesbl.processes import processes
-from bayesbl.progress import StageProgress
+from bayesbl.progress import Progress, of_stage
 from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.store import read_tree, texts
@@ -289,10 +289,6 @@ def read_curve(path: str | Path) -> GapCurve:
     return curve_from_dataset(tree[GAP_CURVE.name].to_dataset(), str(path))
 
 
-DrawProgress = Callable[[str, int, int], None]
-"""Called with (what is worked on, benches swept, benches in all)."""
-
-
 @dataclass(frozen=True, slots=True)
 class SweepProblem:
     """What decides the numbers of every row, and where finished rows of all sweeps are kept."""
@@ -322,7 +318,7 @@ class SweepProblem:
         count: int,
         seed: np.random.SeedSequence,
         workers: int,
-        progress: DrawProgress | None = None,
+        progress: Progress | None = None,
     ) -> SweptDraws | None:
         """Sweeps of benches drawn within the tolerances, over processes; ``None`` for none.
 
@@ -338,10 +334,10 @@ class SweepProblem:
             [[(b.value(n) - self.bench.value(n)) / tolerances[n] for n in names] for b in benches]
         )
         rows = []
-        for row in _mapped(_drawn_row, [(self, nominal, b) for b in benches], workers):
+        for row in _mapped(partial(self.drawn, nominal), benches, workers):
             rows.append(departures(row, nominal, self.model))
             if progress is not None:
-                progress("Simulating bench draws", len(rows), count)
+                progress(len(rows), count)
         return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
 
     def drawn(self, nominal: SweepRow, bench: Bench) -> SweepRow:
@@ -379,20 +375,15 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
     return row
 
 
-def _drawn_row(job: tuple[SweepProblem, SweepRow, Bench]) -> SweepRow:
-    problem, nominal, drawn = job
-    return problem.drawn(nominal, drawn)
-
-
 def _mapped(
-    function: Callable[[Any], SweepRow], jobs: list[Any], workers: int
+    row_of: Callable[[Bench], SweepRow], benches: Sequence[Bench], workers: int
 ) -> Iterator[SweepRow]:
     """In order, over processes where that pays."""
-    if workers == 1 or len(jobs) < 2 * workers:
-        yield from map(function, jobs)
+    if workers == 1 or len(benches) < 2 * workers:
+        yield from map(row_of, benches)
         return
     with processes(workers) as pool:
-        yield from pool.map(function, jobs)
+        yield from pool.map(row_of, benches)
 
 
 GAPS, START_ANGLES = 20, 4
@@ -634,19 +625,15 @@ class BenchCurves(CurveSource):
         problem = SweepProblem(bench, model, settings, SEED, task.swept)
         nominal_seed, draw_seed, curve_seed = np.random.SeedSequence(SEED).spawn(3)
         workers = self.config.run.workers
-        progress, label = task.progress, f"Making the curve for {need}"
-        _report(progress, label, 0, 1)
+        report = of_stage(task.progress, f"Making the curve for {need}")
+        if report is not None:
+            report(0, 1)
         nominal = problem.nominal(nominal_seed, workers)
         parameters = len(bench.tolerances)
         count = DRAWS_PER_TERM * (1 + parameters) if parameters else 0
-        swept = problem.draws(
-            nominal,
-            count,
-            draw_seed,
-            workers,
-            lambda _, made, total: _report(progress, label, made, total),
-        )
-        _report(progress, label, 1, 1)
+        swept = problem.draws(nominal, count, draw_seed, workers, report)
+        if report is not None:
+            report(1, 1)
         curve, _ = swept_curve(
             str(self.config.estimator.bench),
             nominal,
@@ -657,8 +644,3 @@ class BenchCurves(CurveSource):
             swept,
         )
         return replace(curve, reference_speed_rpm=abs(need.reference_speed_rpm))
-
-
-def _report(progress: StageProgress | None, label: str, made: int, total: int) -> None:
-    if progress is not None:
-        progress(label, made, total)

@@ -73,6 +73,8 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.model_search.always_in import (
     Beside,
+    Direction,
+    ElasticPart,
     beside,
     directions,
     edge_variances,
@@ -329,34 +331,7 @@ def direct_unknowns(
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class JointFit:
-    """All recordings fitted together.
-
-    Attributes
-    ----------
-    fit
-        With what changed, and what is far from where the bench has it, among its unknowns.
-    rest
-        Laws, drift and changes that stand beside it.
-    joint
-        Whether one joint made the recordings.
-    check
-        The predictive check, with ``rest`` taken into account.
-    """
-
-    fit: SimulatedFit
-    rest: Beside
-    joint: JointFindings
-    check: tuple[RepeatingPower, ...]
-
-    @property
-    def withheld(self) -> bool:
-        """No gap can be given."""
-        return self.joint.against_bench or not self.joint.explained
-
-
-def fit_jointly(
+def _fitted(
     bench: Bench,
     recordings: Sequence[Observed],
     gap_rad: tuple[float, float],
@@ -364,12 +339,12 @@ def fit_jointly(
     workers: int = 1,
     progress: StageProgress | None = None,
     drift: Mapping[str, float] = NO_DRIFT,
-) -> JointFit:
-    """The optimum of all recordings together, and whether one joint made them.
+) -> tuple[SimulatedFit, Beside, JointFindings, list[RepeatingPower]]:
+    """The optimum of all recordings together, what stands beside it, whether one joint made them,
+    and the predictive check.
 
     Friction, laws that bias the gap before they show, and what drifts between the recordings, are
-    always allowed for; ``drift``: relative standard deviations in place of the defaults. What
-    changed in the joint beside that is freed where it is found.
+    always allowed for. What changed in the joint beside that is freed where it is found.
     """
     bench = with_friction(bench, recordings)
     moving = [r.name for r in recordings if r.motion is not None]
@@ -380,22 +355,20 @@ def fit_jointly(
     among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
     fit, rest = settled(nominal, among)
     part = None if moving else elastic_part(nominal, fit)
+    tried: list[tuple[SimulatedFit, Beside, list[Direction], ElasticPart | None]]
+    tried = [(fit, rest, among, None)]
     if part is not None:
         wider = [*among, *part.directions]
-        with_part, beside_part = settled(part.fit, wider)
-        check = disagreements(beside_part.explained(with_part))
+        tried.insert(0, (*settled(part.fit, wider), wider, part))
+    for own, beside_own, changing, elastic in tried:
+        check = disagreements(beside_own.explained(own))
         if agrees(check, FALSE_ALARM):
-            joint = changed_beside(with_part, wider, part)
-            return JointFit(with_part, beside_part, joint, tuple(check))
-    check = disagreements(rest.explained(fit))
-    if agrees(check, FALSE_ALARM):
-        joint = changed_beside(fit, among)
-        return JointFit(fit, rest, joint, tuple(check))
+            return own, beside_own, changed_beside(own, changing, elastic), check
     seeking = of_stage(progress, f"Seeking changes in {name}")
     fit, joint = find_changes(fit, among=among, progress=seeking)
     rest = beside(fit, among)
     check = disagreements(rest.explained(fit) if joint.explained else fit)
-    return JointFit(fit, rest, joint, tuple(check))
+    return fit, rest, joint, check
 
 
 def fit_directly(
@@ -409,17 +382,22 @@ def fit_directly(
     progress: StageProgress | None = None,
     drift: Mapping[str, float] = NO_DRIFT,
 ) -> DirectMatch:
-    """Optimum and posterior of all recordings together, as :func:`fit_jointly` has them."""
-    matched = fit_jointly(bench, recordings, gap_rad, may_drift, workers, progress, drift)
+    """Optimum and posterior of all recordings together.
+
+    ``drift``: relative standard deviations in place of the defaults.
+    """
+    fit, rest, joint, check = _fitted(
+        bench, recordings, gap_rad, may_drift, workers, progress, drift
+    )
     name = " and ".join(r.name for r in recordings)
     report = of_stage(progress, f"Sampling {name}")
     simulating = of_stage(progress, f"Simulating draws of {name}")
-    withheld = matched.withheld
-    posterior = sample_direct(matched.fit, sampler, seed, report, simulating, withheld=withheld)
+    withheld = joint.against_bench or not joint.explained
+    posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:
         scattering, drifting = seed.spawn(2)
-        posterior = marginalised(widened(posterior, scattering), matched.rest, drifting)
-    return DirectMatch(posterior, matched.check, matched.joint)
+        posterior = marginalised(widened(posterior, scattering), rest, drifting)
+    return DirectMatch(posterior, tuple(check), joint)
 
 
 def direct_verdict(

@@ -168,12 +168,12 @@ def same_joint(
     if not compared:
         return NOTHING_COMPARED
     bound = normal_isf(0.5 * FALSE_ALARM / compared)
-    several = len(pairs) > 1
+    places = [f" in {other.name}" if len(pairs) > 1 else "" for _, other in pairs]
     filters = [None if _gains_seen(*pair) else _filter_change(*pair, bound) for pair in pairs]
     found = [
         finding
-        for (first, other), change in zip(pairs, filters, strict=True)
-        for finding in _findings(first, other, change, bound, other.name if several else "")
+        for pair, change, where in zip(pairs, filters, places, strict=True)
+        for finding in _findings(*pair, change, bound, where)
     ]
     told = [(item, sentence) for item, sentence in found if sentence]
     blind = [*_too_small(pairs, bound), *_filters_unseen(pairs, filters)]
@@ -225,20 +225,20 @@ def _seen(point: PointEstimate) -> _Seen:
 
 
 def _findings(
-    first: _Seen, other: _Seen, change: FilterChange | None, bound: float, snapshot: str
+    first: _Seen, other: _Seen, change: FilterChange | None, bound: float, where: str
 ) -> Iterator[tuple[CheckItem, str]]:
     """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
     for item in _compared(first, other):
-        yield item, _sentence(item, snapshot) if abs(item.z) > bound else ""
+        yield item, _sentence(item, where) if abs(item.z) > bound else ""
     if change is not None:
         shift = change.log_amplitude
         item = CheckItem(FILTER, math.exp(shift), 1.0, "", change.deviations)
         if abs(item.z) > bound and abs(shift) > _harmless(first, other):
-            yield item, _sentence_of_filter(change, snapshot)
+            yield item, _sentence_of_filter(change, where)
         else:
-            yield item, _sentence_of_level(first, other, change, bound, snapshot)
+            yield item, _sentence_of_level(first, other, change, bound, where)
     for item, order in _lines(first, other):
-        yield item, _sentence_of_line(first, other, item, order, bound, snapshot)
+        yield item, _sentence_of_line(first, other, item, order, bound, where)
 
 
 def _gains_seen(first: _Seen, other: _Seen) -> bool:
@@ -382,24 +382,22 @@ def _by_lateness(name: str, first: _Seen, other: _Seen) -> float:
     return 0.5 * first.features[INTEGRAL].value * (other.period_s - first.period_s)
 
 
-def _sentence(item: CheckItem, snapshot: str) -> str:
+def _sentence(item: CheckItem, where: str) -> str:
     direction = "rose" if item.measured > item.expected else "fell"
     places = max(0, 2 - math.floor(math.log10(max(abs(item.measured - item.expected), 1e-9))))
     before, after = number(item.expected, places), number(item.measured, places)
-    where = f" in {snapshot}" if snapshot else ""
     return (
         f"The {item.quantity} {direction} from {before} to {after} {item.unit}{where}: "
         f"{IN_WORDS[item.quantity]}, not the gap."
     )
 
 
-def _sentence_of_filter(change: FilterChange, snapshot: str) -> str:
+def _sentence_of_filter(change: FilterChange, where: str) -> str:
     direction, least = (
         ("raise", math.expm1(change.low))
         if change.log_amplitude > 0.0
         else ("lower", -math.expm1(change.high))
     )
-    where = f" in {snapshot}" if snapshot else ""
     return (
         f"The noise of the speed changed its colour{where}, as behind another filter or with noise "
         f"from another source. Such a filter alone would {direction} the ringing by "
@@ -409,7 +407,7 @@ def _sentence_of_filter(change: FilterChange, snapshot: str) -> str:
 
 
 def _sentence_of_line(
-    first: _Seen, other: _Seen, item: CheckItem, order: int, bound: float, snapshot: str
+    first: _Seen, other: _Seen, item: CheckItem, order: int, bound: float, where: str
 ) -> str:
     """Where a line that changed may be all that moved the ringing; else nothing.
 
@@ -426,7 +424,6 @@ def _sentence_of_line(
     ):
         return ""
     direction = "rose" if item.measured > item.expected else "fell"
-    where = f" in {snapshot}" if snapshot else ""
     return (
         f"The {LINE} at motor order {order} {direction} from {item.expected:.2g} to "
         f"{item.measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
@@ -436,7 +433,7 @@ def _sentence_of_line(
 
 
 def _sentence_of_level(
-    first: _Seen, other: _Seen, change: FilterChange, bound: float, snapshot: str
+    first: _Seen, other: _Seen, change: FilterChange, bound: float, where: str
 ) -> str:
     """Where a filter that folded noise hides may be all that moved the ringing; else nothing."""
     moved = other.log_amplitude - first.log_amplitude
@@ -446,7 +443,6 @@ def _sentence_of_level(
     if not beyond_chance or furthest < max(abs(moved) - bound * sd, _harmless(first, other)):
         return ""
     direction, verb = ("raise", "rose") if moved > 0.0 else ("lower", "fell")
-    where = f" in {snapshot}" if snapshot else ""
     share = math.expm1(furthest) if moved > 0.0 else -math.expm1(-furthest)
     factor = math.exp(0.5 * abs(change.level))
     return (

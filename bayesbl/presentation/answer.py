@@ -462,7 +462,9 @@ def _ringing_alone_table(parts: Sequence[tuple[str, SnapshotSummary]]) -> Table:
     rows = []
     for name, part in parts:
         found = part["amplitude_rpm"]
-        cells = [words.median_of(found, 1), "–" if found is None else words.bounds(found, places=1)]
+        cells = ["–", "–"]
+        if found is not None:
+            cells = [number(found["median"], 1), words.bounds(found, places=1)]
         rows.append([*([name] if named else []), *cells, part["diagnostics"]["outcome"]])
     return table(columns, rows)
 

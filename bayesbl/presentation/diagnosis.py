@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import (
     Advice,
+    AdviceTone,
     Block,
     Card,
     Heading,
@@ -65,10 +66,14 @@ def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
 
 
 def residual_blocks(tree: xr.DataTree, _: DiagnosisSummary) -> Iterator[Block]:
-    """Residuals in steady rotation, where the result holds them."""
-    for heading, sentences in residuals_in_words(tree):
-        yield Heading(heading)
-        yield from map(Sentence, sentences)
+    """Residuals in steady rotation before naming, and after it if anything was named."""
+    stages = {"residuals_before": "Residuals of the bench before naming"}
+    if tree.attrs.get("augmented_bench"):
+        stages["residuals_after"] = "Residuals with what was named"
+    for group, heading in stages.items():
+        if group in tree.children:
+            yield Heading(heading)
+            yield from map(Sentence, residual_sentences(tree[group].to_dataset()))
 
 
 def headline(summary: DiagnosisSummary) -> str:
@@ -138,16 +143,6 @@ def _effect_of_naming(summary: DiagnosisSummary) -> str:
     them = "it" if len(summary["effects"]) == 1 else "them"
     share = removed(found["closed_fraction"])
     return f": with {them}, {share} of the disagreement on held-out data is gone"
-
-
-def has_augmented_bench(summary: DiagnosisSummary) -> bool:
-    """Whether the result's folder holds the bench with what was named."""
-    return "augmented_bench" in summary
-
-
-def use_in_words(use: Use) -> str:
-    """``held out``."""
-    return _USES[use]
 
 
 def effects(summary: DiagnosisSummary) -> Iterator[str]:
@@ -228,17 +223,6 @@ def remaining(summary: DiagnosisSummary) -> Iterator[str]:
 
     for line in summary["remaining"]:
         yield f"Still there: {unexplained_phrase(line)}."
-
-
-def residuals_in_words(tree: xr.DataTree) -> Iterator[tuple[str, list[str]]]:
-    """Residuals before naming, and after it if anything was named: heading, sentences."""
-
-    stages = {"residuals_before": "Residuals of the bench before naming"}
-    if tree.attrs.get("augmented_bench"):
-        stages["residuals_after"] = "Residuals with what was named"
-    for group, heading in stages.items():
-        if group in tree.children:
-            yield heading, residual_sentences(tree[group].to_dataset())
 
 
 def wear(summary: DiagnosisSummary) -> Iterator[str]:
@@ -363,9 +347,12 @@ def advice(summary: DiagnosisSummary) -> Advice:
     withheld = summary.get("gap_withheld")
     if withheld and learned_of(summary) is None:
         return Advice("watch", "Correct the bench before you rely on it.", (withheld,))
-    match summary["verdict"]:
-        case "named" if has_augmented_bench(summary):
-            return Advice("note", f"Continue with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
+    verdict = summary["verdict"]
+    wrong = tuple(parameter_errors(summary)) if verdict == "parameter_error" else ()
+    if "augmented_bench" in summary:
+        tone: AdviceTone = "watch" if verdict == "unexplained" else "note"
+        return Advice(tone, f"Continue with {AUGMENTED_BENCH}.", (*wrong, *_go_on(summary)))
+    match verdict:
         case "named":
             names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
             return Advice(
@@ -374,13 +361,7 @@ def advice(summary: DiagnosisSummary) -> Advice:
                 (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
             )
         case "parameter_error":
-            wrong = tuple(parameter_errors(summary))
-            if has_augmented_bench(summary):
-                title = f"Continue with {AUGMENTED_BENCH}."
-                return Advice("note", title, (*wrong, *_go_on(summary)))
             return Advice("note", "Correct the bench before you rely on it.", wrong)
-        case "unexplained" if has_augmented_bench(summary):
-            return Advice("watch", f"Continue with {AUGMENTED_BENCH}.", tuple(_go_on(summary)))
         case "unexplained":
             return Advice(
                 "watch",
@@ -419,7 +400,7 @@ def cards(summary: DiagnosisSummary) -> Iterator[Card]:
     overall = summary["disagreement"]["over_all"]
     use: Use | None = "held_out" if "held_out" in overall else next(iter(overall), None)
     if use is not None:
-        found, note = overall[use], use_in_words(use)
+        found, note = overall[use], _USES[use]
         unit = "× noise" if found["unit"] == "noise" else found["unit"]
         yield Card("Model error before", words.significant(found["before"], 3), unit, note)
         yield Card("Model error after", words.significant(found["after"], 3), unit, note)
@@ -444,11 +425,11 @@ def residual_sentences(stored: xr.Dataset) -> list[str]:
 
 def unexplained_phrase(entry: RemainingSummary) -> str:
     """``motor current: 0.13 A at 7.3 Hz, periodic in time``; for a verdict's list."""
-    return f"{channel_name(entry['channel'])}: {_what(entry)}"
+    return f"{CHANNELS.get(entry['channel'], entry['channel'])}: {_what(entry)}"
 
 
 def _what(entry: RemainingSummary) -> str:
-    size = quantity(entry["amplitude"], entry["unit"])
+    size = f"{significant(entry['amplitude'])} {entry['unit']}"
     order, highest, hertz = entry["lowest_order"], entry["highest_order"], entry["frequency_hz"]
     match entry["dependence"]:
         case "offset":
@@ -467,16 +448,6 @@ def _what(entry: RemainingSummary) -> str:
         f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do not "
         "show which)"
     )
-
-
-def quantity(value: float, unit: str) -> str:
-    """Two significant figures and the unit: ``−0.25 A``."""
-    return f"{significant(value)} {unit}"
-
-
-def channel_name(channel: str) -> str:
-    """``motor speed``."""
-    return CHANNELS.get(channel, channel)
 
 
 def _orders(low: float | None, high: float | None) -> str:

@@ -112,11 +112,6 @@ def capitalised(sentence: str) -> str:
     return sentence[0].upper() + sentence[1:]
 
 
-def median_of(interval: Interval | None, places: int) -> str:
-    """The median, or a dash where there are no draws."""
-    return "–" if interval is None else number(interval["median"], places)
-
-
 def significant(value: float, digits: int = 2) -> str:
     """``0.15``, ``32``, ``0.0007``: so many significant digits, never in powers of ten."""
     rounded = float(f"{value:.{digits - 1}e}")

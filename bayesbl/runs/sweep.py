@@ -27,6 +27,7 @@ from bayesbl.measurement.curves import (
     curve_to_dataset,
     one_curve_group,
 )
+from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
@@ -249,7 +250,8 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     rows.keep_latest(size_bytes=CACHE_BYTES)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
-    swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, options.progress)
+    report = of_stage(options.progress, "Simulating bench draws")
+    swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, report)
     recording = _sampled(config, bench)
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
     curve, regression = swept_curve(

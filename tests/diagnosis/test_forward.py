@@ -29,7 +29,7 @@ from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.model_search.catalogue import order_peaks
 from bayesbl.noise.process import NoiseModel
-from bayesbl.presentation.diagnosis import headline, residuals_in_words, wear
+from bayesbl.presentation.diagnosis import headline, residual_sentences, wear
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
 from bayesbl.results.store import read_tree, write_tree
@@ -167,7 +167,11 @@ def test_a_stored_diagnosis_says_with_what_the_residuals_repeat(
     path = tmp_path / "result.nc"
     tree = diagnosis_tree(diagnosis_of(friction.findings, posterior), 0.9, "equal_tailed")
     write_tree(tree, path)
-    before, after = (sentences for _, sentences in residuals_in_words(read_tree(path)))
+    stored = read_tree(path)
+    before, after = (
+        residual_sentences(stored[f"residuals_{stage}"].to_dataset())
+        for stage in ("before", "after")
+    )
     assert any(s.startswith("Motor current: ") and "with the load angle" in s for s in before)
     assert after[0].startswith("Nothing repeats")
 

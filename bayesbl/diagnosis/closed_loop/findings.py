@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, learned_term
-from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, paired, simulated
+from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, simulated_pairs
 from bayesbl.diagnosis.residuals.analysis import (
     ResidualAnalysis,
     Unexplained,
@@ -55,10 +55,8 @@ class ForwardSettings:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """An explanation's simulations, of recordings that were held out too; what they leave of those
-    that were fitted, and what of that stands out."""
+    """What an explanation leaves of the recordings that it fits, and what of that stands out."""
 
-    simulated: tuple[FloatArray, ...]
     residuals: ResidualAnalysis
     remaining: tuple[Unexplained, ...]
 
@@ -86,8 +84,8 @@ class Findings:
     chosen
         The set of everything that is named, its noise estimated without what was missing; with what
         was learned, if anything was.
-    held_out
-        Recordings to predict.
+    pairs
+        Recordings, those that were held out too, beside both simulations.
     before, after
         Without and with what is named.
     learned
@@ -101,7 +99,7 @@ class Findings:
     believed: Bench
     naming: Naming
     chosen: FittedSet
-    held_out: tuple[Observed, ...]
+    pairs: tuple[SimulatedPair, ...]
     before: Comparison
     after: Comparison
     learned: Learned | None = None
@@ -112,12 +110,6 @@ class Findings:
     def final(self) -> Explanation:
         """The fit of what is named."""
         return self.chosen.explanation
-
-    @property
-    def pairs(self) -> list[SimulatedPair]:
-        """Recordings beside both simulations."""
-        used = self.final.fit.model.recordings
-        return paired(used, self.held_out, self.before.simulated, self.after.simulated)
 
 
 def search(
@@ -159,7 +151,7 @@ def search(
         max_effects=settings.max_effects,
         progress=progress,
     )
-    compared = cache(partial(_compared, held_out))
+    compared = cache(_compared)
     naming, learned = missing(nominal), None
     before = compared(naming.nominal)
     # What was missing is not noise: intervals rest on the noise estimated without it.
@@ -179,7 +171,7 @@ def search(
         bench,
         naming,
         weighed(final),
-        tuple(held_out),
+        tuple(simulated_pairs(naming.nominal, final, held_out)),
         before,
         compared(final),
         learned,
@@ -270,14 +262,14 @@ def _learned(
 _Compared = Callable[[Explanation], Comparison]
 
 
-def _compared(held_out: Sequence[Observed], explanation: Explanation) -> Comparison:
-    made = simulated(explanation, held_out)
-    used = explanation.fit.model.recordings
-    own = made[: len(used)]
+def _compared(explanation: Explanation) -> Comparison:
+    fit = explanation.fit
+    used = fit.model.recordings
+    own = [fit.model.signals(fit.point, i)[0] for i in range(len(used))]
     # Bridged samples hold nothing that repeats.
     seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
     left = analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
-    return Comparison(tuple(made), left, tuple(describe_unexplained(left)))
+    return Comparison(left, tuple(describe_unexplained(left)))
 
 
 def _start_angle(explanation: Explanation, seen: Observed) -> float:

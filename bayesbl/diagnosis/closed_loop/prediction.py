@@ -38,30 +38,15 @@ class SimulatedPair:
 def simulated_pairs(
     nominal: Explanation, final: Explanation, held_out: Sequence[Observed]
 ) -> list[SimulatedPair]:
-    """All recordings with both simulations."""
-    both = (simulated(nominal, held_out), simulated(final, held_out))
-    return paired(final.fit.model.recordings, held_out, *both)
-
-
-def paired(
-    used: Sequence[Observed],
-    held_out: Sequence[Observed],
-    before: Sequence[FloatArray],
-    after: Sequence[FloatArray],
-) -> list[SimulatedPair]:
-    """Recordings with simulations of :func:`simulated`."""
-    uses: list[tuple[Observed, Use]] = [(seen, "used") for seen in used]
-    uses += [(seen, "held_out") for seen in held_out]
-    every = zip(uses, before, after, strict=True)
-    return [SimulatedPair(*piece, *simulations) for piece, *simulations in every]
-
-
-def simulated(explanation: Explanation, held_out: Sequence[Observed]) -> list[FloatArray]:
-    """What an explanation says of its recordings, then of held-out ones, (c, n) each; of these only
-    start and phases are fitted."""
-    fit = explanation.fit
-    own = [fit.simulated(i) for i in range(len(fit.model.recordings))]
-    return [*own, *(predicted(explanation, seen) for seen in held_out)]
+    """All recordings with both simulations; of held-out ones only start and phases are fitted."""
+    found = []
+    for i, seen in enumerate(final.fit.model.recordings):
+        before, after = nominal.fit.simulated(i), final.fit.simulated(i)
+        found.append(SimulatedPair(seen, "used", before, after))
+    for seen in held_out:
+        before, after = predicted(nominal, seen), predicted(final, seen)
+        found.append(SimulatedPair(seen, "held_out", before, after))
+    return found
 
 
 def predicted(explanation: Explanation, seen: Observed) -> FloatArray:

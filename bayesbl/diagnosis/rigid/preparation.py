@@ -11,7 +11,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
-from bayesbl.diagnosis.task import USES_OF, Task, parts_of, piece_of, refused, rows_of, sound
+from bayesbl.diagnosis.task import USES_OF, Task, parts_of, piece_of, refused, require_enough, sound
 from bayesbl.errors import RecordingError
 from bayesbl.progress import StageProgress
 from bayesbl.recording.evenly import even
@@ -70,8 +70,10 @@ def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tupl
     for entry, recording in zip(task.config.recordings, recordings, strict=True):
         way = np.cumsum(np.abs(np.diff(recording.channels[channel])))
         middle = int(np.searchsorted(way, 0.5 * way[-1]))
+        whole = piece_of(recording, channel)
         for use, rows in parts_of(USES_OF[entry.use], middle):
-            found.append(piece_of(rows_of(recording, rows), channel, use))
+            found.append(whole.part(rows, use))
+            require_enough(recording, channel, found[-1].excluded)
     return tuple(found)
 
 

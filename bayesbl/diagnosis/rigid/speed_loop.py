@@ -666,7 +666,7 @@ def loop_setting(task: Task) -> Setting:
                 "depart from it by more than noise and ripple do",
                 expected="one speed; or torque or current beside the motion (inverse)",
             )
-        whole = piece_of(recording, MOTOR_SPEED, "used")
+        whole = piece_of(recording, MOTOR_SPEED)
         angle = recording.channels.get(MOTOR_POSITION)
         if angle is None:
             speed = whole.measured / RPM_PER_RAD_PER_S

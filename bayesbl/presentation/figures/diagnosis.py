@@ -23,7 +23,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import significant
+from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import in_words, unit_of
 
@@ -176,7 +176,8 @@ def _overlay(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             linestyle=look.dashes,
             linewidth=0.9,
         )
-    panel.set_ylabel(f"{_capital(channel)} ({unit_of(channel)})")
+    name = capitalised(CHANNELS.get(channel, channel))
+    panel.set_ylabel(f"{name} ({unit_of(channel)})")
     style.rotation_axis(panel, "Load angle (rad)")
 
 
@@ -300,11 +301,6 @@ def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> No
             shown |= {"linestyle": "none", "markeredgecolor": style.NEUTRAL}
             handles.append(Line2D([], [], label=f"significant: {_NAMES[name]}", **shown))
     figure.legend(handles=handles, loc="upper center", ncols=4, columnspacing=1.2)
-
-
-def _capital(channel: str) -> str:
-    name = CHANNELS.get(channel, channel)
-    return name[:1].upper() + name[1:]
 
 
 def _values(stage: xr.Dataset, name: str) -> FloatArray:
@@ -528,16 +524,14 @@ def _quantity(name: str) -> str:
     """``Gap δ``, ``Shaft stiffness``, ``Load Coulomb friction: torque``."""
     if name == GAP:
         return "Gap δ"
-    words = ": ".join(map(in_words, name.split("__")))
-    return words[0].upper() + words[1:]
+    return capitalised(": ".join(map(in_words, name.split("__"))))
 
 
-def is_identified(tree: xr.DataTree) -> bool:
-    """Whether the result is of an identification."""
-    return "identification" in tree.attrs
-
-
-@stored_figure("Each parameter before and after the recordings.", 100, is_identified)
+@stored_figure(
+    "Each parameter before and after the recordings.",
+    100,
+    lambda tree: "identification" in tree.attrs,
+)
 def prior_and_posterior(tree: xr.DataTree) -> Figure:
     """Per cent from the data sheet's value: its tolerance, and median and interval found."""
     answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
@@ -554,16 +548,13 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     panel.spines["left"].set_visible(False)
     panel.set_xlabel("From the data sheet's value (%)")
     level = next(iter(found.values()))["posterior"]["level"]
+    estimated = f"found: median and {100.0 * level:g} % interval"
     handles = [
         panel.barh(0, 0, color=style.BAND, label="data sheet with its tolerance"),
-        panel.errorbar([], [], xerr=[], fmt="o", color=style.MODEL, label=_label(level)),
+        panel.errorbar([], [], xerr=[], fmt="o", color=style.MODEL, label=estimated),
     ]
     figure.legend(handles=handles, loc="upper left", ncols=2)
     return figure
-
-
-def _label(level: float) -> str:
-    return f"found: median and {100.0 * level:g} % interval"
 
 
 def _draw_parameter(panel: Axes, line: int, entry: ParameterSummary) -> None:
