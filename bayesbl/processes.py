@@ -92,9 +92,8 @@ def _single_threaded() -> Iterator[None]:
 def _script_not_imported() -> Iterator[None]:
     """Processes that start meanwhile do not run the script again, which may lack a guard."""
     main = sys.modules["__main__"]
-    before: dict[str, Any] = {
-        name: vars(main)[name] for name in ("__file__", "__spec__") if name in vars(main)
-    }
+    names = ("__file__", "__spec__")
+    before: dict[str, Any] = {name: vars(main)[name] for name in names if name in vars(main)}
     vars(main).pop("__file__", None)
     main.__spec__ = None
     try:

@@ -556,7 +556,9 @@ def advice(summary: MeasuredSummary) -> Advice:
     rated = wear.with_rate(compared) if compared else None
     unless = wear.unless(compared) if compared else ""
     head = (_by_forecast(rated, last, unless) if rated else None) or _by_limit(summary, last)
-    if is_by_other_machine(summary):
+    if DISAGREE in codes(summary["reason"]) and (head is None or head.tone != "act"):
+        head = Advice("watch", "Find out why the two estimates differ.", (_why(summary),))
+    elif is_by_other_machine(summary):
         head = Advice("note", "Do not act on these gaps: the curve is another machine's.", ())
     elif head is None:
         head = _without_limit(compared, rated)

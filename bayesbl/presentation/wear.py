@@ -271,9 +271,9 @@ def notes(wear: WearSummary) -> Iterator[str]:
         )
     if (prior := wear["forecast_from_prior"]) is not None:
         yield (
-            "How wear will go on is mostly an assumption: the interval of the date is "
-            f"{prior['width_over_prior']:.2f} times as wide (as a ratio of times) as without "
-            "anything learned from these recordings about the law of wear, and in "
+            "Future wear is mostly assumed: what these recordings show of the law of wear makes "
+            f"the interval of the date {prior['width_over_prior']:.2f} times as wide (as a ratio "
+            "of times), and in "
             f"{words.probability(prior['probability_change_ahead'])} of forecasts the wear changes "
             "before the limit is reached."
         )

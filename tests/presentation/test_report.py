@@ -204,7 +204,7 @@ def test_the_answer_comes_first_in_words():
     first = flat(printed(comparison())).split(" Probability that the gap")[0]
     assert first == (
         "The gap grew by 0.25 mrad (90 % interval 0.21 to 0.28 mrad); "
-        "probability that it grew: > 99.9 %."
+        "probability that it grew: > 99.9 %. No repair is due."
     )
 
 
@@ -298,13 +298,14 @@ def test_two_routes_stand_side_by_side_and_one_line_says_which_is_the_answer():
     text = flat(printed(of_two_routes()))
     assert text.startswith("The gap grew by 0.275 mrad (90 % interval 0.270 to 0.280 mrad)")
     assert "The answer is the estimate by simulation, because its checks pass." in text
-    assert "by the ringing: the amplitude A through the gap curve of result.nc" in text
+    assert "the ringing uses the amplitude A and the gap curve of result.nc" in text
     assert "change 0.275 0.270 to 0.280 0.25 0.20 to 0.30" in text
 
 
 def test_a_disagreement_of_the_routes_comes_first():
     text = flat(printed(of_two_routes(code="routes_disagree")))
-    assert text.startswith("The two routes disagree in after. The change of the gap is withheld")
+    lead = "The two routes disagree in after. Find out why the two estimates differ. The change "
+    assert text.startswith(f"{lead}of the gap is withheld")
     assert text.count("disagree") == 1
 
 

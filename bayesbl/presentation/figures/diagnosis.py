@@ -317,8 +317,8 @@ _TITLES = {
 
 
 @stored_figure(
-    "The torque that would make the line at each order of the motor, over the speed: that of a "
-    "torque stays, that of an error of the encoder's angle grows with the square.",
+    "The torque that would make the line at each order of the motor, over the speed: constant for "
+    "a torque, growing with the square for an error of the encoder's angle.",
     80,
     holding("order_sizes"),
 )
@@ -376,7 +376,7 @@ _SCALES = {"motor_angle": 0.5 / math.pi, "load_angle": 180.0 / math.pi}
 
 
 @stored_figure(
-    "The torque that was learned where no effect of the catalogue explains what repeats.",
+    "The torque learned because no effect of the catalogue explains the residual that repeats.",
     95,
     holding("learned_torque"),
     name="learned_torque",
@@ -391,7 +391,7 @@ def learned_course(tree: xr.DataTree) -> Figure:
 
 
 @stored_figure(
-    "The error of the motor's encoder that was learned: what it shows less the true angle.",
+    "The learned error of the motor's encoder: shown angle minus true angle.",
     95,
     holding("encoder_error"),
     name="encoder_error",
@@ -422,7 +422,6 @@ def _course(
     return figure
 
 
-_DENSITY_BINS = 25
 _BELIEVED = "#d55e00"
 
 
@@ -434,7 +433,7 @@ def has_sizes(tree: xr.DataTree) -> bool:
     return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
 
 
-@stored_figure("The posterior of the gap and of what was named.", 100, has_sizes, name="named")
+@stored_figure("The posterior of the gap and of each named size.", 100, has_sizes, name="named")
 def named_effects(tree: xr.DataTree) -> Figure:
     """A panel for δ and one for each size that was named, with its value before.
 
@@ -485,15 +484,15 @@ def _draw_named(
     factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
     draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
     found = credible_interval(tree, draws)
-    counts, edges = style.density(panel, draws, style.MODEL, bins=_DENSITY_BINS)
+    places, heights = style.density(panel, draws, style.MODEL)
     for end in ("low", "median", "high"):
         panel.axvline(
             found[end], color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
             label=f"posterior: median and {interval_name(tree)}",
         )  # fmt: skip
     if believed is not None:
-        _draw_believed(panel, factor * believed, edges)
-    panel.set_ylim(0.0, 1.1 * counts.max())
+        _draw_believed(panel, factor * believed, places)
+    panel.set_ylim(0.0, 1.1 * heights.max())
     quantity = _quantity(str(variable.name))
     panel.set_xlabel(quantity if unit == "1" else f"{quantity} ({unit})")
     panel.set_ylabel("Density")

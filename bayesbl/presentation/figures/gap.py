@@ -388,7 +388,7 @@ def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> No
     outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
     style.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
     draws = 1e3 * snapshot.values("posterior", GAP)
-    style.density(side, draws, gap_colour(snapshot, index), orientation="horizontal", **outline)
+    style.density(side, draws, gap_colour(snapshot, index), horizontal=True, **outline)
     if snapshot.withheld:
         side.annotate(
             "withheld",

@@ -86,8 +86,8 @@ QUIET = 4.0
 
 
 @stored_figure(
-    "Departure of the motor speed from what it was asked for, cycle by cycle; the load crosses the "
-    "gap where a stretch is marked.",
+    "Motor speed minus its reference, cycle by cycle; the load crosses the gap in the marked "
+    "stretches.",
     12,
     holding("predictive/flank_changes"),
 )
@@ -164,7 +164,7 @@ MOST_SHOWN = 16
 
 
 @stored_figure(
-    "The motions that would tell the gap best, with the standard deviation that each promises.",
+    "The motions that would show the gap best, with the expected standard deviation of each.",
     10,
     holding("motions/expected_relative_sd"),
     name="plan",

@@ -83,8 +83,8 @@ def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: 
 
 
 @stored_figure(
-    "Motor less load over the angle, skew, ratio and transmission error taken out: forwards and "
-    "backwards, the model's way through the gap, and the play.",
+    "Motor minus load over the angle, without skew, ratio and transmission error: forwards and "
+    "backwards, the model's path through the gap, and the play.",
     10,
     holding("transmission"),
     name="flanks",

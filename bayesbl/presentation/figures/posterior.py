@@ -198,7 +198,7 @@ _BINS = 30
 
 
 @stored_figure(
-    "Draws of each parameter, a panel each, ensemble by ensemble, with their densities.",
+    "Draws of each parameter, ensemble by ensemble, one panel per parameter, with densities.",
     150,
     holding("posterior/amplitude_rpm"),
     parts=each_snapshot("posterior/amplitude_rpm"),

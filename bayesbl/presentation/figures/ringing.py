@@ -170,8 +170,8 @@ def _legend(figure: Figure, interval: str) -> None:
 
 
 @stored_figure(
-    "What repeats every rotation and the model does not describe, a panel a snapshot; grey: the "
-    "windows of its pulses, by their signs.",
+    "The residual of the ringing's model that repeats in every rotation, one panel per snapshot; "
+    "grey: the windows of the pulses, with their signs.",
     110,
     holding("misfit/mean_rpm"),
 )
@@ -242,7 +242,7 @@ _FEWEST_LAGS, _MOST_LAGS = 20, 300
 
 
 @stored_figure(
-    "What does not repeat from one rotation to the next, and its noise model.",
+    "The noise, which does not repeat from one rotation to the next, and its model.",
     120,
     holding("noise/bic"),
     for_specialists=True,

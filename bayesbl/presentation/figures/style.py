@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -265,7 +265,6 @@ def envelope(
 TURN = 2.0 * np.pi
 """A rotation of the load in rad."""
 
-_BINS = 40
 LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 
 
@@ -274,17 +273,16 @@ def density(
     draws: FloatArray,
     colour: str,
     *,
-    bins: int = _BINS,
-    filled: bool = True,
-    orientation: Literal["vertical", "horizontal"] = "vertical",
+    horizontal: bool = False,
     **outline: Any,
 ) -> tuple[FloatArray, FloatArray]:
-    """The histogram of draws as a density, filled and outlined; its heights and edges."""
-    heights, edges = np.histogram(draws, bins, density=True)
-    if filled:
-        panel.stairs(heights, edges, orientation=orientation, fill=True, color=colour, alpha=0.3)
-    panel.stairs(heights, edges, orientation=orientation, color=colour, **outline)
-    return heights, edges
+    """The density of draws, filled and outlined; its places and heights."""
+    places, heights = smooth_density(draws.ravel())
+    fill = panel.fill_betweenx if horizontal else panel.fill_between
+    fill(places, heights, color=colour, alpha=0.3, linewidth=0.0)
+    line = (heights, places) if horizontal else (places, heights)
+    panel.plot(*line, color=colour, **outline)
+    return places, heights
 
 
 def smooth_density(draws: FloatArray, points: int = 200) -> tuple[FloatArray, FloatArray]:

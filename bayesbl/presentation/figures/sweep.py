@@ -47,8 +47,9 @@ _NAMES: Mapping[str, str] = {
 
 
 @stored_figure(
-    "(a) Gap against amplitude of the ringing: the sweep and the curve through it; then the "
-    "tolerances' share and eq. 4, where they apply; last how far the sweep's points are from it.",
+    "(a) Gap against amplitude of the ringing: the sweep and the curve through it; then, where "
+    "they apply, the tolerances' share and eq. 4; last, the distance of the sweep's points from "
+    "the curve.",
     50,
     holding("gap_curve", "sweep"),
 )
