@@ -4,11 +4,11 @@
 
 Prints, for 18 s of the disturbance model at 1 kHz: one evaluation of the sum of squares by the
 kernel and by the formula in plain NumPy, the search, the posterior, both once more from the optimum
-of an earlier recording; then the whole ``bayesbl compare`` of the example recordings,
-``bayesbl fit`` with its peak memory, and ``bayesbl --help``, each in a fresh process. Times are the
-best of several runs after a warm-up; for fresh processes, the median. Core-seconds, the least of
-several runs, are what a process takes where nothing else runs; those of imports say how fast the
-machine is.
+of an earlier recording; then the whole ``bayesbl compare`` of the example recordings, ``bayesbl
+fit`` with its peak memory, what it takes to read three hours of CSV, and ``bayesbl --help``, each
+in a fresh process. Times are the best of several runs after a warm-up; for fresh processes, the
+median. Core-seconds, the least of several runs, are what a process takes where nothing else runs;
+those of imports say how fast the machine is.
 """
 
 from __future__ import annotations
@@ -105,6 +105,10 @@ def main() -> None:
             show(told.format("of it not pages of files"), own, "MB")
         compiling, _ = fit_megabytes(place / "first", NUMBA_CACHE_DIR=f"{folder}/compiled")
         show("bayesbl fit, peak memory of a first run, which compiles", compiling, "MB")
+    with tempfile.TemporaryDirectory() as folder:
+        for told, (seconds, megabytes) in reading_costs(Path(folder)).items():
+            show(f"{told} 1e7 samples of four columns of CSV, at most 15 s", seconds, "core-s")
+            show("  peak memory, at most 1000 MB", megabytes, "MB")
     imports = f"import {', '.join(IMPORTED)}"
     show(imports, core_seconds([sys.executable, "-c", imports]), "core-s")
     with tempfile.TemporaryDirectory() as folder:
@@ -224,6 +228,34 @@ def fit_megabytes(folder: Path, *options: str, **environment: str) -> tuple[floa
         raise RuntimeError(f"bayesbl fit ended with status {process.returncode}")
     unit = 1 if sys.platform == "darwin" else 1024
     return 1e-6 * unit * float(usage.ru_maxrss), own
+
+
+READING = {
+    "reading": "readers import read_recording as f; f('long.csv')",
+    "guessing columns of": "guessing import guess_columns as g; "
+    "from bayesbl.recording.readers import read_table as r; g('long.csv', r('long.csv'))",
+}
+
+
+def reading_costs(folder: Path) -> dict[str, tuple[float, float]]:
+    """Core-seconds and peak memory in MB (10⁶ bytes) of a long recording, imports included."""
+    head, *lines = (RECORDINGS / "wear_before.csv").read_text().splitlines()
+    channels = [line.partition(",")[2] for line in lines]
+    with (folder / "long.csv").open("w") as file:
+        file.write(head + "\n")
+        for begin in range(0, 10_000_000, len(lines)):
+            file.writelines(f"{(begin + i) / 1e3:.3f},{x}\n" for i, x in enumerate(channels))
+    costs = {}
+    for told, program in READING.items():
+        code = f"from bayesbl.recording.{program}"
+        child = subprocess.Popen([sys.executable, "-c", code], cwd=folder)
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode:
+            raise RuntimeError(f"{told} ended with status {child.returncode}")
+        unit = 1 if sys.platform == "darwin" else 1024
+        costs[told] = usage.ru_utime + usage.ru_stime, 1e-6 * unit * float(usage.ru_maxrss)
+    return costs
 
 
 def _anonymous_megabytes(process: int) -> float:

@@ -278,6 +278,9 @@ class Effect:
     always_in
         It moves δ by more than a standard deviation before it shows, and its usual size may hide
         (``configs/bias_against_visibility.toml``): every fit of a gap takes it into account.
+    in_nominal
+        A bench has some of it without saying so, so a joint may well have less of it than its
+        bench.
     """
 
     place: int
@@ -299,6 +302,7 @@ class Effect:
     in_bench_file: str = ""
     resonance: Resonance | None = None
     always_in: bool = False
+    in_nominal: bool = False
     slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -212,25 +212,18 @@ def make_client(
     return client
 
 
-def session(largest_bytes: int | None = None) -> Any:
+def session(**more: int) -> Any:
     """Properties of a connection whose session the broker keeps."""
+    return _properties("CONNECT", SessionExpiryInterval=0xFFFFFFFF, **more)  # never
+
+
+def _properties(packet: str, **values: int) -> Any:
     from paho.mqtt.packettypes import PacketTypes
     from paho.mqtt.properties import Properties
 
-    properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-    properties.SessionExpiryInterval = 0xFFFFFFFF  # never
-    if largest_bytes is not None:
-        properties.MaximumPacketSize = largest_bytes
-    return properties
-
-
-def publishing(expires_s: int) -> Any:
-    """Properties of a message that the broker is to forget after a time."""
-    from paho.mqtt.packettypes import PacketTypes
-    from paho.mqtt.properties import Properties
-
-    properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-    properties.MessageExpiryInterval = expires_s
+    properties = Properties(getattr(PacketTypes, packet))  # type: ignore[no-untyped-call]
+    for name, value in values.items():
+        setattr(properties, name, value)
     return properties
 
 
@@ -429,7 +422,8 @@ class Sender:
             message = self._outbox.folder.read(file)
         except FileNotFoundError:
             return True  # it has just been stored
-        self._client.publish(self._address.topic, message, qos=1, properties=publishing(EXPIRES_S))
+        forgotten = _properties("PUBLISH", MessageExpiryInterval=EXPIRES_S)
+        self._client.publish(self._address.topic, message, qos=1, properties=forgotten)
         while not self._stop.is_set():
             try:
                 reason = self._answers.get(timeout=_POLL_S)

@@ -238,9 +238,9 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
     listed = [
         one
         if one.joint in known or one.reason
-        else _refused(
+        else replace(
             one,
-            f"There is no joint {one.joint!r} in the inventory."
+            reason=f"There is no joint {one.joint!r} in the inventory."
             + did_you_mean(one.joint, sorted(known)),
         )
         for one in found
@@ -309,10 +309,6 @@ def file_of_another(joint: str, date: str) -> str:
     )
 
 
-def _refused(one: Found, reason: str) -> Found:
-    return Found(one.joint, one.date, one.file, one.reference_speed_rpm, reason)
-
-
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
     remote = is_address(pattern)
@@ -336,7 +332,7 @@ def _within(folder: str | Path, one: Found, remote: bool = False) -> Found:
     """Whoever puts recordings into a folder gives no access to what is outside of it."""
     if remote or Path(os.path.realpath(one.file)).is_relative_to(os.path.realpath(folder)):
         return one
-    return _refused(one, f"This is a link, or below one, that leads out of {folder}.")
+    return replace(one, reason=f"This is a link, or below one, that leads out of {folder}.")
 
 
 def _glob_escaped(text: str) -> str:
@@ -356,7 +352,7 @@ def _by_table(section: FleetSection) -> Iterator[Found]:
         path = Path(os.path.normpath(file.parent / os.path.expanduser(str(row["file"]))))
         one = _dated(str(row["joint"]), row["date"], str(path), speed)
         if one.reason is None and not path.is_file():
-            one = _refused(one, f"There is no such file.{did_you_mean_file(path)}")
+            one = replace(one, reason=f"There is no such file.{did_you_mean_file(path)}")
         yield _within(file.parent if path.is_relative_to(file.parent) else path.parent, one)
 
 
@@ -370,11 +366,8 @@ def _dated(joint: str, date: object, file: str, speed: float | None = None) -> F
 
 
 def _date_of(value: object) -> str:
-    if isinstance(value, datetime):
-        return value.date().isoformat()
-    if isinstance(value, Date):
-        return value.isoformat()
-    return Date.fromisoformat(str(value)).isoformat()
+    day = value.date() if isinstance(value, datetime) else value
+    return (day if isinstance(day, Date) else Date.fromisoformat(str(day))).isoformat()
 
 
 def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:

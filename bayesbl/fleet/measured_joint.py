@@ -404,7 +404,8 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
         return JointAnswer(OTHER_JOINT)
     if since and not giving and any(answers[n].outcome == "no_curve" for n in since):
         return JointAnswer(_text(NO_CURVE))
-    route = _most_common([answers[number].route for number in giving])
+    routes = Counter(answers[number].route for number in giving).most_common(1)
+    route = routes[0][0] if routes else ""
     used = [number for number in giving if answers[number].route == route]
     if len({job.recordings[number].date for number in used}) < 2:
         after = " since the repair" if job.joint.repaired else ""
@@ -567,10 +568,6 @@ def _thin(draws: FloatArray) -> FloatArray:
 
 def _flat(draws: FloatArray) -> FloatArray:
     return _thin(np.asarray(draws, dtype=float).ravel())
-
-
-def _most_common(routes: Sequence[str]) -> str:
-    return Counter(routes).most_common(1)[0][0] if routes else ""
 
 
 def _are(count: int) -> str:

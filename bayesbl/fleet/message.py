@@ -82,37 +82,19 @@ def decoded(message: bytes) -> tuple[str, Any, str]:
 
 
 def require_joint(name: object) -> None:
-    """A joint may be called so.
-
-    Raises
-    ------
-    ValueError
-        If not.
-    """
+    """Raise ``ValueError`` where no joint may be called so."""
     if not isinstance(name, str) or not is_joint_name(name):
         raise ValueError(f"{shortened(str(name))!r} is no name of a joint")
 
 
 def require_digest(sha256: object) -> None:
-    """A SHA-256 in hexadecimal digits.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """Raise ``ValueError`` for what is no SHA-256 in hexadecimal digits."""
     if not isinstance(sha256, str) or not _SHA256.fullmatch(sha256):
         raise ValueError("sha256 is no digest")
 
 
 def require_date(date: object) -> None:
-    """A date such as 2026-03-01.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """Raise ``ValueError`` for what is no date such as 2026-03-01."""
     try:
         day = Date.fromisoformat(str(date)).isoformat()
     except ValueError:

@@ -192,8 +192,7 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 f"{effect.name}__{item.name}",
                 usual,
                 drift_of(effect.name, stated) * usual,
-                # A loop is ahead of its bench as often as late, by what its drive compensates.
-                positive=item.not_negative and effect.enters != "loop",
+                positive=item.not_negative and not effect.in_nominal,
                 least=item.sought_from or 0.0,
                 effect=effect.name,
             )

@@ -177,7 +177,12 @@ def require_sampling_rate(recording: Recording) -> None:
     # Rounded time stamps put a rate a hair below itself.
     if not rate >= MINIMUM_SAMPLING_HZ * (1.0 - 1e-3):
         raise RecordingError(
-            "The sampling rate is too low to see the impacts." + _time_in_ms(recording),
+            "The sampling rate is too low to see the impacts."
+            + (
+                f" The column for {TIME} looks like ms, not s."
+                if 1e3 * rate >= MINIMUM_SAMPLING_HZ
+                else ""
+            ),
             file=recording.place,
             where="time_s",
             found=f"{rate:.4g} Hz",
@@ -502,16 +507,6 @@ def _other_unit(ratio: float, channel: str) -> str:
             if factor != 1.0 and abs(ratio * factor**sign - 1.0) <= UNIT_AGREEMENT:
                 return f" The column for {suspect} looks like {unit}, not {own}."
     return ""
-
-
-def _time_in_ms(recording: Recording) -> str:
-    """A sentence where time would make a usual sampling rate if it were in milliseconds."""
-    rate = 1000.0 / recording.sampling_period_s
-    return (
-        f" The column for {TIME} looks like ms, not s."
-        if MINIMUM_SAMPLING_HZ <= rate <= 1e5
-        else ""
-    )
 
 
 def without_rails(recording: Recording, channel: str) -> Recording:

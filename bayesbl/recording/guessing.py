@@ -210,7 +210,8 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     units = _units(chosen, held)
     guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
-    if bare or both:
+    without_speed = bare or any(c.unit == UNKNOWN for c in guesses if c.channel == MOTOR_SPEED)
+    if without_speed or both:
         guesses = [_unknown(column) for column in guesses]
     if not (ramps or both):
         guesses = _doubted(guesses, held)

@@ -163,7 +163,9 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
             "that have a number in every column",
             expected=f"at least {100.0 * (1.0 - MOST_CUT):g} %; rename a column that is not needed",
         )
-    notes = _cut_note(cut)
+    notes: tuple[str, ...] = ()
+    if cut:
+        notes = (f"{cut} samples with missing values at the ends of the recording are cut off.",)
     # A row without any value is of other columns, or a loss that the stamps show as well.
     time, values = time_s[first:last], values[first:last]
     row: range | IntArray = range(first, last)
@@ -201,12 +203,6 @@ def bridge(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> 
         f"the first after {full_time[begins[0] - 1]:.6g} s: bridged, and left out of the fit."
     )
     return Bridged(full_time, full, lost, (*notes, note))
-
-
-def _cut_note(cut: int) -> tuple[str, ...]:
-    if not cut:
-        return ()
-    return (f"{cut} samples with missing values at the ends of the recording are cut off.",)
 
 
 def _refuse_too_much(file: Path, lost: BoolArray, longest_s: float, where: str) -> None:

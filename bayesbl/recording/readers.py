@@ -83,18 +83,18 @@ def read_recording(
     repairs = Counter(table.repairs)
     stamps, values = _values(path, table, time_column, others)
     table = table.without_values()
-    _check_length(path, values)
+    rows = np.flatnonzero(np.isfinite(stamps))
+    _check_length(path, table, time_column, rows.size)
     values = held(values, repairs)
     _check_finite(path, table, others, values)
-    rows = np.flatnonzero(np.isfinite(stamps))
-    if rows.size >= MINIMUM_SAMPLES:
-        stamped = (stamps, values) if rows.size == len(values) else (stamps[rows], values[rows])
-        order, time = mended_clock(*stamped, time_column.factor, repairs, even=even)
-        del stamped
-        rows, stamps = rows[order], time
+    stamped = (stamps, values) if rows.size == len(values) else (stamps[rows], values[rows])
+    order, stamps = mended_clock(*stamped, time_column.factor, repairs, even=even)
+    rows = rows[order]
+    _check_length(path, table, time_column, rows.size)
     time_s = _seconds(path, table, time_column, stamps, rows)
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
         values = values[rows]
+    del stamped
     for i, column in enumerate(others):
         if column.channel in POSITIONS:
             called = CHANNELS[column.channel]
@@ -203,15 +203,18 @@ def _seconds(
     path: Path, table: Table, column: Column, time: FloatArray, rows: NDArray[np.int64]
 ) -> FloatArray:
     """Time of the rows, in seconds; a late start is taken off."""
-    if rows.size < MINIMUM_SAMPLES:
+    backward = np.flatnonzero(time[1:] <= time[:-1])
+    if backward.size:
+        row = int(backward[0]) + 1
+        before, after = time[row - 1], time[row]
+        problem = "Time does not advance" if after == before else "Time runs backwards"
         raise RecordingError(
-            "The recording is too short.",
+            f"{problem} ({backward.size} times in all; this is the first).",
             file=path,
-            where=f'column "{table.columns[column.index]}"',
-            found=f"{rows.size} time stamps",
-            expected=f"at least {MINIMUM_SAMPLES}",
+            where=table.place(int(rows[row]), column.index),
+            found=f"{after:.12g} after {before:.12g}",
+            expected="time that increases from each line to the next",
         )
-    _check_time(path, table, column, time, rows)
     with np.errstate(over="ignore"):
         if column.unit == "datenum" or abs(time[0] * column.factor) > LATEST_START_S:
             time = time - time[0]
@@ -294,12 +297,13 @@ def _format_of(path: Path) -> Format:
     return known[suffix]
 
 
-def _check_length(path: Path, values: FloatArray) -> None:
-    if len(values) < MINIMUM_SAMPLES:
+def _check_length(path: Path, table: Table, column: Column, stamps: int) -> None:
+    if stamps < MINIMUM_SAMPLES:
         raise RecordingError(
             "The recording is too short.",
             file=path,
-            found=f"{len(values)} samples",
+            where=f'column "{table.columns[column.index]}"',
+            found=f"{stamps} samples with a time",
             expected=f"at least {MINIMUM_SAMPLES}",
         )
 
@@ -315,21 +319,3 @@ def _check_finite(path: Path, table: Table, others: Sequence[Column], values: Fl
                 found=f"NaN, infinite or empty in all {len(values)} samples",
                 expected="a finite number in every sample",
             )
-
-
-def _check_time(
-    path: Path, table: Table, column: Column, time: FloatArray, rows: NDArray[np.int64]
-) -> None:
-    backward = np.flatnonzero(time[1:] <= time[:-1])
-    if backward.size == 0:
-        return
-    row = int(backward[0]) + 1
-    before, after = time[row - 1], time[row]
-    problem = "Time does not advance" if after == before else "Time runs backwards"
-    raise RecordingError(
-        f"{problem} ({backward.size} times in all; this is the first).",
-        file=path,
-        where=table.place(int(rows[row]), column.index),
-        found=f"{after:.12g} after {before:.12g}",
-        expected="time that increases from each line to the next",
-    )

@@ -189,8 +189,9 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     ``unit``: the file's, in that of the position. As it is where its jumps are no turn of any unit
     or counter.
     """
-    there = np.flatnonzero(np.isfinite(position))
-    values = position[there] / unit
+    there = np.isfinite(position)
+    values = position[there]
+    values /= unit
     if values.size < 3:
         return position
     steps = np.diff(values)

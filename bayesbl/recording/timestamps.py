@@ -43,16 +43,15 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
     RecordingError
         At the first text that is no date like the first one; ``place`` says where a row is.
     """
-    whole, fraction, milliseconds = array("q"), array("d"), array("d")
+    whole, fraction, milliseconds, missing = array("q"), array("d"), array("d"), array("b")
     days: dict[str, int] = {}
     first: tuple[bool, bool] | None = None
-    day, before, missing = 0, 0, array("q")
+    day = before = 0
     lengths = set()
-    row = -1
     for row, given in enumerate(texts):
         text = given.strip()
+        missing.append(not text)
         if not text:
-            missing.append(row)
             whole.append(before)
             fraction.append(0.0)
             milliseconds.append(0.0)
@@ -79,11 +78,9 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
         fraction.append(float(f"0.{digits}") if digits else 0.0)
         milliseconds.append(float(digits or 0) / 1000.0)
     # As whole numbers first: seconds since the year 1 do not leave room for microseconds.
-    known = np.ones(row + 1, dtype=bool)
-    known[list(missing)] = False
+    known = ~np.array(missing, dtype=bool)
     counted = np.array(whole)
-    if known.any():
-        counted = counted - counted[known][0]
+    counted -= counted[known][:1].sum()
     time: FloatArray = counted + np.array(fraction)
     if len(lengths - {0}) > 1 and max(lengths) == 3 and np.any(np.diff(time[known]) < 0.0):
         other = counted + np.array(milliseconds)

@@ -9,34 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesbl.recording.channels import (
-    CHANNELS,
-    LOAD_POSITION,
-    MOTOR_CURRENT,
-    MOTOR_POSITION,
-    MOTOR_SPEED,
-    MOTOR_TORQUE,
-    REFERENCE_POSITION,
-    REFERENCE_SPEED,
-    TIME,
-)
-
-__all__ = [
-    "CHANNELS",
-    "LOAD_POSITION",
-    "MOTOR_CURRENT",
-    "MOTOR_POSITION",
-    "MOTOR_SPEED",
-    "MOTOR_TORQUE",
-    "REFERENCE_POSITION",
-    "REFERENCE_SPEED",
-    "TIME",
-    "BoolArray",
-    "ComplexArray",
-    "FloatArray",
-    "Recording",
-    "Source",
-]
+from bayesbl.recording.channels import CHANNELS as CHANNELS
+from bayesbl.recording.channels import LOAD_POSITION as LOAD_POSITION
+from bayesbl.recording.channels import MOTOR_CURRENT as MOTOR_CURRENT
+from bayesbl.recording.channels import MOTOR_POSITION as MOTOR_POSITION
+from bayesbl.recording.channels import MOTOR_SPEED as MOTOR_SPEED
+from bayesbl.recording.channels import MOTOR_TORQUE as MOTOR_TORQUE
+from bayesbl.recording.channels import REFERENCE_POSITION as REFERENCE_POSITION
+from bayesbl.recording.channels import REFERENCE_SPEED as REFERENCE_SPEED
+from bayesbl.recording.channels import TIME as TIME
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

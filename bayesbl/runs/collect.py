@@ -119,7 +119,7 @@ class _Collecting:
 
     def run(self) -> None:
         """Receive, store, acknowledge, and connect again where that is needed."""
-        properties = session(LARGEST_MESSAGE_BYTES + _HEAD_BYTES)
+        properties = session(MaximumPacketSize=LARGEST_MESSAGE_BYTES + _HEAD_BYTES)
         while True:
             self.refusal = None
             try:

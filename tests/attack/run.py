@@ -26,7 +26,8 @@ from pathlib import Path
 # Before NumPy: threads of linear algebra cost more than they bring, and do not survive a fork.
 for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+TESTS = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(TESTS), str(TESTS / "support")]  # the writer of bags is there
 
 from attack import commands, configurations, own_process, recordings, results, unfinished  # noqa: E402
 from attack.engine import (  # noqa: E402

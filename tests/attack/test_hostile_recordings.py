@@ -379,6 +379,8 @@ LONG = {
     "a line without end": (bytes(30_000_000), "not a CSV"),
     "lines without samples": (b"time_s,x\n0,1\n0,1\n" + b"\n" * 30_000_000, "not a CSV"),
     "samples without end": (b"time_s,x\n" + b"0,1\n" * 6_000_000, "too much memory"),
+    "other line ends": (b"time_s,x\r\n" + b"0,1\r\n" * 6_000_000, "too much memory"),
+    "another encoding": (("time_s,x\n" + "0,1\n" * 6_000_000).encode("utf-16"), "too much memory"),
 }
 
 

@@ -594,6 +594,15 @@ def test_numbers_of_rows_errors_and_filtered_signals_are_not_the_channel(
     assert found.get(channel) == name
 
 
+def test_a_position_beside_a_speed_of_unknown_size_is_asked_for_too(tmp_path: Path) -> None:
+    # The configuration leaves such a speed out, and the position alone would set its size.
+    path = tmp_path / "a.csv"
+    lines = [f"{t:.3f};{7 * n:.1f};{6 * n * t % 360:.2f}" for t, n in PAIRS]
+    path.write_text(text(lines, "t;erpm;encoder_position"))
+    columns = guess_columns(path, read_table(path)).columns
+    assert [column.unit for column in columns[1:]] == [UNKNOWN, UNKNOWN]
+
+
 def test_a_demand_is_the_reference_and_a_unit_below_goes_before_one_of_the_name(
     tmp_path: Path,
 ) -> None:

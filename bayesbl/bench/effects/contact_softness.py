@@ -33,4 +33,5 @@ EFFECT = Effect(
     data="impacts that begin softly, most beside a small gap",
     reference="Kahraman & Singh 1991, J. Sound Vib. 146, 135",
     always_in=True,
+    in_nominal=True,  # the arctan form is soft itself
 )

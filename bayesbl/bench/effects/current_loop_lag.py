@@ -32,4 +32,5 @@ EFFECT = Effect(
     depends_on=(),
     data="ringing less damped; current behind speed",
     always_in=True,
+    in_nominal=True,  # as late as the drive compensates
 )

@@ -31,4 +31,5 @@ EFFECT = Effect(
     depends_on=(),
     data="ringing less damped; pulse fronts rounded",
     always_in=True,
+    in_nominal=True,  # as late as the drive compensates
 )

@@ -102,8 +102,10 @@ class _Text:
     is_clean: bool
 
     @classmethod
-    def of(cls, data: bytes) -> _Text:
+    def of(cls, file: Path, data: bytes) -> _Text:
         encoding = _encoding(data)
+        copies = 3.0 if encoding != "utf-8" else 2.0 if b"\r" in data else 1.0
+        require_memory(file, copies * len(data), "a text and its copy in UTF-8")
         if encoding != "utf-8":
             data = data.decode(encoding, "replace").encode()
         if b"\r" in data:
@@ -323,7 +325,7 @@ def read_csv(file: Path, data: bytes) -> Table:
             raise RecordingError(
                 "This is not a CSV file.", file=file, found=found, expected=_EXPECTED
             )
-    text = _Text.of(data)
+    text = _Text.of(file, data)
     head = list(islice(text.lines(), _HEAD_LINES))
     if is_scope_export("\n".join(head)):
         require_memory(file, _SCOPE_TIMES * len(data), "cells of text")

@@ -36,7 +36,7 @@ def form_of_events(lines: Sequence[str]) -> re.Pattern[str] | None:
     for form in _FORMS:
         events = [event for line in written if (event := form.fullmatch(line))]
         of_one = form is _FORMS[-1] and any(len(line.split()) > 3 for line in written)
-        numbers = [event for event in events if _number(event["value"]) is not None]
+        numbers = [event for event in events if plain_number(event["value"]) is not None]
         if len(numbers) >= max(2.0, _ALIKE * len(written)) and not of_one:
             return form
     return None
@@ -58,7 +58,7 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
     repairs: Counter[str] = Counter()
     for number, line in enumerate(lines, 1):
         event = form.fullmatch(line.strip())
-        value = _number(event["value"]) if event else None
+        value = plain_number(event["value"]) if event else None
         if event is None or value is None:
             repairs["line that is no event left out"] += bool(line.strip())
             continue
@@ -86,7 +86,8 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
     return ArrayTable(str(file), {"time_s": rows[begin:], **columns}, repairs=repairs)
 
 
-def _number(text: str) -> float | None:
+def plain_number(text: str) -> float | None:
+    """The number that a text is, with a decimal point; ``None`` if it is none."""
     try:
         return float(text) if text.isascii() and "_" not in text else None
     except ValueError:

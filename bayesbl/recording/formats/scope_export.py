@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.formats.event_log import plain_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -98,7 +99,7 @@ def _numbers(
     values = np.full((len(rows), width), np.nan)
     for column in range(width):
         texts = [row[column].strip() for row in rows]
-        held = [(row, _number(text)) for row, text in enumerate(texts) if text]
+        held = [(row, plain_number(text)) for row, text in enumerate(texts) if text]
         bad = next((row for row, number in held if number is None), None)
         if bad is None:
             for row, number in held:
@@ -112,13 +113,6 @@ def _numbers(
                 expected="a number",
             )
     return values
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _groups(
