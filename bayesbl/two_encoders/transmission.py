@@ -67,6 +67,9 @@ WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
 
+RESTITUTIONS, MOST_RESTITUTION = (0.0, 0.3, 0.6), 0.95
+"""Of a load that strikes a flank: tried to begin with, and the most."""
+
 TRIED, MOVED = 1024, 6
 """Points of this space that are weighed, and the best of them that are moved."""
 
@@ -110,6 +113,9 @@ LOOSE = 0.3
 
 USUAL_SKEW_S = 5e-3
 """Standard deviation of the skew of the channels."""
+
+LINEAR = 0.02
+"""Of the sampling period: a skew up to which the motion is straight."""
 
 RATIO_STATED = 0.01
 """Relative standard deviation of a gear ratio that is stated."""
@@ -156,6 +162,7 @@ class Course:
     free: bool = False
     weight_cos: float = 0.0
     weight_sin: float = 0.0
+    restitution: float = 0.0
 
     @property
     def falls(self) -> bool:
@@ -344,6 +351,7 @@ class Model:
     def __init__(self, paths: Paths, design: Design, courses: Sequence[Course]) -> None:
         self.paths, self.design, self.courses = paths, design, list(courses)
         self.step_s = np.diff(design.time_s)
+        self.reading = paths.reading_variance()
         self.counted = 1.0
         self.floor_rad = max(0.2 * paths.load_step_rad, 1e-8)
         self.seen = design.motor_rad - design.load_rad
@@ -365,8 +373,8 @@ class Model:
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
         motion = path.motor_rad, path.speed, path.time_s
-        weight = how.weight_cos, how.weight_sin
-        return np.asarray(load_lag(*motion, half_rad, how.drag, start, *weight))
+        others = how.weight_cos, how.weight_sin, how.restitution
+        return np.asarray(load_lag(*motion, half_rad, how.drag, start, *others))
 
     def cell(self, course: int, half_rad: float, noise: Noise, misfit_rad: float = 0.0) -> Cell:
         """The evidence there, and β.
@@ -386,8 +394,13 @@ class Model:
         else:
             lag = self.paths.binned(self.lag(course, half_rad))
             # In the gap, and nowhere without one.
-            loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
-        white = noise.white_rad**2 + lag.size * misfit_rad**2 + loose
+            within = np.maximum(half_rad - np.abs(lag), 0.0)
+            loose = (LOOSE * within) ** 2
+            if np.isfinite(self.courses[course].drag):
+                # What is wrong where a flight starts is wrong all along: a flight counts once.
+                flight = np.cumsum(np.append(False, np.diff((within > 0.0).astype(int)) != 0))
+                loose *= np.bincount(flight)[flight]
+        white = noise.white_rad**2 + lag.size * misfit_rad**2 + loose + self.reading
         columns = design.columns(lag)
         left = design.load_rad - columns @ design.centre
         both = np.concatenate([columns, left[:, None]], axis=1)
@@ -579,7 +592,7 @@ def fit_transmission(
             free, best = _with_weight(model, free, best)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
-        moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
+        moved = abs(late) > LINEAR * model.paths.period_s
         moved &= abs(skew + late) < LONGEST_SKEW_S
         scaled = not stated and abs(scale - 1.0) > 5e-3
         if not moved and not scaled:
@@ -656,23 +669,25 @@ def _placed(
 ) -> tuple[Noise, Cell]:
     """With one more course, where its evidence is the largest.
 
-    ``tried``: ln h, ln of the drag, and, where the load's weight moves it, both of its parts. The
-    best of them are moved to where the evidence is largest, with the noise of what was best
+    ``tried``: ln h, ln of the drag, restitution, and both parts of a weight that moves the load.
+    The best of them are moved to where the evidence is largest, with the noise of what was best
     without: with less of it the peak is too narrow to be found.
     """
     trial = len(model.courses)
 
     def at(point: FloatArray) -> Cell:
-        weight_cos, weight_sin = point[2:] if point.size > 2 else (0.0, 0.0)
-        how = Course(float(np.exp(point[1])), prior, False, float(weight_cos), float(weight_sin))
-        model.courses[trial:] = [how]
+        weight = [float(part) for part in point[3:]] or [0.0, 0.0]
+        restitution = float(np.clip(point[2], 0.0, MOST_RESTITUTION))
+        model.courses[trial:] = [
+            Course(float(np.exp(point[1])), prior, False, *weight, restitution)
+        ]
         return model.cell(trial, float(np.exp(point[0])), noise)
 
     order = np.argsort([-at(point).log_evidence for point in tried])
     moved: list[tuple[float, FloatArray]] = []
     for point in (tried[int(i)] for i in order[:MOVED]):
-        pull = 0.2 * float(np.hypot(*point[2:])) if point.size > 2 else 0.0
-        steps = np.diag([0.2, 0.4, pull, pull][: point.size])
+        pull = 0.2 * float(np.hypot(*point[3:])) if point.size > 3 else 0.0
+        steps = np.diag([0.2, 0.4, 0.2, pull, pull][: point.size])
         simplex = np.vstack([point, point + steps])
         found = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
         moved.append((at(found).log_evidence, found))
@@ -687,7 +702,12 @@ def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     """With a load that coasts by a deceleration of its own."""
     drags = np.array(COASTING[1:-1]) * model.paths.typical_acceleration
     halves = _halves(model, 1e-4, PER_DECADE)
-    tried = [np.log([half, drag]) for drag in drags for half in halves]
+    tried = [
+        np.array([np.log(half), np.log(drag), restitution])
+        for restitution in RESTITUTIONS
+        for drag in drags
+        for half in halves
+    ]
     return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
 
 
@@ -697,10 +717,10 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
     low[0], high[0] = (bound + np.log(0.5 * float(np.ptp(differs))) for bound in (low[0], high[0]))
     tried = []
-    for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
+    for *shares, restitution, turn in qmc.Sobol(5, scramble=False).random(TRIED):
         half, rubbed, weight = low + np.array(shares) * (high - low)
         pull = np.exp(weight + 2j * np.pi * turn)
-        tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
+        tried.append(np.array([half, rubbed + weight, restitution, pull.real, pull.imag]))
     return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
 
 
