@@ -89,14 +89,11 @@ class Paths:
         The error of a count is a curve of the position: it averages over a bin as far as that
         passes many counts, and not at all where it stands still.
         """
-        total = self.binned(self.between_rad) ** 2
-        for path, step in (
-            (self.load_rad, self.load_step_rad),
-            (self.motor_rad, self.motor_step_rad),
-        ):
-            counts = (path[self.bins[1:] - 1] - path[self.bins[:-1]]) / step
-            total += step**2 / 12.0 / (1.0 + counts**2)
-        return total
+        steps = np.array([[self.load_step_rad], [self.motor_step_rad]])
+        paths = np.stack([self.load_rad, self.motor_rad])
+        counts = (paths[:, self.bins[1:] - 1] - paths[:, self.bins[:-1]]) / steps
+        of_counts = (steps**2 / 12.0 / (1.0 + counts**2)).sum(axis=0)
+        return np.asarray(of_counts + self.binned(self.between_rad) ** 2)
 
     @property
     def period_s(self) -> float:
@@ -278,8 +275,7 @@ def load_lag(
     half_play: float,
     drag: float,
     start: float,
-    weight_cos: float = 0.0,
-    weight_sin: float = 0.0,
+    weight: complex = 0j,
     restitution: float = 0.0,
 ) -> FloatArray:  # pragma: no cover (compiled)
     """The lag s of the load behind the motor, shape (n,), within ±``half_play``, rad.
@@ -290,8 +286,8 @@ def load_lag(
         Deceleration of a free load by its friction, rad/s²; infinite for one that stays.
     start
         s at the first sample.
-    weight_cos, weight_sin
-        Deceleration of a free load by its weight, rad/s²: by cos and sin of its angle.
+    weight
+        Deceleration of a free load by its weight, rad/s²: by cos (real) and sin of its angle.
     restitution
         Speed at which the load leaves a flank that it struck, over that at which it came.
     """
@@ -299,8 +295,8 @@ def load_lag(
     load, moving = motor[0] - start, 0.0
     for k in range(motor.size):
         period = time_s[k] - time_s[k - 1] if k else 0.0
-        if weight_cos != 0.0 or weight_sin != 0.0:
-            moving -= period * (weight_cos * np.cos(load) + weight_sin * np.sin(load))
+        if weight != 0.0:
+            moving -= period * (weight.real * np.cos(load) + weight.imag * np.sin(load))
         slowed = drag * period if k else np.inf
         if abs(moving) <= slowed:
             moving = 0.0
