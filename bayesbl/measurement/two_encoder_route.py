@@ -254,6 +254,9 @@ class TwoEncoderMeasurer(Measurer):
         if _misfit_lasts(found):
             values = {"misfit_mrad": 1e3 * found.noise.drift_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
+        before, after = found.half_lag_rad
+        if found.probability_of_play > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
+            yield Reason("lag_changes", {"before_mrad": 2e3 * before, "after_mrad": 2e3 * after})
         if found.counted > 2.0:
             yield Reason("misfit_repeats", {"times": found.counted})
 

@@ -191,6 +191,8 @@ class Transmission:
     coasts, followed
         Probability that the load coasts through the gap by itself, and, of these, in no way that
         a friction alone would slow it.
+    half_lag_rad
+        Half of what lies between both directions, in both halves of the recording.
     reversals
         Of the motor.
     friction_nm, gravity_holds
@@ -210,6 +212,7 @@ class Transmission:
     curve_rad: FloatArray
     coasts: float
     followed: float
+    half_lag_rad: tuple[float, float]
     reversals: int
     friction_nm: float | None
     gravity_holds: float
@@ -802,8 +805,14 @@ def _drawn(
     paths, design = model.paths, model.design
     mode = cells[int(np.argmax(np.bincount(nearest)))]
     columns = design.columns(mode.lag)
+    seen = mode.lag + columns @ mode.beta - design.load_rad
+    flank = np.abs(mode.lag) > np.where(mode.half_rad > 0.0, 0.25 * mode.half_rad, -1.0)
+    parts = np.array_split(np.abs(seen[flank]), 2)
+    halves = (float(np.median(parts[0])), float(np.median(parts[1])))
     scale = beta @ design.slopes(columns) * np.exp(MODEL * generator.standard_normal(count))
-    moved = noise.drift_rad * generator.standard_normal(count)
+    # Both halves of a recording are two measurements: they scatter by as much as they differ.
+    lasts = np.hypot(noise.drift_rad, (halves[1] - halves[0]) / np.sqrt(2.0))
+    moved = lasts * generator.standard_normal(count)
     lost = np.maximum(lost * scale + moved, 0.0)
     delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
     plays = delta > 0.0
@@ -844,11 +853,12 @@ def _drawn(
         model.counted,
         noise,
         design.load_rad,
-        mode.lag + columns @ mode.beta - design.load_rad,
+        seen,
         mode.lag,
         curve,
         float(np.mean([cells[c].course > 0 for c in nearest])),
         float(np.mean([model.courses[cells[c].course].free for c in nearest])),
+        halves,
         paths.reversals,
         friction,
         0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else weight,

@@ -131,6 +131,21 @@ def test_play_skew_and_ratio_are_what_the_joint_has(answer):
     assert np.ptp(bounds(answer.draws["play_rad"])) < 0.2 * PLAY
 
 
+def test_of_a_play_that_grows_on_the_way_the_interval_has_both():
+    plain = recorded(eccentric=0.0)
+    half = np.where(plain.time_s < 8.0, 0.5, 1.0) * PLAY
+    path = plain.motor_rad / RATIO
+    load, at = [], path[0]
+    for x, gap in zip(path, half, strict=True):
+        at = min(max(at, x - gap), x + gap)
+        load.append(at)
+    found = fitted(Channels(plain.time_s, plain.motor_rad, np.array(load)))
+    low, high = bounds(found.draws["play_rad"], 0.9)
+    assert low < PLAY
+    assert high > 2.0 * PLAY
+    assert found.half_lag_rad == pytest.approx((0.5 * PLAY, PLAY), rel=0.1)
+
+
 def test_sign_offset_and_an_unknown_ratio_change_nothing(answer):
     other = fitted(recorded(ratio=-RATIO, offset=11.0), None)
     for name in ("play_rad", "lost_motion_rad"):
