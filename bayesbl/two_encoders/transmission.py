@@ -61,6 +61,10 @@ Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of th
 about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 """
 
+INFORMED = 0.5
+"""Spread of ln w over that beforehand, up to which the torque has told it: above it a compliance
+would be the makers', not this joint's."""
+
 COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
 
@@ -831,7 +835,8 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")] - by_speed_s,
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    if handed_nm is not None:
+    told = float(np.std(np.log(np.maximum(lost - delta, 1e-12)))) < INFORMED * HELD_SPREAD
+    if handed_nm is not None and told:
         about = np.exp(spread * generator.standard_normal(count))
         draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm * about
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
