@@ -235,11 +235,10 @@ class Design:
         self.time_s = paths.binned(paths.time_s)
         self.travel_rad = float(np.ptp(self.motor_rad))
         motor_turn = 2.0 * np.pi * abs(paths.slope)
-        plain = [np.ones_like(self.motor_rad), self.motor_rad]
-        plain += [paths.binned(paths.speed), paths.binned(paths.acceleration)]
+        moves = paths.binned(paths.speed), paths.binned(paths.acceleration)
+        plain = [np.ones_like(self.motor_rad), self.motor_rad, *moves]
         names = ["offset", "ratio", "skew", "inertia"]
-        sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S]
-        sd += [INERTIA_S2]
+        sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S, INERTIA_S2]
         self.turns = self.travel_rad > 2.0 * np.pi
         first = len(names)
         orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
