@@ -257,6 +257,15 @@ def channels_skewed(skew_ms: float) -> str:
     return f"The load's stamps are {abs(skew_ms):.2g} ms {late}; this was corrected."
 
 
+def lag_changes(before_mrad: float, after_mrad: float) -> str:
+    """One recording, two plays."""
+    return (
+        f"Between both directions lie {before_mrad:.2g} mrad in the first half of the recording "
+        f"and {after_mrad:.2g} mrad in the second, so the interval of δ includes both. Check for "
+        "slip or a loose part, then record again, or give both halves as two recordings."
+    )
+
+
 def load_coasts(misfit_mrad: float, lost_mrad: float) -> str:
     """The load leaves the flanks."""
     return (
@@ -411,6 +420,7 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     "ratio_differs": ratio_differs,
     "motor_at_output": motor_at_output,
     "channels_skewed": channels_skewed,
+    "lag_changes": lag_changes,
     "load_coasts": load_coasts,
     "misfit_repeats": misfit_repeats,
 }

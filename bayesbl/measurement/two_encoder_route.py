@@ -40,7 +40,7 @@ from bayesbl.recording.types import (
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
-from bayesbl.two_encoders.paths import Channels, scaled_paths
+from bayesbl.two_encoders.paths import ALIKE, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
 
 NAME = "two_encoders"
@@ -59,6 +59,9 @@ ENDS = (0.005, 0.995)
 FOLLOWS = 0.1
 """Share of the load's variance that the motor's position explains, from which they are of one
 joint."""
+
+ALIASED = 0.9
+"""Half turns of the motor in a sample: a position that wraps may then be of any turn."""
 
 HELD_BY_WEIGHT = 0.2
 """Share of the moving time with the load's weight above its friction, from which the flanks do not
@@ -162,6 +165,15 @@ class TwoEncoderMeasurer(Measurer):
                 expected=f"{FEWEST_SAMPLES} or more",
             )
         follows = float(np.corrcoef(channels.motor_rad, channels.load_rad)[0, 1]) ** 2
+        turned = float(np.quantile(np.abs(np.diff(channels.motor_rad)), 0.99))
+        if follows < 1.0 - ALIKE and ALIASED * np.pi < turned <= np.pi:
+            raise RecordingError(
+                "The motor turns too far between two samples to count its turns.",
+                file=recording.place,
+                where=MOTOR_POSITION,
+                found=f"up to {turned / np.pi:.2f} half turns in a sample",
+                expected="a position that counts turns, a higher sampling rate, or slower motion",
+            )
         if not follows >= FOLLOWS:
             raise RecordingError(
                 "The load does not follow the motor.",
@@ -254,6 +266,9 @@ class TwoEncoderMeasurer(Measurer):
         if _misfit_lasts(found):
             values = {"misfit_mrad": 1e3 * found.noise.drift_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
+        before, after = found.half_lag_rad
+        if found.probability_of_play > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
+            yield Reason("lag_changes", {"before_mrad": 2e3 * before, "after_mrad": 2e3 * after})
         if found.counted > 2.0:
             yield Reason("misfit_repeats", {"times": found.counted})
 

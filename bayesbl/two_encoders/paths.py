@@ -60,8 +60,10 @@ class Paths:
         By which the load's stamps were taken to be late.
     bins
         First sample of every bin of the fit, and the end of the last.
-    load_step_rad
-        The smallest change of the load's encoder.
+    load_step_rad, motor_step_rad
+        The smallest change of either encoder, at the load.
+    between_rad
+        By which two interpolants of the motor between its samples differ.
     """
 
     slope: float
@@ -74,10 +76,24 @@ class Paths:
     skew_s: float
     bins: NDArray[np.int64]
     load_step_rad: float
+    motor_step_rad: float
+    between_rad: FloatArray
 
     def binned(self, values: FloatArray) -> FloatArray:
         """Means over the bins, shape (bins,)."""
         return np.asarray(np.add.reduceat(values, self.bins[:-1]) / np.diff(self.bins))
+
+    def reading_variance(self) -> FloatArray:
+        """Of the bins, rad², by the counts of both encoders and by motion between samples.
+
+        The error of a count is a curve of the position: it averages over a bin as far as that
+        passes many counts, and not at all where it stands still.
+        """
+        steps = np.array([[self.load_step_rad], [self.motor_step_rad]])
+        paths = np.stack([self.load_rad, self.motor_rad])
+        counts = (paths[:, self.bins[1:] - 1] - paths[:, self.bins[:-1]]) / steps
+        of_counts = (steps**2 / 12.0 / (1.0 + counts**2)).sum(axis=0)
+        return np.asarray(of_counts + self.binned(self.between_rad) ** 2)
 
     @property
     def period_s(self) -> float:
@@ -195,7 +211,6 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
         straight = torque - np.polyval(np.polyfit(x, torque, 1), x)
         if float(straight @ turning) < 0.0:
             torque = -torque
-    steps = np.abs(np.diff(channels.load_rad))
     return Paths(
         slope,
         time,
@@ -206,8 +221,15 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
         torque,
         skew_s,
         _bins(time, speed),
-        float(np.min(steps, where=steps > 1e-9, initial=1.0)),
+        _least_step(channels.load_rad),
+        abs(slope) * _least_step(channels.motor_rad),
+        np.abs(x - np.interp(time, stamps, slope * motor)),
     )
+
+
+def _least_step(angle: FloatArray) -> float:
+    steps = np.abs(np.diff(angle))
+    return float(np.min(steps, where=steps > 1e-9, initial=1.0))
 
 
 def _thinned(channels: Channels) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
@@ -253,8 +275,8 @@ def load_lag(
     half_play: float,
     drag: float,
     start: float,
-    weight_cos: float = 0.0,
-    weight_sin: float = 0.0,
+    weight: complex = 0j,
+    restitution: float = 0.0,
 ) -> FloatArray:  # pragma: no cover (compiled)
     """The lag s of the load behind the motor, shape (n,), within ±``half_play``, rad.
 
@@ -264,15 +286,17 @@ def load_lag(
         Deceleration of a free load by its friction, rad/s²; infinite for one that stays.
     start
         s at the first sample.
-    weight_cos, weight_sin
-        Deceleration of a free load by its weight, rad/s²: by cos and sin of its angle.
+    weight
+        Deceleration of a free load by its weight, rad/s²: by cos (real) and sin of its angle.
+    restitution
+        Speed at which the load leaves a flank that it struck, over that at which it came.
     """
     lag = np.empty(motor.size)
     load, moving = motor[0] - start, 0.0
     for k in range(motor.size):
         period = time_s[k] - time_s[k - 1] if k else 0.0
-        if weight_cos != 0.0 or weight_sin != 0.0:
-            moving -= period * (weight_cos * np.cos(load) + weight_sin * np.sin(load))
+        if weight != 0.0:
+            moving -= period * (weight.real * np.cos(load) + weight.imag * np.sin(load))
         slowed = drag * period if k else np.inf
         if abs(moving) <= slowed:
             moving = 0.0
@@ -281,9 +305,9 @@ def load_lag(
         load += moving * period
         if motor[k] - load >= half_play:
             load = motor[k] - half_play
-            moving = speed[k]
+            moving = speed[k] + restitution * max(speed[k] - moving, 0.0)
         elif motor[k] - load <= -half_play:
             load = motor[k] + half_play
-            moving = speed[k]
+            moving = speed[k] + restitution * min(speed[k] - moving, 0.0)
         lag[k] = motor[k] - load
     return lag

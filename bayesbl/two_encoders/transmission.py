@@ -9,12 +9,13 @@ ratio is off by (x), the skew of the channels (ẋ), inertia that winds the join
 transmission error: harmonics of motor and load angle (one curve of the angle, the same both ways,
 where the load makes less than a turn). β is normal and integrated out. The noise e is white
 beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
-drift from stroke to stroke so counts once a stroke, not once a sample. In the gap the load is
-where it likes, so the noise is as wide as the gap there.
+drift from stroke to stroke so counts once a stroke, not once a sample. Counts of the encoders and
+motion between two samples add to it (:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In
+the gap the load is where it likes, so the noise is as wide as the gap there.
 
-Every course of the flanks (a load that stays, coasts on by some deceleration, or is moved by its
-weight) is tried over a grid of h, and their probabilities are added. h, half of what lies between
-both directions, is δ and half of what friction of the load winds up:
+Every course of the flanks (a load that stays, coasts on by some deceleration and bounces, or is
+moved by its weight) is tried over a grid of h, and their probabilities are added. h, half of what
+lies between both directions, is δ and half of what friction of the load winds up:
 
     h = δ + w/2
 
@@ -27,7 +28,7 @@ told from play by their evidence, here and not before.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -60,18 +61,25 @@ Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of th
 about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 """
 
-COASTING = (np.inf, 3.0, 1.0, 0.3, 0.1, 0.0)
+INFORMED = 0.5
+"""Spread of ln w over that beforehand, up to which the torque has told it: above it a compliance
+would be the makers', not this joint's."""
+
+COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
 
 WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
 
+RESTITUTIONS, MOST_RESTITUTION = (0.0, 0.3, 0.6), 0.95
+"""Of a load that strikes a flank: tried to begin with, and the most."""
+
 TRIED, MOVED = 1024, 6
 """Points of this space that are weighed, and the best of them that are moved."""
 
 STAYS = 0.5
-"""Probability of the first, beforehand."""
+"""Probability that the load stays, beforehand."""
 
 CURVE_ORDERS, MOTOR_ORDERS, LOAD_ORDERS = 16, 4, 8
 """Of the transmission error: of the travel, and of each angle where it makes a turn."""
@@ -111,6 +119,9 @@ LOOSE = 0.3
 USUAL_SKEW_S = 5e-3
 """Standard deviation of the skew of the channels."""
 
+LINEAR = 0.02
+"""Of the sampling period: a skew up to which the motion is straight."""
+
 RATIO_STATED = 0.01
 """Relative standard deviation of a gear ratio that is stated."""
 
@@ -132,35 +143,21 @@ class Noise:
     drift_s: float
     curve_rad: float
 
-    @classmethod
-    def of(cls, logs: FloatArray) -> Noise:
-        """From logarithms."""
-        return cls(*(float(v) for v in np.exp(logs)))
-
-    @property
-    def logs(self) -> FloatArray:
-        """Logarithms, in the order of the attributes."""
-        return np.log([self.white_rad, self.drift_rad, self.drift_s, self.curve_rad])
-
 
 @dataclass(frozen=True, slots=True)
 class Course:
     """How the load gets from flank to flank.
 
-    By its free deceleration through friction and weight, rad/s²; or in no way that is known
-    (``free``): the lag is then what was measured, wherever that is well within the gap.
+    By its free deceleration through friction and weight, rad/s², and by its restitution at a flank
+    (:func:`bayesbl.two_encoders.paths.load_lag`); or in no way that is known (``free``): the lag is
+    then what was measured, wherever that is well within the gap.
     """
 
     drag: float
     prior: float
     free: bool = False
-    weight_cos: float = 0.0
-    weight_sin: float = 0.0
-
-    @property
-    def falls(self) -> bool:
-        """Whether the load's weight moves it."""
-        return self.weight_cos != 0.0 or self.weight_sin != 0.0
+    weight: complex = 0j
+    restitution: float = 0.0
 
 
 @dataclass(slots=True)
@@ -198,6 +195,8 @@ class Transmission:
     coasts, followed
         Probability that the load coasts through the gap by itself, and, of these, in no way that
         a friction alone would slow it.
+    half_lag_rad
+        Half of what lies between both directions, in both halves of the recording.
     reversals
         Of the motor.
     friction_nm, gravity_holds
@@ -217,6 +216,7 @@ class Transmission:
     curve_rad: FloatArray
     coasts: float
     followed: float
+    half_lag_rad: tuple[float, float]
     reversals: int
     friction_nm: float | None
     gravity_holds: float
@@ -235,11 +235,10 @@ class Design:
         self.time_s = paths.binned(paths.time_s)
         self.travel_rad = float(np.ptp(self.motor_rad))
         motor_turn = 2.0 * np.pi * abs(paths.slope)
-        plain = [np.ones_like(self.motor_rad), self.motor_rad]
-        plain += [paths.binned(paths.speed), paths.binned(paths.acceleration)]
+        moves = paths.binned(paths.speed), paths.binned(paths.acceleration)
+        plain = [np.ones_like(self.motor_rad), self.motor_rad, *moves]
         names = ["offset", "ratio", "skew", "inertia"]
-        sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S]
-        sd += [INERTIA_S2]
+        sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S, INERTIA_S2]
         self.turns = self.travel_rad > 2.0 * np.pi
         first = len(names)
         orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
@@ -344,6 +343,7 @@ class Model:
     def __init__(self, paths: Paths, design: Design, courses: Sequence[Course]) -> None:
         self.paths, self.design, self.courses = paths, design, list(courses)
         self.step_s = np.diff(design.time_s)
+        self.reading = paths.reading_variance()
         self.counted = 1.0
         self.floor_rad = max(0.2 * paths.load_step_rad, 1e-8)
         self.seen = design.motor_rad - design.load_rad
@@ -365,8 +365,8 @@ class Model:
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
         motion = path.motor_rad, path.speed, path.time_s
-        weight = how.weight_cos, how.weight_sin
-        return np.asarray(load_lag(*motion, half_rad, how.drag, start, *weight))
+        by = how.drag, start, how.weight, how.restitution
+        return np.asarray(load_lag(*motion, half_rad, *by))
 
     def cell(self, course: int, half_rad: float, noise: Noise, misfit_rad: float = 0.0) -> Cell:
         """The evidence there, and β.
@@ -387,7 +387,7 @@ class Model:
             lag = self.paths.binned(self.lag(course, half_rad))
             # In the gap, and nowhere without one.
             loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
-        white = noise.white_rad**2 + lag.size * misfit_rad**2 + loose
+        white = noise.white_rad**2 + lag.size * misfit_rad**2 + loose + self.reading
         columns = design.columns(lag)
         left = design.load_rad - columns @ design.centre
         both = np.concatenate([columns, left[:, None]], axis=1)
@@ -451,11 +451,11 @@ class Model:
         low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
         high = np.log([1.0, 1.0, span, MOST_CURVE_RAD])
         guess, _there = self.profiled(course, half_rad, first)
-        starts = [np.clip(each.logs, low, high) for each in (guess, first)]
+        starts = [np.clip(np.log(astuple(each)), low, high) for each in (guess, first)]
 
         def at(point: FloatArray) -> Cell:
             half = half_rad * float(np.exp(np.clip(point[4], -1.0, 1.0))) if half_rad else 0.0
-            return self.cell(course, half, Noise.of(np.clip(point[:4], low, high)))
+            return self.cell(course, half, Noise(*np.exp(np.clip(point[:4], low, high))))
 
         def cost(point: FloatArray) -> float:
             beyond = float(np.sum((point[:4] - np.clip(point[:4], low, high)) ** 2))
@@ -470,7 +470,7 @@ class Model:
             found = _lowest(cost, simplex, 240)
         else:
             found = np.append(_lowest(lambda p: cost(np.append(p, 0.0)), simplex[:, :4], 160), 0.0)
-        return Noise.of(np.clip(found[:4], low, high)), at(found)
+        return Noise(*np.exp(np.clip(found[:4], low, high))), at(found)
 
 
 def _lowest(
@@ -579,7 +579,7 @@ def fit_transmission(
             free, best = _with_weight(model, free, best)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
-        moved = abs(late) > max(0.5 * model.paths.period_s, 2e-4)
+        moved = abs(late) > LINEAR * model.paths.period_s
         moved &= abs(skew + late) < LONGEST_SKEW_S
         scaled = not stated and abs(scale - 1.0) > 5e-3
         if not moved and not scaled:
@@ -601,7 +601,7 @@ def fit_transmission(
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
-    cells = _refined(model, [*_grid(model, [noise, free]), best], [noise, free])
+    cells = _refined(model, best, [noise, free])
     return _drawn(model, cells, free, friction, weight, np.random.default_rng(seed))
 
 
@@ -610,17 +610,14 @@ def _model(
 ) -> tuple[Model, float | None, float]:
     """The model, the friction that a torque shows, and how often the load's weight is above it."""
     paths = scaled_paths(channels, slope, skew)
-    usual = paths.typical_acceleration
-    rest = 1.0 - STAYS
-    courses = [Course(np.inf, STAYS)]
-    coasting = COASTING[1:]
-    friction, weight = None, 0.0
+    rest, friction, weight = 1.0 - STAYS, None, 0.0
     if paths.torque_nm is not None:
         friction, held = of_friction(paths)
         moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
         weight = float(np.mean(np.abs(held)[moving] > friction))
-    courses += [Course(c * usual, 0.5 * rest / len(coasting)) for c in coasting]
-    courses.append(Course(0.0, 0.2 * rest, free=True))
+    drags = np.array(COASTING) * paths.typical_acceleration
+    courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
+    courses = [Course(np.inf, STAYS), *courses, Course(0.0, 0.2 * rest, free=True)]
     return Model(paths, Design(paths, stated=stated), courses), friction, weight
 
 
@@ -656,23 +653,23 @@ def _placed(
 ) -> tuple[Noise, Cell]:
     """With one more course, where its evidence is the largest.
 
-    ``tried``: ln h, ln of the drag, and, where the load's weight moves it, both of its parts. The
-    best of them are moved to where the evidence is largest, with the noise of what was best
+    ``tried``: ln h, ln of the drag, restitution, and both parts of a weight that moves the load.
+    The best of them are moved to where the evidence is largest, with the noise of what was best
     without: with less of it the peak is too narrow to be found.
     """
     trial = len(model.courses)
 
     def at(point: FloatArray) -> Cell:
-        weight_cos, weight_sin = point[2:] if point.size > 2 else (0.0, 0.0)
-        how = Course(float(np.exp(point[1])), prior, False, float(weight_cos), float(weight_sin))
-        model.courses[trial:] = [how]
+        drag, weight = float(np.exp(point[1])), complex(*point[3:])
+        restitution = float(np.clip(point[2], 0.0, MOST_RESTITUTION))
+        model.courses[trial:] = [Course(drag, prior, False, weight, restitution)]
         return model.cell(trial, float(np.exp(point[0])), noise)
 
     order = np.argsort([-at(point).log_evidence for point in tried])
     moved: list[tuple[float, FloatArray]] = []
     for point in (tried[int(i)] for i in order[:MOVED]):
-        pull = 0.2 * float(np.hypot(*point[2:])) if point.size > 2 else 0.0
-        steps = np.diag([0.2, 0.4, pull, pull][: point.size])
+        pull = 0.2 * abs(complex(*point[3:]))
+        steps = np.diag([0.2, 0.4, 0.2, pull, pull][: point.size])
         simplex = np.vstack([point, point + steps])
         found = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
         moved.append((at(found).log_evidence, found))
@@ -685,9 +682,14 @@ def _placed(
 
 def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     """With a load that coasts by a deceleration of its own."""
-    drags = np.array(COASTING[1:-1]) * model.paths.typical_acceleration
+    drags = np.array(COASTING[:-1]) * model.paths.typical_acceleration
     halves = _halves(model, 1e-4, PER_DECADE)
-    tried = [np.log([half, drag]) for drag in drags for half in halves]
+    tried = [
+        np.array([np.log(half), np.log(drag), restitution])
+        for restitution in RESTITUTIONS
+        for drag in drags
+        for half in halves
+    ]
     return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
 
 
@@ -697,46 +699,30 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
     low[0], high[0] = (bound + np.log(0.5 * float(np.ptp(differs))) for bound in (low[0], high[0]))
     tried = []
-    for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
+    for *shares, restitution, turn in qmc.Sobol(5, scramble=False).random(TRIED):
         half, rubbed, weight = low + np.array(shares) * (high - low)
         pull = np.exp(weight + 2j * np.pi * turn)
-        tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
+        tried.append(np.array([half, rubbed + weight, restitution, pull.real, pull.imag]))
     return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
 
 
-def _grid(model: Model, noises: Sequence[Noise]) -> list[Cell]:
-    """Cells over courses and h."""
-    return [
-        _best(model, course, float(half), noises)
-        for course in range(len(model.courses))
-        for half in _halves(model, 1e-6, PER_DECADE)
-    ]
-
-
-def _best(model: Model, course: int, half_rad: float, noises: Sequence[Noise]) -> Cell:
-    cells = [model.cell(course, half_rad, noise) for noise in noises]
-    return max(cells, key=lambda c: c.log_evidence)
-
-
-def _refined(model: Model, cells: list[Cell], noises: Sequence[Noise]) -> list[Cell]:
-    """With cells between neighbours that hold much of the probability."""
-    for _ in range(10):
-        cells.sort(key=lambda c: (c.course, c.half_rad))
-        logs = _log_masses(cells, np.zeros(len(cells)), model)
-        share = logs - logsumexp(logs)
-        heavy = [
-            i
-            for i in np.flatnonzero(share > np.log(0.04))
+def _refined(model: Model, best: Cell, noises: Sequence[Noise]) -> list[Cell]:
+    """Cells over courses and a grid of h, finer where they hold much of the probability."""
+    halves = _halves(model, 1e-6, PER_DECADE)
+    wanted = [(course, float(half)) for course in range(len(model.courses)) for half in halves]
+    cells = [best]
+    for _ in range(11):
+        for place in wanted:
+            here = [model.cell(*place, noise) for noise in noises]
+            cells.append(max(here, key=lambda cell: cell.log_evidence))
+        cells.sort(key=lambda cell: (cell.course, cell.half_rad))
+        masses = _log_masses(cells, np.zeros(len(cells)), model)
+        wanted = [
+            (cells[i].course, float(half))
+            for i in np.flatnonzero(masses - logsumexp(masses) > np.log(0.04))
             if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5
-        ]
-        if not heavy:
-            break
-        cells += [
-            _best(model, cells[i].course, float(half), noises)
-            for i in heavy
             for half in np.geomspace(cells[i].half_rad, cells[i + 1].half_rad, 5)[1:-1]
         ]
-    cells.sort(key=lambda c: (c.course, c.half_rad))
     return cells
 
 
@@ -817,15 +803,21 @@ def _drawn(
     paths, design = model.paths, model.design
     mode = cells[int(np.argmax(np.bincount(nearest)))]
     columns = design.columns(mode.lag)
+    seen = mode.lag + columns @ mode.beta - design.load_rad
+    flank = np.abs(mode.lag) > np.where(mode.half_rad > 0.0, 0.25 * mode.half_rad, -1.0)
+    parts = np.array_split(np.abs(seen[flank]), 2)
+    halves = (float(np.median(parts[0])), float(np.median(parts[1])))
     scale = beta @ design.slopes(columns) * np.exp(MODEL * generator.standard_normal(count))
-    moved = noise.drift_rad * generator.standard_normal(count)
+    # Both halves of a recording are two measurements: they scatter by as much as they differ.
+    lasts = np.hypot(noise.drift_rad, (halves[1] - halves[0]) / np.sqrt(2.0))
+    moved = lasts * generator.standard_normal(count)
     lost = np.maximum(lost * scale + moved, 0.0)
     delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
     plays = delta > 0.0
     # Friction that winds the joint up may follow the speed in any way, and is then like a skew.
     usual_speed = float(np.std(paths.binned(paths.speed)))
     by_speed_s = (lost - delta) / usual_speed * generator.standard_normal(count)
-    goes = [how.falls or how.free for how in model.courses]
+    goes = [how.weight != 0.0 or how.free for how in model.courses]
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
     draws = {
@@ -837,7 +829,8 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")] - by_speed_s,
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    if handed_nm is not None:
+    told = float(np.std(np.log(np.maximum(lost - delta, 1e-12)))) < INFORMED * HELD_SPREAD
+    if handed_nm is not None and told:
         about = np.exp(spread * generator.standard_normal(count))
         draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm * about
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
@@ -859,11 +852,12 @@ def _drawn(
         model.counted,
         noise,
         design.load_rad,
-        mode.lag + columns @ mode.beta - design.load_rad,
+        seen,
         mode.lag,
         curve,
         float(np.mean([cells[c].course > 0 for c in nearest])),
         float(np.mean([model.courses[cells[c].course].free for c in nearest])),
+        halves,
         paths.reversals,
         friction,
         0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else weight,

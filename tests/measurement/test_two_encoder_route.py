@@ -71,6 +71,15 @@ def test_a_load_of_another_joint_is_refused(tmp_path, capsys):
     assert "does not follow the motor" in capsys.readouterr().err
 
 
+def test_a_motor_that_wraps_faster_than_it_is_sampled_is_refused(tmp_path, capsys):
+    file = write(
+        tmp_path / "wraps.csv",
+        motor_position_rad=lambda time: np.mod(400.0 * np.sin(np.pi * time), 2.0 * np.pi),
+    )
+    assert run("fit", file, "--out", tmp_path / "out") != 0
+    assert "too far between two samples" in capsys.readouterr().err
+
+
 def test_init_knows_two_encoders(tmp_path):
     file = write(tmp_path / "joint.csv")
     guess = guess_columns(file, read_table(file))

@@ -76,6 +76,48 @@ def test_a_load_without_friction_keeps_its_speed_until_a_flank_takes_it():
     assert found[550] == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.4])
+def test_a_load_leaves_a_flank_that_it_struck_by_its_restitution(restitution):
+    time = 1e-3 * np.arange(400)
+    # The motor strikes the load at 1 rad/s and stops; the load flies to the other flank.
+    path, speed = np.minimum(time, 0.1), np.where(time < 0.1, 1.0, 0.0)
+    load = path - load_lag(path, speed, time, 0.05, 0.0, 0.05, 0j, restitution)
+    struck = int(np.argmax(load))
+    assert load[struck] - path[struck] == pytest.approx(0.05)
+    back = -restitution * (1.0 + restitution)
+    assert np.diff(load)[struck + 5] == pytest.approx(1e-3 * back, abs=1e-9)
+
+
+def test_a_count_does_not_average_where_the_encoder_stands():
+    step = 2.0 * np.pi / 4096
+    time = 1e-3 * np.arange(8000)
+    motor = np.clip(np.abs(time - 4.0) - 2.0, 0.0, None) ** 2
+    load = step * np.round(motor / step)
+    paths = scaled_paths(Channels(time, motor, load), 1.0)
+    variance = paths.reading_variance()
+    rest = np.argmin(np.abs(paths.binned(paths.time_s) - 4.0))
+    assert variance[rest] == pytest.approx(step**2 / 12.0, rel=0.01)
+    assert np.median(variance) < 0.2 * step**2 / 12.0
+
+
+def test_at_the_corners_of_a_fast_motion_a_skew_of_some_samples_is_no_falling_load():
+    generator = np.random.default_rng(8)
+    time = np.arange(0.0, 14.0, 5e-4)
+    strokes = np.clip(np.arcsin(np.sin(2.0 * np.pi * time / 3.0)), -1.0, 1.0)
+    window = np.hanning(81)
+    path = 6.0 * np.convolve(np.pad(strokes, 40, "edge"), window / window.sum(), "valid")
+    stamps = np.arange(0.05, 13.9, 1.0 / 95.0)
+    stamps += 3e-3 * generator.uniform(-1.0, 1.0, stamps.size)
+    load = np.interp(stamps - 4e-3, time, dragged(path, 0.5 * PLAY))
+    load += 2e-5 * generator.standard_normal(load.size)
+    found = fitted(Channels.unwrapped(stamps, RATIO * np.interp(stamps, time, path), load))
+    for name, truth in (("play_rad", PLAY), ("channel_skew_s", 4e-3), ("gear_ratio", RATIO)):
+        low, high = bounds(found.draws[name], 0.99)
+        assert low <= truth <= high, name
+    assert np.median(found.draws["play_rad"]) == pytest.approx(PLAY, rel=0.05)
+    assert found.coasts < 0.05
+
+
 def test_play_skew_and_ratio_are_what_the_joint_has(answer):
     for name, truth in (
         ("play_rad", PLAY),
@@ -87,6 +129,21 @@ def test_play_skew_and_ratio_are_what_the_joint_has(answer):
         assert low <= truth <= high, name
     assert answer.probability_of_play > 0.95
     assert np.ptp(bounds(answer.draws["play_rad"])) < 0.2 * PLAY
+
+
+def test_of_a_play_that_grows_on_the_way_the_interval_has_both():
+    plain = recorded(eccentric=0.0)
+    half = np.where(plain.time_s < 8.0, 0.5, 1.0) * PLAY
+    path = plain.motor_rad / RATIO
+    load, at = [], path[0]
+    for x, gap in zip(path, half, strict=True):
+        at = min(max(at, x - gap), x + gap)
+        load.append(at)
+    found = fitted(Channels(plain.time_s, plain.motor_rad, np.array(load)))
+    low, high = bounds(found.draws["play_rad"], 0.9)
+    assert low < PLAY
+    assert high > 2.0 * PLAY
+    assert found.half_lag_rad == pytest.approx((0.5 * PLAY, PLAY), rel=0.1)
 
 
 def test_sign_offset_and_an_unknown_ratio_change_nothing(answer):
