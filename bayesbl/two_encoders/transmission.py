@@ -386,7 +386,12 @@ class Model:
         else:
             lag = self.paths.binned(self.lag(course, half_rad))
             # In the gap, and nowhere without one.
-            loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
+            within = np.maximum(half_rad - np.abs(lag), 0.0)
+            loose = (LOOSE * within) ** 2
+            if np.isfinite(self.courses[course].drag):
+                # What is wrong at a flight's start is wrong all along it: a flight counts once.
+                flight = np.cumsum(np.append(False, np.diff((within > 0.0).astype(int)) != 0))
+                loose *= np.bincount(flight)[flight]
         white = noise.white_rad**2 + lag.size * misfit_rad**2 + loose + self.reading
         columns = design.columns(lag)
         left = design.load_rad - columns @ design.centre
