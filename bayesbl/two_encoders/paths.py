@@ -276,7 +276,6 @@ def load_lag(
     drag: float,
     start: float,
     weight: complex = 0j,
-    restitution: float = 0.0,
 ) -> FloatArray:  # pragma: no cover (compiled)
     """The lag s of the load behind the motor, shape (n,), within ±``half_play``, rad.
 
@@ -288,8 +287,6 @@ def load_lag(
         s at the first sample.
     weight
         Deceleration of a free load by its weight, rad/s²: by cos (real) and sin of its angle.
-    restitution
-        Speed at which the load leaves a flank that it struck, over that at which it came.
     """
     lag = np.empty(motor.size)
     load, moving = motor[0] - start, 0.0
@@ -305,9 +302,9 @@ def load_lag(
         load += moving * period
         if motor[k] - load >= half_play:
             load = motor[k] - half_play
-            moving = speed[k] + restitution * max(speed[k] - moving, 0.0)
+            moving = speed[k]
         elif motor[k] - load <= -half_play:
             load = motor[k] + half_play
-            moving = speed[k] + restitution * min(speed[k] - moving, 0.0)
+            moving = speed[k]
         lag[k] = motor[k] - load
     return lag

@@ -13,7 +13,7 @@ drift from stroke to stroke so counts once a stroke, not once a sample. Counts o
 motion between two samples add to it (:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In
 the gap the load is where it likes, so the noise is as wide as the gap there.
 
-Every course of the flanks (a load that stays, coasts on by some deceleration and bounces, or is
+Every course of the flanks (a load that stays, coasts on by some deceleration, or is
 moved by its weight) is tried over a grid of h, and their probabilities are added. h, half of what
 lies between both directions, is δ and half of what friction of the load winds up:
 
@@ -71,9 +71,6 @@ COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
 WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
-
-RESTITUTIONS, MOST_RESTITUTION = (0.0, 0.3, 0.6), 0.95
-"""Of a load that strikes a flank: tried to begin with, and the most."""
 
 TRIED, MOVED = 1024, 6
 """Points of this space that are weighed, and the best of them that are moved."""
@@ -148,16 +145,14 @@ class Noise:
 class Course:
     """How the load gets from flank to flank.
 
-    By its free deceleration through friction and weight, rad/s², and by its restitution at a flank
-    (:func:`bayesbl.two_encoders.paths.load_lag`); or in no way that is known (``free``): the lag is
-    then what was measured, wherever that is well within the gap.
+    By its free deceleration through friction and weight, rad/s²; or in no way that is known
+    (``free``): the lag is then what was measured, wherever that is well within the gap.
     """
 
     drag: float
     prior: float
     free: bool = False
     weight: complex = 0j
-    restitution: float = 0.0
 
 
 @dataclass(slots=True)
@@ -365,8 +360,7 @@ class Model:
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
         motion = path.motor_rad, path.speed, path.time_s
-        by = how.drag, start, how.weight, how.restitution
-        return np.asarray(load_lag(*motion, half_rad, *by))
+        return np.asarray(load_lag(*motion, half_rad, how.drag, start, how.weight))
 
     def cell(self, course: int, half_rad: float, noise: Noise, misfit_rad: float = 0.0) -> Cell:
         """The evidence there, and β.
@@ -653,23 +647,22 @@ def _placed(
 ) -> tuple[Noise, Cell]:
     """With one more course, where its evidence is the largest.
 
-    ``tried``: ln h, ln of the drag, restitution, and both parts of a weight that moves the load.
+    ``tried``: ln h, ln of the drag, and both parts of a weight that moves the load.
     The best of them are moved to where the evidence is largest, with the noise of what was best
     without: with less of it the peak is too narrow to be found.
     """
     trial = len(model.courses)
 
     def at(point: FloatArray) -> Cell:
-        drag, weight = float(np.exp(point[1])), complex(*point[3:])
-        restitution = float(np.clip(point[2], 0.0, MOST_RESTITUTION))
-        model.courses[trial:] = [Course(drag, prior, False, weight, restitution)]
+        drag, weight = float(np.exp(point[1])), complex(*point[2:])
+        model.courses[trial:] = [Course(drag, prior, False, weight)]
         return model.cell(trial, float(np.exp(point[0])), noise)
 
     order = np.argsort([-at(point).log_evidence for point in tried])
     moved: list[tuple[float, FloatArray]] = []
     for point in (tried[int(i)] for i in order[:MOVED]):
-        pull = 0.2 * abs(complex(*point[3:]))
-        steps = np.diag([0.2, 0.4, 0.2, pull, pull][: point.size])
+        pull = 0.2 * abs(complex(*point[2:]))
+        steps = np.diag([0.2, 0.4, pull, pull][: point.size])
         simplex = np.vstack([point, point + steps])
         found = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
         moved.append((at(found).log_evidence, found))
@@ -684,12 +677,7 @@ def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     """With a load that coasts by a deceleration of its own."""
     drags = np.array(COASTING[:-1]) * model.paths.typical_acceleration
     halves = _halves(model, 1e-4, PER_DECADE)
-    tried = [
-        np.array([np.log(half), np.log(drag), restitution])
-        for restitution in RESTITUTIONS
-        for drag in drags
-        for half in halves
-    ]
+    tried = [np.log([half, drag]) for drag in drags for half in halves]
     return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
 
 
@@ -699,10 +687,10 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
     low[0], high[0] = (bound + np.log(0.5 * float(np.ptp(differs))) for bound in (low[0], high[0]))
     tried = []
-    for *shares, restitution, turn in qmc.Sobol(5, scramble=False).random(TRIED):
+    for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
         half, rubbed, weight = low + np.array(shares) * (high - low)
         pull = np.exp(weight + 2j * np.pi * turn)
-        tried.append(np.array([half, rubbed + weight, restitution, pull.real, pull.imag]))
+        tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
     return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
 
 
