@@ -331,7 +331,7 @@ def direct_unknowns(
     ]
 
 
-def _fitted(
+def fit_jointly(
     bench: Bench,
     recordings: Sequence[Observed],
     gap_rad: tuple[float, float],
@@ -386,7 +386,7 @@ def fit_directly(
 
     ``drift``: relative standard deviations in place of the defaults.
     """
-    fit, rest, joint, check = _fitted(
+    fit, rest, joint, check = fit_jointly(
         bench, recordings, gap_rad, may_drift, workers, progress, drift
     )
     name = " and ".join(r.name for r in recordings)

@@ -32,5 +32,4 @@ EFFECT = Effect(
     depends_on=("twist",),
     data="ringing faster under high load torque than under low, most where the teeth barely touch",
     reference="Palmgren 1959, Ball and Roller Bearing Engineering; Hertz 1882",
-    always_in=True,
 )
