@@ -18,15 +18,17 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import direct_unknowns, fit_jointly
+from bayesbl.measurement.direct_route import direct_unknowns, fit_directly, fit_jointly
 from bayesbl.model_search.always_in import (
     Direction,
     beside,
     directions,
+    edge_variances,
     elastic_part,
     laws,
     settled,
 )
+from bayesbl.sampling.chains import SamplerSettings
 
 BENCH = reference_bench()
 GAP_RAD = 8e-4
@@ -235,6 +237,29 @@ def test_friction_that_the_bench_lacks_moves_no_gap() -> None:
         sd = math.sqrt(fit.covariance[place, place])
         assert abs(fit.point[place] - math.log(gap)) < 3.5 * sd
         assert sd < 0.01
+
+
+def test_soft_edges_that_show_are_in_the_interval_of_the_gap_but_not_of_its_change() -> None:
+    """What is called the gap is open by the edge's width, alike in both snapshots."""
+    variance, gaps_rad = 2.5e-9, {"before": 7e-4, "after": 9e-4}
+    soft = BenchEffect("contact_softness", {"variance_rad2": EffectParameterValue(variance)})
+    rng = np.random.default_rng(20261127)
+    seen = [
+        observed(BENCH.with_effects(soft).simulate(gap, rotations=3, seed=rng, name=name), BENCH)
+        for name, gap in gaps_rad.items()
+    ]
+    match = fit_directly(
+        BENCH, seen, (1e-4, 1e-2), {}, SamplerSettings(), np.random.SeedSequence(1)
+    )
+    assert edge_variances(match.posterior).mean() == pytest.approx(variance, rel=0.5)
+    edge_rad = math.sqrt(variance)
+    for name, gap in gaps_rad.items():
+        draws = match.posterior.values(GAP, name)
+        assert 0.7 * edge_rad < draws.std() < 1.5 * edge_rad
+        assert abs(draws.mean() - gap) < edge_rad
+    change = match.change_rad
+    assert change.std() < 0.2 * edge_rad
+    assert abs(change.mean() - 2e-4) < 3.5 * change.std()
 
 
 def test_no_drift_takes_a_parameter_below_zero_that_its_tolerance_lowers() -> None:

@@ -4,7 +4,8 @@
 
 The flank's torque goes with e^(1+m): m is 0.11 for a line contact (roller bearings, teeth) and 0.5
 for a point contact (ball bearings); in series with shafts it is less. K_s is the stiffness at
-gravity's largest torque. A rigid bench has no shaft, so no law there.
+gravity's largest torque, or at e₀ = 1 mrad on an axis without gravity. A rigid bench has no shaft,
+so no law there.
 """
 
 from __future__ import annotations
