@@ -23,6 +23,9 @@ from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 GAPS_TRIED = 24
+LOAD_FRICTION = ("load_viscous_friction", "load_coulomb_friction")
+FRICTIONS_TRIED = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
+"""In usual sizes; beyond, one joint in eighty."""
 SHIFTS_TRIED = 4
 """Of what was learned, in a period of its highest order."""
 POINTS_AT_ONCE = 64
@@ -41,14 +44,15 @@ def fit_aligned(
 ) -> SimulatedFit:
     """The most probable point of all unknowns, from the recordings alone.
 
-    The gap is scanned; for each the recordings, averaged over rotations, are shifted against the
-    simulation by correlation; the best few are fitted, and the noise is estimated again from the
-    residuals. ``progress``: called with (fits made, fits expected).
+    The gap is scanned, and the load's friction where it is unknown; for each the recordings,
+    averaged over rotations, are shifted against the simulation by correlation; the best few are
+    fitted, and the noise is estimated again from the residuals. ``progress``: called with (fits
+    made, fits expected).
     """
     noise = [noise_of(seen, seen.signals) for seen in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
     progress(0, STARTS_FITTED + NOISE_ROUNDS)
-    starts = _each_settled(model, aligned_starts(model))
+    starts = _each_settled(model, aligned_starts(model, _load_friction(model)))
     fits: list[SimulatedFit] = []
     for start in starts:
         fits.append(fit_simulated(model, start, rough=True))
@@ -57,6 +61,16 @@ def fit_aligned(
     best = replace(best, model=replace(model, noise=remaining_noise(best)))
     recordings = [_forgetful(best, i) for i in range(len(recordings))]
     return refitted(SimulatedSignals(bench, recordings, unknowns, noise, workers), best)
+
+
+def _load_friction(model: SimulatedSignals) -> dict[int, FloatArray]:
+    """Values of the load's friction to scan, by place: it shifts the flank changes of one rotation
+    against one another, by half a period of the ringing in many joints, where a fit sticks."""
+    for place, unknown in enumerate(model.unknowns):
+        effect = unknown.name.partition("__")[0]
+        if effect in LOAD_FRICTION and unknown.low == unknown.centre and unknown.recording is None:
+            return {place: unknown.sd * FRICTIONS_TRIED}
+    return {}
 
 
 def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:

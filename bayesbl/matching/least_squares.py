@@ -142,6 +142,7 @@ def fit_simulated(
     rough: bool = False,
     one_sided: bool = False,
     known: FloatArray | None = None,
+    goal: float = math.inf,
 ) -> SimulatedFit:
     """Levenberg-Marquardt within the priors' ranges, all derivatives in one batch of simulations.
 
@@ -158,6 +159,9 @@ def fit_simulated(
         central ones where they decide.
     known
         Derivatives by the first unknowns at a point nearby, shape (N, k).
+    goal
+        χ² above which the fit serves nothing: it ends where the rounds that are left do not get
+        there, each taken to gain as much as the last.
 
     Raises
     ------
@@ -208,6 +212,8 @@ def fit_simulated(
             damping *= 10.0
         was_new, holds = not holds, gained > KEPT_PROMISE * promised
         enough = max(least, share * (value - residual.size))
+        if was_new and value - goal > gained * (MOST_ROUNDS - rounds):
+            break
         ended = gained < enough and (was_new or holds)
         if ended and known is not None:
             # Derivatives of elsewhere may see no way on where there is one.

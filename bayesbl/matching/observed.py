@@ -14,11 +14,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import CURRENT, SIGN_WIDTH_SHARE, SPEED, Slot
 from bayesbl.bench.motion import Motion, held_motion, recorded_motion
 from bayesbl.bench.simulation import ACCURACY
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.matching.motor_lines import MotorLines
 from bayesbl.noise.quantisation import Rounding, speed_steps
 from bayesbl.recording.checks import (
     SPEED_AVERAGED_S,
@@ -83,6 +85,9 @@ has the other sign: noise that the loop does not see makes the slope small, neve
 ROUNDING = 0.02
 """Of a rotation that a recording may lack of its last: its own rounding, and the few samples that
 whitening takes."""
+FEWEST_MOTOR_TURNS = 10.0
+"""In a rotation of the load, of whose lines marginalising those of the motor takes one in as many.
+"""
 MOST_LEFT_OUT = 0.3
 """Of a recording, at its begin."""
 
@@ -113,6 +118,8 @@ class Observed:
     begin_s
         Time from the recording's first sample to the first one compared: a later part of it has
         the drift of the whole.
+    motor_lines
+        Marginalised, so that nothing that turns with the motor is compared; ``None``: all is.
     notes
         What was taken otherwise than stated, for the reader.
     """
@@ -129,6 +136,7 @@ class Observed:
     cycle: int | None = None
     rounding: tuple[Rounding, ...] = ()
     begin_s: float = 0.0
+    motor_lines: MotorLines | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -172,9 +180,14 @@ class Observed:
         return 0 if self.motion is None else int(np.argmax(self.compared))
 
     def left_by(self, simulated: FloatArray) -> FloatArray:
-        """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there."""
+        """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there.
+
+        Without what turns with the motor, where that is marginalised.
+        """
         left = self.signals - simulated
-        return left if self.excluded is None else np.where(self.excluded, 0.0, left)
+        if self.excluded is not None:
+            left[:, self.excluded] = 0.0
+        return left if self.motor_lines is None else self.motor_lines.taken_from(left)
 
     @property
     def motor_start_rad(self) -> float | None:
@@ -453,6 +466,23 @@ def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[
     least = LEAST_NOISE * abs(reference_rpm)
     exact = least, least / RPM_PER_RAD_PER_S * gain
     return tuple(Rounding(speed_steps(row), sd) for row, sd in zip(signals, exact, strict=False))
+
+
+def marginalising_motor_lines(seen: Observed, bench: Bench) -> Observed:
+    """A steady rotation of which nothing that turns with the motor is compared.
+
+    Lines that the bench has itself are simulated, so that their response on either side of a flank
+    change counts too. Where the motor turns few times for the load, the load's own lines would go.
+    """
+    ratio = bench.value("gear_ratio")
+    has_lines = any(effect_named(e.name).is_periodic for e in bench.effects) or bench.learned_terms
+    if seen.motion is not None or has_lines or ratio < FEWEST_MOTOR_TURNS:
+        return seen
+    # As many turns as the load's rotations have: an error of the mean speed adds up over them.
+    speed = np.where(seen.compared, seen.signals[0], seen.signals[0][seen.compared].mean())
+    whole = speed.size // seen.lag * seen.lag
+    turns = np.cumsum(speed / speed[:whole].mean()) * ratio / seen.lag
+    return replace(seen, motor_lines=MotorLines(turns, seen.compared))
 
 
 def without_start(seen: Observed, samples: int) -> Observed:

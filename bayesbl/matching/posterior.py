@@ -22,7 +22,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
 from bayesbl.progress import Progress, silent
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.sampling.chains import (
     Ensembles,
     SamplerSettings,
@@ -43,15 +43,7 @@ from bayesbl.sampling.importance import (
 DRAWS = 1000
 """Draws over all ensembles."""
 CHECKED = 100
-"""Of them simulated in full first: the spread of their weights is known to a tenth."""
-NEGLIGIBLE_SPREAD = 0.1
-"""Standard deviation of ln w above which draws are weighted.
-
-Below it |E[wf] − E[f]| ≤ sd(w) sd(f) by Cauchy and Schwarz: no mean moves by more than a tenth of a
-standard deviation, however well ln w and f go together.
-"""
-FURTHEST_AT_ENDS = math.log(1.6)
-"""|ln w| at the ends of the intervals: a tail of 5 % is then one of 3 to 8 %."""
+"""Of them simulated in full first: weights that scatter at random move a mean by a tenth of that."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
 """Effective share of the draws from which on weights correct the surrogate."""
@@ -299,40 +291,53 @@ class _Local:
 
 @dataclass(frozen=True, slots=True)
 class _Check:
-    """ln w of some draws by full simulation.
+    """Whether weights by full simulation would change what the draws say.
 
-    ``evenly``: of the chains' draws; ``at_ends``: of those at the ends of each coordinate's 90 %
-    interval; both less the mean of the former.
+    That weights scatter is no harm in itself: the ticks of a sampled controller change χ² from draw
+    to draw as noise does. What counts is whether they move a mean or an end of an interval.
+
+    Attributes
+    ----------
+    log_weights
+        Of some draws, shape (n,).
+    away
+        Their coordinates less the mean of all draws, in standard deviations, shape (n, d).
+    within
+        Whether they are within the 90 % intervals of all draws, shape (n, d).
     """
 
-    evenly: FloatArray
-    at_ends: FloatArray
+    log_weights: FloatArray
+    away: FloatArray
+    within: BoolArray
 
     @classmethod
     def of(cls, model: SimulatedSignals, draws: FloatArray, expected: FloatArray) -> _Check:
         """``draws``: shape (m, d); ``expected``: χ² by the surrogate, (m,)."""
-        tails = np.quantile(draws, TAILS, axis=0)[:, None]
-        ends = np.unique(np.abs(draws - tails).argmin(axis=1))[: CHECKED // 2]
-        evenly = np.linspace(0, len(draws) - 1, CHECKED - ends.size).astype(np.int64)
-        place = np.concatenate([evenly, ends])
-        log_weights = _log_weights(expected[place], simulated_chi_square(model, draws[place]))
-        log_weights -= (
-            log_weights[: evenly.size].mean() if np.all(np.isfinite(log_weights)) else 0.0
-        )
-        return cls(log_weights[: evenly.size], log_weights[evenly.size :])
+        place = np.linspace(0, len(draws) - 1, CHECKED).astype(np.int64)
+        some = draws[place]
+        log_weights = _log_weights(expected[place], simulated_chi_square(model, some))
+        low, high = np.quantile(draws, TAILS, axis=0)
+        sd = np.maximum(draws.std(axis=0), 1e-300)
+        away = (some - draws.mean(axis=0)) / sd
+        return cls(log_weights, away, (some >= low) & (some <= high))
 
     @property
     def effective_share(self) -> float:
         """Kish's effective share of the draws."""
-        return effective_size(self.evenly) / self.evenly.size
+        return effective_size(self.log_weights) / self.log_weights.size
 
     @property
     def is_passed(self) -> bool:
-        """Whether weights would change less than chance does, at the ends of the draws too."""
-        if not np.all(np.isfinite([*self.evenly, *self.at_ends])):
+        """Whether weights would move means and levels of 90 % intervals, in the root mean square
+        over the coordinates, by less than the fewest draws that may be reported scatter."""
+        if not np.all(np.isfinite(self.log_weights)) or self.effective_share < GOOD_SHARE:
             return False
-        furthest = float(np.max(np.abs(self.at_ends)))
-        return float(self.evenly.std()) < NEGLIGIBLE_SPREAD and furthest < FURTHEST_AT_ENDS
+        weights = np.exp(self.log_weights - self.log_weights.max())
+        excess = weights / weights.sum() - 1.0 / weights.size
+        mean, level = (math.sqrt(np.mean((excess @ own) ** 2)) for own in (self.away, self.within))
+        p = TAILS[1] - TAILS[0]
+        scatter = 1.0 / math.sqrt(FEWEST_EFFECTIVE)
+        return mean < scatter and level < scatter * math.sqrt(p * (1.0 - p))
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, standing_out
 from bayesbl.matching.signals import (
@@ -61,7 +61,6 @@ from bayesbl.measurement.model_check import (
     check_of_comparison,
     check_of_snapshot,
     feature_items,
-    motor_orders_in_words,
     undecided_change,
     undecided_gap,
 )
@@ -346,6 +345,7 @@ def fit_jointly(
     Friction, laws that bias the gap before they show, and what drifts between the recordings, are
     always allowed for. What changed in the joint beside that is freed where it is found.
     """
+    recordings = [marginalising_motor_lines(seen, bench) for seen in recordings]
     bench = with_friction(bench, recordings)
     moving = [r.name for r in recordings if r.motion is not None]
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
@@ -354,7 +354,7 @@ def fit_jointly(
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
     among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
     fit, rest = settled(nominal, among)
-    part = None if moving else elastic_part(nominal, fit)
+    part = None if moving else elastic_part(nominal, fit, among)
     tried: list[tuple[SimulatedFit, Beside, list[Direction], ElasticPart | None]]
     tried = [(fit, rest, among, None)]
     if part is not None:
@@ -425,9 +425,6 @@ def direct_verdict(
     if repeating:
         at = int(bool(against) and against[0].code == "tolerance_decides")
         against.insert(at, _repeats(repeating, recording.motion is not None))
-    if against:
-        orders = _withholding(("motor_orders", motor_orders_in_words(found.joint)))
-        against += [r for r in orders if r.values not in [other.values for other in against]]
     unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
     unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
     outcome = "withheld" if against or unseen else diagnostics.outcome

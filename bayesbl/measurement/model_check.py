@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesbl.bench.effects import effect_named, with_bench_file_hint
+from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
@@ -97,9 +97,6 @@ def against_the_bench(found: JointFindings) -> str | None:
     """Why no gap can be trusted where all recordings contradict the bench."""
     if not found.against_bench:
         return None
-    if all(_turns_with_the_motor(c) for c in found.changed) and found.motor_orders:
-        # At one speed any name of an order is as good as another.
-        return motor_orders_in_words(found)
     several = len({c.recording for c in found.changed}) > 1
     told = _listed(
         [_as_found(c) + (f" in {c.recording or 'all'}" if several else "") for c in found.changed],
@@ -111,26 +108,6 @@ def against_the_bench(found: JointFindings) -> str | None:
         "with what is missing), or give uncertain values a tolerance."
     )
     return with_bench_file_hint(contradiction, (c.name.partition(".")[0] for c in found.changed))
-
-
-def _turns_with_the_motor(changed: ChangedParameter) -> bool:
-    effect, _, parameter = changed.name.partition(".")
-    return bool(parameter) and effect_named(effect).is_periodic
-
-
-def motor_orders_in_words(found: JointFindings) -> str | None:
-    """What repeats with the motor's angle, and what tells where it comes from."""
-    if not found.motor_orders:
-        return None
-    several = len(found.motor_orders) > 1
-    orders = _listed([str(order) for order in found.motor_orders], "and")
-    return (
-        f"What the bench lacks repeats with the motor's angle, at order{'s' if several else ''} "
-        f"{orders}: an error of the motor's encoder, a torque ripple or a transmission error. "
-        "Recordings at one speed cannot separate these: run `bayesbl diagnose FORWARD REVERSE "
-        "SLOW --bench FILE` on recordings of both directions and two speeds, and give --bench the "
-        "bench that it writes."
-    )
 
 
 UNEXPLAINED = (

@@ -29,6 +29,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import EFFECTS, effect_named
@@ -85,6 +86,11 @@ ONE_SPEED = 0.02
 FAR = 3.0
 """Posterior standard deviations between a size and none, from which it is an unknown of the fit."""
 
+MOST_AGREEING = 2.0
+"""χ² per sample up to which a fit may agree with the recordings: 1 by the recorder's noise, more by
+noise that goes round the loop and rounding that repeats. What cannot get there explains nothing,
+and another question is asked of the recordings."""
+
 LEAST_LEFT = 0.01
 """Share of a positive parameter that no drift or change takes."""
 
@@ -101,6 +107,11 @@ PLACES_FITTED = 2
 CLOSE = 30.0
 """χ² by which a rough fit of one part may be behind that of another and still be fitted to the end:
 odds of e¹⁵."""
+
+DEAD_TIME = Slot.sampled_control__delay_periods.name
+UNSTATED_PERIODS = 1.0
+"""Of the dead time of a sampled controller: a manual states its period, and hardly ever what filters
+and buses add. A judgement: one more stage that is paced by the same clock."""
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
@@ -185,6 +196,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 size = max(abs(values[item.name]), _stated_sd(present[effect.name], item.name))
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
+            if effect.name == "sampled_control":
+                yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0)
         elif effect.always_in and not (effect.enters == "loop" and loop_is_stated):
             item = effect.amplitudes[0]
             usual = search_scale(bench, effect, item) * item.typical
@@ -479,8 +492,11 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
 
 
 def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
-    """The fit with what data put far away among its unknowns, and what stands beside that."""
-    rest = beside(fit, among)
+    """The fit with what data put far away among its unknowns, and what stands beside that.
+
+    As it was, where all that does not explain the recordings either.
+    """
+    nominal = fit, (rest := beside(fit, among))
     for _ in range(MOST_ROUNDS):
         far = rest.far
         if not far:
@@ -493,9 +509,16 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
         nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], np.array(by))
         if nearer is None:
             break
+        if nearer.chi_square > _goal(nearer):
+            return nominal
         fit = nearer
         rest = beside(fit, among)
     return fit, rest
+
+
+def _goal(fit: SimulatedFit) -> float:
+    """χ² up to which a fit to the same recordings may agree with them."""
+    return MOST_AGREEING * fit.residual.size
 
 
 def _fitted_from(
@@ -507,7 +530,7 @@ def _fitted_from(
         # What is linear may promise less than none of a law.
         start = np.clip(start, model.low, model.high)
         if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
-            return fit_simulated(model, start, fit.steps)
+            return fit_simulated(model, start, fit.steps, goal=_goal(fit))
         by = 0.5 * by
     return None
 
@@ -599,35 +622,44 @@ class ElasticPart:
         return 1.0 / (2.0 * math.pi * math.sqrt(of_spring * inertia))
 
 
-def elastic_part(nominal: SimulatedFit, fit: SimulatedFit) -> ElasticPart | None:
-    """The part that is more likely than none; ``None`` where none is.
+def elastic_part(
+    nominal: SimulatedFit, fit: SimulatedFit, among: Sequence[Direction]
+) -> ElasticPart | None:
+    """The part that is more likely than none, laws and drift beside either; ``None`` where none is.
 
     ``fit``: ``nominal`` with laws and drift freed that stood in for the part. They are linear again
     beside it, as they are next to nothing then: a lag of microseconds is what the simulator is
     slowest with.
-
-    What the data say for a part is Laplace's evidence: ½Δχ² with all priors, less what its unknowns
-    and the wider rest cost.
     """
     bench, recordings = fit.model.bench, fit.model.recordings
     names = [e.name for e in EFFECTS if e.resonance is not None]
     parts = [c for c in candidates(bench, recordings, names) if c.name in names]
     tried = sum(len(c.starts) for c in parts)
-    rough = [e for e in (_fitted_part(fit, part, tried) for part in parts) if e is not None]
+    known = _Known.of(fit, among)
+    rough = [e for e in (_fitted_part(known, part, tried) for part in parts) if e is not None]
+    rough = [e for e in rough if e.fit.chi_square < _goal(fit)]
     least = min((e.fit.chi_square for e in rough), default=0.0)
     fitted = []
     for close in (e for e in rough if e.fit.chi_square < least + CLOSE):
         with suppress(BenchError):
             fitted.append(polished(close))
-    weights = [0.0]
+    if not fitted:
+        return None
+    weights = [_log_evidence(Explanation((), fit), among)]
     for found in fitted:
-        gain = 0.5 * (fit.chi_square - found.fit.chi_square)
-        volume = _log_volume(found.fit) - _log_volume(fit) + found.log_prior
-        weights.append(gain + volume + math.log(PART / (1.0 - len(parts) * PART)))
+        weights.append(_log_evidence(found, among) + math.log(PART / (1.0 - len(parts) * PART)))
     probability = np.exp(np.array(weights) - max(weights))
     probability /= probability.sum()
     best = int(np.argmax(probability))
     return None if best == 0 else _in_bench(nominal, fitted[best - 1], float(probability[best]))
+
+
+def _log_evidence(explanation: Explanation, among: Sequence[Direction]) -> float:
+    """Laplace's, of what is added to a fit, all that stands beside it marginalised."""
+    added = sum(len(c.unknowns) for c in explanation.candidates)
+    volume = 0.5 * added * math.log(2.0 * math.pi)
+    posterior = beside(explanation.fit, among).posterior
+    return posterior.log_evidence + explanation.log_prior + volume
 
 
 def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
@@ -653,39 +685,61 @@ def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> 
     return ElasticPart(alone, directions, values, sds, probability)
 
 
-def _log_volume(fit: SimulatedFit) -> float:
-    """ln √|2π C| of the posterior's covariance C."""
-    d = fit.point.size
-    return 0.5 * float(np.linalg.slogdet(2.0 * math.pi * fit.covariance)[1]) if d else 0.0
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """What may move beside a fit: its unknowns, laws and drift, within their priors.
+
+    Attributes
+    ----------
+    orthogonal, triangle
+        Of its derivatives and priors, d unknowns and k sizes, shapes (N + d + k, d + k) and
+        (d + k, d + k).
+    residual
+        What is orthogonal to all of it, shape (N + d + k,).
+    """
+
+    fit: SimulatedFit
+    orthogonal: FloatArray
+    triangle: FloatArray
+    residual: FloatArray
+
+    @classmethod
+    def of(cls, fit: SimulatedFit, among: Sequence[Direction]) -> _Known:
+        """Of a fit, with laws and drift among these."""
+        _, columns = always_terms(fit, among)
+        own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
+        laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])
+        known = np.vstack([np.hstack([own, laws]), block_diag(prior, np.eye(laws.shape[1]))])
+        orthogonal, triangle = np.linalg.qr(known)
+        residual = np.concatenate([fit.residual, np.zeros(known.shape[1])])
+        return cls(fit, orthogonal, triangle, residual - orthogonal @ (orthogonal.T @ residual))
+
+    def promise(self, column: FloatArray) -> tuple[float, FloatArray]:
+        """Fall of χ² by a column (N,), none where it is the other way, and the shift of the fit's
+        unknowns that goes with its full size, shape (d,)."""
+        column = np.concatenate([column, np.zeros(len(self.triangle))])
+        shared = self.orthogonal.T @ column
+        column = column - self.orthogonal @ shared
+        along = max(float(column @ self.residual), 0.0)
+        shift = -np.linalg.solve(self.triangle, shared)
+        return along**2 / float(column @ column), shift[: self.fit.point.size]
 
 
-def _fitted_part(fit: SimulatedFit, part: Candidate, tried: int) -> Explanation | None:
+def _fitted_part(known: _Known, part: Candidate, tried: int) -> Explanation | None:
     """A part fitted from the best places of its grid; ``None`` where none of them promises more
     than noise would in ``tried`` places."""
-    model = fit.model
-    known = np.vstack([fit.derivatives(), np.linalg.cholesky(model.prior_precision()).T])
-    pull = np.zeros(fit.point.size)
-    orthogonal, triangle = np.linalg.qr(known)
-    left = np.concatenate([fit.residual, pull])
-    left = left - orthogonal @ (orthogonal.T @ left)
-    promises = []
-    for start, columns in zip(part.starts, columns_of(fit, part)[1:], strict=True):
-        if not columns:
-            continue
-        column = np.concatenate([columns[0] * start[0], pull])
-        shift = -np.linalg.solve(triangle, orthogonal.T @ column)
-        column = column - orthogonal @ (orthogonal.T @ column)
-        along = float(column @ left)
-        if along > 0.0:
-            promises.append((along**2 / float(column @ column), start, shift))
+    fit = known.fit
+    promises = [
+        (*known.promise(columns[0] * start[0]), start)
+        for start, columns in zip(part.starts, columns_of(fit, part)[1:], strict=True)
+        if columns
+    ]
+    promises.sort(key=lambda promise: -promise[0])
     limit = chi2_isf(TRIED_IN_VAIN / tried, 1.0)
     best: Explanation | None = None
-    promises.sort(key=lambda promise: -promise[0])
-    for promise, start, shift in promises[:PLACES_FITTED]:
+    for promise, shift, start in promises[:PLACES_FITTED]:
         if promise > limit:
-            found = refit(Explanation((), fit), [(part, start)], shift)
+            found = refit(Explanation((), fit), [(part, start)], shift, _goal(fit))
             if found and (best is None or found.fit.chi_square < best.fit.chi_square):
                 best = found
-    if best is None or fit.chi_square - best.fit.chi_square < limit:
-        return None
     return best

@@ -24,13 +24,7 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
-from bayesbl.model_search.catalogue import (
-    USUAL_SHARE,
-    Candidate,
-    OrderPeak,
-    candidates,
-    order_peaks,
-)
+from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, OrderPeak, candidates
 from bayesbl.model_search.closed_loop import name_missing
 from bayesbl.model_search.refit import Explanation, columns_of, with_own_noise
 from bayesbl.probabilities import chi2_isf, normal_isf
@@ -167,8 +161,6 @@ class JointFindings:
         The one that moves the change of δ most first.
     allowed
         What was fitted besides and is no more than a joint may differ from its bench, or drift.
-    motor_orders
-        Whole orders of the motor that make most of what the bench as believed leaves.
     part
         An elastic part that the bench lacks and δ allows for.
     """
@@ -179,7 +171,6 @@ class JointFindings:
     could_be: tuple[str, ...]
     rivals: tuple[Rival, ...]
     blind_spots: tuple[HiddenChange, ...]
-    motor_orders: tuple[int, ...] = ()
     allowed: tuple[ChangedParameter, ...] = ()
     part: AddedPart | None = None
 
@@ -240,7 +231,6 @@ def find_changes(
             for other, rival in effect.indistinguishable
         ),
         tuple(blind_spots(fit, among)) if explained else (),
-        tuple(_motor_orders(nominal)),
     )
     return fit, findings
 
@@ -282,7 +272,6 @@ def changed_beside(
         tuple(dict.fromkeys(c.name for c in changed)),
         (),
         tuple(blind_spots(fit, among)),
-        (),
         tuple(allowed),
         None if part is None else AddedPart(part.name, part.frequency_hz, part.probability),
     )
@@ -301,17 +290,6 @@ def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
     by_bench = float(model.bench.vector()[0, Slot[unknown.name]])
     expected = value(first) if unknown.added else by_bench
     return ChangedParameter(unknown.name, unknown.recording, expected, value(seen), sd)
-
-
-def _motor_orders(fit: SimulatedFit) -> list[int]:
-    """The whole orders, where they make most of all lines; a motion has no lines."""
-    if any(seen.motion is not None for seen in fit.model.recordings):
-        return []
-    peaks = order_peaks(fit, MOST_ORDERS)
-    whole = [peak for peak in peaks if peak.order == round(peak.order)]
-    if sum(peak.power for peak in whole) <= 0.5 * sum(peak.power for peak in peaks):
-        return []
-    return sorted(round(peak.order) for peak in whole)
 
 
 def _gaps(fit: SimulatedFit) -> FloatArray:

@@ -106,7 +106,10 @@ def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
 
 
 def refit(
-    base: Explanation, added: Sequence[tuple[Candidate, FloatArray]], shift: FloatArray
+    base: Explanation,
+    added: Sequence[tuple[Candidate, FloatArray]],
+    shift: FloatArray,
+    goal: float = math.inf,
 ) -> Explanation | None:
     """A set and some candidates more, fitted roughly; ``None`` if it cannot be simulated.
 
@@ -116,6 +119,8 @@ def refit(
         Candidates, each with the coordinates that the linearisation promises, shape (k,).
     shift
         What it promises of the unknowns that are there already, shape (d,).
+    goal
+        χ² above which the fit serves nothing.
     """
     model = base.fit.model
     for candidate, _ in added:
@@ -134,7 +139,8 @@ def refit(
     candidates = (*base.candidates, *(c for c, _ in added))
     with suppress(BenchError):
         best, steps = trials[int(np.argmin(chi_squares))], base.fit.steps
-        fit = fit_simulated(model, best, steps, rough=True, known=base.fit.derivatives())
+        known = base.fit.derivatives()
+        fit = fit_simulated(model, best, steps, rough=True, known=known, goal=goal)
         return Explanation(candidates, fit)
     return None
 

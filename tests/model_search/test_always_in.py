@@ -200,7 +200,7 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     )
     unknowns = direct_unknowns(sheet, ["one"], (1e-4, 1e-2))
     nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
-    part = elastic_part(nominal, nominal)
+    part = elastic_part(nominal, nominal, directions(BENCH, {}))
     assert part is not None
     assert part.name == "belt"
     assert part.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
@@ -211,7 +211,7 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
 
 
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
-    assert elastic_part(nominal := pair(BENCH), nominal) is None
+    assert elastic_part(nominal := pair(BENCH), nominal, directions(BENCH, {})) is None
 
 
 def test_friction_that_the_bench_lacks_moves_no_gap() -> None:
