@@ -43,7 +43,7 @@ from bayesbl.sampling.importance import (
 DRAWS = 1000
 """Draws over all ensembles."""
 CHECKED = 100
-"""Of them simulated in full first: weights that scatter at random move a mean by a tenth of that."""
+"""Of them simulated in full first: weights that scatter by s move a mean by s/10 at random."""
 MOST_REFITS = 3
 GOOD_SHARE = 0.4
 """Effective share of the draws from which on weights correct the surrogate."""

@@ -110,8 +110,8 @@ odds of e¹⁵."""
 
 DEAD_TIME = Slot.sampled_control__delay_periods.name
 UNSTATED_PERIODS = 1.0
-"""Of the dead time of a sampled controller: a manual states its period, and hardly ever what filters
-and buses add. A judgement: one more stage that is paced by the same clock."""
+"""Of the dead time of a sampled controller: a manual states its period, and hardly what filters and
+buses add. A judgement: one more stage that the same clock paces."""
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
