@@ -94,7 +94,7 @@ ITEMS = (
         (
             "amplitude/posterior/baseline_rpm",
             "amplitude/noise/coefficients",
-            "amplitude/log_likelihood/motor_speed_rpm",
+            "amplitude/log_likelihood/recording",
         ),
     ),
     Item(
