@@ -428,14 +428,15 @@ class SimulatedSignals:
             self.rotations(recording),
         )
         each = np.log(np.diag(noise.root)).sum() + 0.5 * len(seen.signals) * math.log(2.0 * math.pi)
-        return -each * np.bincount(rotation[self._counts(recording)], minlength=rotation[-1] + 1)
+        counts = np.bincount(rotation[self._counts(recording)], minlength=rotation[-1] + 1)
+        return np.asarray(-each * counts)
 
     def _counts(self, recording: int) -> BoolArray:
         """Whitened samples that nothing excluded is in, shape (n − p,)."""
         seen, order = self.recordings[recording], self.noise[recording].order
         if seen.excluded is None:
             return np.ones(seen.samples - order, dtype=bool)
-        return ~sliding_window_view(seen.excluded, order + 1).any(axis=1)
+        return np.asarray(~sliding_window_view(seen.excluded, order + 1).any(axis=1))
 
     def only_in(self, recording: int, white: FloatArray) -> FloatArray:
         """Whitened residuals (N,) of one recording, zero in all others."""
@@ -486,14 +487,14 @@ class SimulatedSignals:
         points = generator.uniform(flat_low, flat_high, (count, low.size))
         for i, unknown in enumerate(self.unknowns):
             if unknown.flat_in_value:
-                ends = unknown.value(np.array([flat_low[i], flat_high[i]]))
-                points[:, i] = np.log(generator.uniform(*ends, count))
+                first, last = unknown.value(np.array([flat_low[i], flat_high[i]])).tolist()
+                points[:, i] = np.log(generator.uniform(first, last, count))
         precision = self.normal_prior.precision
         normal = np.flatnonzero(np.diag(precision) > 0.0)
         if normal.size:
             points[:, normal] = truncated_normal(
                 self.normal_prior.centre[normal],
-                np.linalg.inv(precision[np.ix_(normal, normal)]),
+                np.asarray(np.linalg.inv(precision[np.ix_(normal, normal)]), dtype=np.float64),
                 (low[normal], high[normal]),
                 count,
                 generator,

@@ -106,7 +106,8 @@ def likelihood_draws(
     objective, optimum, names = point.objective, point.optimum, point.spread.names
     columns = jacobian(optimum.model, objective.time_s, optimum.symbols, optimum.baseline_rpm)
     white = _whitened(point, np.column_stack([columns, np.nan_to_num(point.residual_rpm)]))
-    covariance = np.linalg.inv(white[:, :-1].T @ white[:, :-1])
+    curvature = white[:, :-1].T @ white[:, :-1]
+    covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
     symbols = [name for name in names if name in SYMBOLS]
     centre = np.r_[[optimum.symbols[name] for name in symbols], optimum.baseline_rpm]
     low, high = np.full(centre.size, -np.inf), np.full(centre.size, np.inf)
