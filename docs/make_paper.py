@@ -92,9 +92,10 @@ ITEMS = (
         ("ringing.posterior:sample_posterior", "noise.rotation_noise:estimate_noise"),
         ("configs/wear_snapshots.toml [posterior]",),
         (
-            "amplitude/posterior/baseline_rpm",
+            "amplitude/posterior/amplitude_rpm",
+            "amplitude/optimum/covariance",
             "amplitude/noise/coefficients",
-            "amplitude/log_likelihood/motor_speed_rpm",
+            "amplitude/log_likelihood/recording",
         ),
     ),
     Item(
@@ -143,6 +144,7 @@ ITEMS = (
         "recordings with the fitted model",
         ("paper_figures/figure_9.py", "presentation.figures.ringing:signal"),
         ("configs/wear_snapshots.toml",),
+        ("amplitude/predictive/model_rpm", "amplitude/predictive/residual_rpm"),
     ),
     Item(
         "Figure 10",
@@ -153,6 +155,7 @@ ITEMS = (
             "presentation.figures.gap:gap",
         ),
         ("configs/wear_snapshots.toml",),
+        ("amplitude/posterior/delta_rad", "amplitude/curve/coefficient_draws"),
     ),
     Item(
         "Section 5",

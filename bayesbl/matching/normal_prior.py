@@ -64,3 +64,12 @@ class NormalPrior:
         away = points - self.centre
         density = -0.5 * ((away / self.sd) ** 2).sum(axis=1)
         return np.asarray(density - 0.5 * ((away @ self.together.T) ** 2).sum(axis=1))
+
+    def log_densities(self, points: FloatArray) -> FloatArray:
+        """Of each coordinate given those before it, up to constants, shape (m, d) to (m, d)."""
+        away = points - self.centre
+        densities = -0.5 * (away / self.sd) ** 2
+        # W is the inverse of a lower triangular root: a row for each coordinate, given the former.
+        joined = np.flatnonzero(np.any(self.together != 0.0, axis=0))
+        densities[:, joined] -= 0.5 * (away @ self.together.T) ** 2
+        return np.asarray(densities)

@@ -72,6 +72,33 @@ PRESSED_BY_CHANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
+class NoiseOnly:
+    """Draws of prior times likelihood, noise of the recorder alone.
+
+    Attributes
+    ----------
+    draws
+        Shape (chain, draw, d).
+    log_likelihood
+        Of each recording: log density of its rotations, shape (chain, draw, rotation), by the
+        surrogate that the draws are of.
+    """
+
+    draws: FloatArray
+    log_likelihood: tuple[FloatArray, ...]
+
+    @classmethod
+    def by(cls, model: SimulatedSignals, surrogate: Surrogate, draws: FloatArray) -> NoiseOnly:
+        """``draws``: of that surrogate, shape (chain, draw, d)."""
+        each = surrogate.chi_square_by_rotation(draws.reshape(-1, draws.shape[-1]))
+        found = [
+            (model.rotation_log_density(i) - 0.5 * own).reshape(*draws.shape[:2], -1)
+            for i, own in enumerate(each)
+        ]
+        return cls(draws, tuple(found))
+
+
+@dataclass(frozen=True, slots=True)
 class DirectPosterior:
     """Draws of all unknowns.
 
@@ -93,6 +120,8 @@ class DirectPosterior:
         noise, shape (d,).
     model_widening
         The same over that with the bench's laws and parameters as they are, shape (d,).
+    noise_only
+        Before they were widened; ``None`` where nothing was simulated.
     """
 
     fit: SimulatedFit
@@ -104,6 +133,7 @@ class DirectPosterior:
     diagnostics: Diagnostics
     widening: FloatArray
     model_widening: FloatArray
+    noise_only: NoiseOnly | None = None
 
     def beyond_tolerance(self, recording: str | None, level: float) -> str | None:
         """Why the gap of a recording cannot be told; ``None`` where no tolerance decides it.
@@ -202,7 +232,16 @@ def sample_direct(
             diagnostics = _judge(model, walked, draws, effective, failed)
             chi_square = expected.reshape(draws.shape[:2])
             return DirectPosterior(
-                fit, draws, chi_square, effective, CHECKED, refits, diagnostics, as_it_is, as_it_is
+                fit,
+                draws,
+                chi_square,
+                effective,
+                CHECKED,
+                refits,
+                diagnostics,
+                as_it_is,
+                as_it_is,
+                NoiseOnly.by(model, surrogate, draws),
             )
         local = _Local(flat.mean(axis=0), flat.mean(axis=0), _covariance(flat))
         chi_square, surrogate = regress(model, flat, local.centre, local.covariance, simulating)
@@ -220,9 +259,10 @@ def sample_direct(
     if best.effective < FEWEST_EFFECTIVE and _ticks_decide(fit, generator):
         why = FROM_TICK_TO_TICK
     diagnostics = _judge(model, best.walked, best.draws, best.effective, best.failed, why)
+    draws = np.take_along_axis(best.draws, picked[..., None], axis=1)
     return DirectPosterior(
         fit,
-        np.take_along_axis(best.draws, picked[..., None], axis=1),
+        draws,
         np.take_along_axis(best.chi_square, picked, axis=1),
         best.effective,
         best.chi_square.size,
@@ -230,6 +270,7 @@ def sample_direct(
         diagnostics,
         as_it_is,
         as_it_is,
+        NoiseOnly.by(model, surrogate, draws),
     )
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import after, effect_named, lateness_rad, without_ticks
@@ -26,7 +27,8 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.processes import in_threads
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.sampling.importance import truncated_normal
 
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
@@ -410,6 +412,33 @@ class SimulatedSignals:
             for part, seen in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
         ]
 
+    def rotations(self, recording: int) -> NDArray[np.int64]:
+        """Number of the rotation, or cycle, that each whitened sample is in, shape (n − p,).
+
+        A rest shorter than half a rotation belongs to the one before it.
+        """
+        seen = self.recordings[recording]
+        number = np.arange(self.noise[recording].order, seen.samples) // seen.lag
+        return np.minimum(number, max(round(seen.samples / seen.lag) - 1, 0))
+
+    def rotation_log_density(self, recording: int) -> FloatArray:
+        """ln of the density of each rotation of a recording where its χ² is 0, (rotation,)."""
+        seen, noise, rotation = (
+            self.recordings[recording],
+            self.noise[recording],
+            self.rotations(recording),
+        )
+        each = np.log(np.diag(noise.root)).sum() + 0.5 * len(seen.signals) * math.log(2.0 * math.pi)
+        counts = np.bincount(rotation[self._counts(recording)], minlength=rotation[-1] + 1)
+        return np.asarray(-each * counts)
+
+    def _counts(self, recording: int) -> BoolArray:
+        """Whitened samples that nothing excluded is in, shape (n − p,)."""
+        seen, order = self.recordings[recording], self.noise[recording].order
+        if seen.excluded is None:
+            return np.ones(seen.samples - order, dtype=bool)
+        return np.asarray(~sliding_window_view(seen.excluded, order + 1).any(axis=1))
+
     def only_in(self, recording: int, white: FloatArray) -> FloatArray:
         """Whitened residuals (N,) of one recording, zero in all others."""
         part = np.zeros_like(white)
@@ -436,8 +465,7 @@ class SimulatedSignals:
             turn = observed[:, here]
             np.subtract(turn, made[:, :, : turn.shape[1]], out=white[:, :, here])
         if seen.excluded is not None:
-            touched = sliding_window_view(seen.excluded, noise.order + 1).any(axis=1)
-            white[..., touched] = 0.0
+            white[..., ~self._counts(recording)] = 0.0
         if seen.motor_lines is not None:
             white[...] = seen.motor_lines.taken_from(white)
 
@@ -447,6 +475,34 @@ class SimulatedSignals:
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
         density = self.normal_prior.log_density(points)
         return np.where(inside, density + points @ self.prior_slope, -np.inf)
+
+    def log_priors(self, points: FloatArray) -> FloatArray:
+        """Log prior density of each unknown's value, up to constants, (m, d) to (m, d)."""
+        of_value = np.array([float(u.logarithmic) for u in self.unknowns])
+        densities = self.normal_prior.log_densities(points)
+        return np.asarray(densities + points * (self.prior_slope - of_value))
+
+    def prior_draws(self, count: int, generator: np.random.Generator) -> FloatArray:
+        """Draws of the prior, shape (count, d); of an angle without one, anywhere in a turn."""
+        low, high = self.low, self.high
+        endless = ~np.isfinite(high - low)
+        flat_low, flat_high = np.where(endless, 0.0, low), np.where(endless, 2.0 * np.pi, high)
+        points = generator.uniform(flat_low, flat_high, (count, low.size))
+        for i, unknown in enumerate(self.unknowns):
+            if unknown.flat_in_value:
+                first, last = unknown.value(np.array([flat_low[i], flat_high[i]])).tolist()
+                points[:, i] = np.log(generator.uniform(first, last, count))
+        precision = self.normal_prior.precision
+        normal = np.flatnonzero(np.diag(precision) > 0.0)
+        if normal.size:
+            points[:, normal] = truncated_normal(
+                self.normal_prior.centre[normal],
+                np.asarray(np.linalg.inv(precision[np.ix_(normal, normal)]), dtype=np.float64),
+                (low[normal], high[normal]),
+                count,
+                generator,
+            )
+        return points
 
     def prior_precision(self) -> FloatArray:
         """Inverse prior covariance, flat priors as normal ones, shape (d, d)."""

@@ -30,13 +30,15 @@ class _Part:
     """One recording: r(u) = Cᵀφ(u) with φ = (1, u, uuᵀ), so χ² = φᵀ(CCᵀ)φ.
 
     ``index``: the recording's unknowns; u = ``inverse_root`` (x − ``centre``). Beyond ``reach`` of
-    |u| the polynomial says nothing.
+    |u| the polynomial says nothing. ``gram`` is CCᵀ, ``by_rotation`` its terms from each rotation,
+    shape (rotation, p, p).
     """
 
     index: NDArray[np.int64]
     centre: FloatArray
     inverse_root: FloatArray
     gram: FloatArray
+    by_rotation: FloatArray
     reach: float
 
     def chi_square(self, points: FloatArray) -> FloatArray:
@@ -46,6 +48,10 @@ class _Part:
         chi_square = np.full(len(points), np.inf)
         chi_square[known] = np.einsum("mp,mp->m", terms @ self.gram, terms)
         return chi_square
+
+    def chi_square_by_rotation(self, points: FloatArray) -> FloatArray:
+        terms = _terms((points[:, self.index] - self.centre) @ self.inverse_root.T)
+        return np.stack([np.einsum("mp,mp->m", terms @ g, terms) for g in self.by_rotation], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +63,10 @@ class Surrogate:
     def chi_square(self, points: FloatArray) -> FloatArray:
         """Shape (m, d) to (m,); infinite far from where it was made."""
         return np.asarray(np.sum([part.chi_square(points) for part in self.parts], axis=0))
+
+    def chi_square_by_rotation(self, points: FloatArray) -> list[FloatArray]:
+        """Of each recording, shape (m, d) to (m, rotation); see ``SimulatedSignals.rotations``."""
+        return [part.chi_square_by_rotation(points) for part in self.parts]
 
 
 def points_needed(model: SimulatedSignals) -> int:
@@ -113,8 +123,12 @@ def regress(
         # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         gram = inverse @ (right @ right.T) @ inverse
+        channels = len(model.recordings[i].signals)
+        rotation = np.tile(model.rotations(i), channels)
+        own_rows = (inverse @ right[:, rotation == r] for r in range(rotation[-1] + 1))
+        by_rotation = np.stack([rows @ rows.T for rows in own_rows])
         reach = max(REACH * float(np.linalg.norm(u, axis=1).max()), LEAST_REACH)
-        parts.append(_Part(index, centre[index], inverse_root, gram, reach))
+        parts.append(_Part(index, centre[index], inverse_root, gram, by_rotation, reach))
     return chi_square, Surrogate(tuple(parts))
 
 

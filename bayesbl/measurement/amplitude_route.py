@@ -46,12 +46,21 @@ from bayesbl.measurement.shared_groups import (
     DIFFERENCES,
     DRAW,
     DRAWS,
+    LOG_LIKELIHOOD,
+    NOISE_DRAWS,
     NOISE_ORDER,
     OF_EVERY_ROUTE,
+    POSTERIOR_PREDICTIVE,
+    PRIOR_DRAWS,
+    PRIOR_PREDICTIVE,
+    REPLICATES,
     SAMPLED_SYMBOLS,
     common_groups,
     intervals,
+    log_likelihood_group,
+    noise_posterior,
     numbered,
+    replicates,
 )
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
@@ -76,7 +85,7 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
-from bayesbl.ringing.pointwise import log_likelihood, predicted
+from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted
 from bayesbl.ringing.posterior import SamplerCheck, require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
@@ -87,11 +96,6 @@ NAME = "amplitude"
 
 BAND_DRAWS = 100
 """Behind the predictive band."""
-
-REPLICATES = 5
-"""Recordings that are predicted for each chain, each as long as the one that was fitted."""
-
-PRIOR_DRAWS = 1000
 
 BENCHES = 12
 """Drawn within the tolerances, that a recording is held against."""
@@ -120,17 +124,23 @@ def _symbol(*dims: str) -> Callable[[str], Variable | None]:
     return declared
 
 
+(_BASELINE,) = table("""
+    baseline_rpm (chain, draw, baseline_term) | rpm | load-angle harmonics of the speed
+""")
+
+_TERMS = labels("baseline_term", "term of the load-angle baseline")
+
 POSTERIOR = Group(
     "posterior",
     (
+        _BASELINE,
         *table("""
-            baseline_rpm (chain, draw, baseline_term) | rpm | load-angle harmonics of the speed
             curve_amplitude_rpm? (chain, draw) | rpm
                 | amplitude put through the gap curve: with its scatter over start angles
         """),
         replace(DELTA, optional=True),
     ),
-    (CHAIN, DRAW, labels("baseline_term", "term of the load-angle baseline")),
+    (CHAIN, DRAW, _TERMS),
     named=_symbol(*DRAWS),
 )
 
@@ -146,24 +156,11 @@ SAMPLE_STATS = Group(
     ),
 )
 
-LOG_LIKELIHOOD = Group(
-    "log_likelihood",
-    table("""
-        motor_speed_rpm (chain, draw, rotation) | 1
-            | log density of the speed of one load rotation, by the noise
-    """),
-    (CHAIN, DRAW, *table("rotation (rotation) | 1 | number of the load rotation")),
-)
+NOISE_POSTERIOR = noise_posterior(_symbol(*DRAWS), (_BASELINE,), (_TERMS,))
 
-LOG_PRIOR = Group("log_prior", (), (CHAIN, DRAW), named=_symbol(*DRAWS))
+LOG_PRIOR = Group("log_prior", (), (CHAIN, DRAW), named=_symbol(*DRAWS), optional=True)
 
 PRIOR = Group("prior", (replace(DELTA, optional=True),), (CHAIN, DRAW), named=_symbol(*DRAWS))
-
-(_REPLICATE,) = table("motor_speed_rpm (chain, draw, sample) | rpm | speed of another recording")
-
-POSTERIOR_PREDICTIVE = Group("posterior_predictive", (_REPLICATE,), (CHAIN, DRAW))
-
-PRIOR_PREDICTIVE = Group("prior_predictive", (_REPLICATE,), (CHAIN, DRAW))
 
 PREDICTIVE = Group(
     "predictive",
@@ -258,6 +255,7 @@ SAMPLER_CHECK = Group(
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
+    NOISE_POSTERIOR,
     LOG_LIKELIHOOD,
     LOG_PRIOR,
     PRIOR,
@@ -596,8 +594,7 @@ def amplitude_groups(
         **searched,
         "posterior": _posterior(fit, gap, draws, baseline),
         "sample_stats": _sample_stats(fit, gap, index),
-        "log_likelihood": _log_likelihood(fit, draws, baseline),
-        **_prior(fit, curve, draws, np.random.default_rng(seed)),
+        **_noise_only(fit, curve, np.random.default_rng(seed)),
         **common_groups(
             fit.point.recording,
             [MOTOR_SPEED],
@@ -628,14 +625,17 @@ def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
 def _posterior(
     fit: Fit, gap: Gap | None, draws: Mapping[str, FloatArray], baseline: FloatArray
 ) -> xr.Dataset:
-    terms = [n for n in jacobian_columns(fit.point.optimum.model) if n not in SYMBOLS]
     through = {} if gap is None else attributes(POSTERIOR, gap)
     through |= {} if gap is None else {"curve_amplitude_rpm": gap.amplitude_rpm}
     return dataset(
         POSTERIOR,
         {**draws, "baseline_rpm": baseline, **through},
-        {**numbered(baseline.shape), "baseline_term": terms},
+        {**numbered(baseline.shape), "baseline_term": _baseline_terms(fit)},
     )
+
+
+def _baseline_terms(fit: Fit) -> list[str]:
+    return [n for n in jacobian_columns(fit.point.optimum.model) if n not in SYMBOLS]
 
 
 def _sample_stats(fit: Fit, gap: Gap | None, index: NDArray[np.int64]) -> xr.Dataset:
@@ -649,70 +649,69 @@ def _sample_stats(fit: Fit, gap: Gap | None, index: NDArray[np.int64]) -> xr.Dat
     )
 
 
-def _log_likelihood(fit: Fit, draws: Mapping[str, FloatArray], baseline: FloatArray) -> xr.Dataset:
-    found = log_likelihood(fit.point, draws, baseline)
-    return dataset(
-        LOG_LIKELIHOOD,
-        {"motor_speed_rpm": found},
-        {**numbered(found.shape), "rotation": np.arange(found.shape[-1])},
-    )
-
-
-def _prior(
-    fit: Fit,
-    curve: GapCurve | None,
-    draws: Mapping[str, FloatArray],
-    generator: np.random.Generator,
+def _noise_only(
+    fit: Fit, curve: GapCurve | None, generator: np.random.Generator
 ) -> dict[str, xr.Dataset]:
-    """The prior's density at the draws, draws of it, and recordings that both predict.
+    """Waveform and noise alone as a model: prior, posterior, and what both predict.
 
     Flat in every searched symbol within its range, and in ln δ through the curve; flat in A
     without one. The mean speed's is flat without bounds: it is drawn over what was recorded.
     """
-    objective = fit.point.objective
-    chains, count = next(iter(draws.values())).shape
+    point, objective = fit.point, fit.point.objective
+    chains = fit.posterior.baseline_rpm.shape[0]
     speed = objective.speed_rpm[objective.used]
     ranges = {MEAN: (float(speed.min()), float(speed.max()))}
     ranges |= dict(zip(objective.searched, zip(*bounds(objective), strict=True), strict=True))
-    ranges = {name: ranges[name] for name in draws if name != AMPLITUDE}
+    ranges = {name: ranges[name] for name in fit.posterior.draws if name != AMPLITUDE}
     prior = {name: generator.uniform(*ends, PRIOR_DRAWS) for name, ends in ranges.items()}
-    density = {n: np.full((chains, count), -math.log(b - a)) for n, (a, b) in ranges.items()}
-    amplitude = draws[AMPLITUDE]
     if curve is None:
         highest = 0.5 * float(np.ptp(speed))
         prior[AMPLITUDE] = generator.uniform(0.0, highest, PRIOR_DRAWS)
-        density[AMPLITUDE] = np.full(amplitude.shape, -math.log(highest))
     else:
         low, high = np.log(curve.gap_range_rad)
         log_gap = generator.uniform(low, high, PRIOR_DRAWS)
         knots = curve.knots_rpm
         prior[AMPLITUDE] = np.exp(np.interp(log_gap, np.log(curve.gap(knots)), np.log(knots)))
-        prior[DELTA.name] = np.exp(log_gap)
+
+    def of_amplitude(rpm: FloatArray) -> FloatArray:
+        if curve is None:
+            return np.where((rpm > 0.0) & (rpm < highest), -math.log(highest), -np.inf)
+        slope = np.where(rpm > 0.0, curve.log_slope(np.abs(rpm)), 0.0)
         with np.errstate(divide="ignore"):
-            density[AMPLITUDE] = np.log(curve.log_slope(amplitude) / (high - low))
-    few = {n: v[: chains * REPLICATES] for n, v in prior.items() if n in draws}
+            return np.asarray(np.log(np.maximum(slope, 0.0) / (high - low)))
+
     terms = fit.posterior.baseline_rpm.shape[-1]
-    picked = np.linspace(0, amplitude.size - 1, chains * REPLICATES).round().astype(int)
-    own = {name: values.ravel()[picked] for name, values in draws.items()}
-    baseline = fit.posterior.baseline_rpm.reshape(amplitude.size, -1)[picked]
-    made = {
-        POSTERIOR_PREDICTIVE: predicted(fit.point, own, baseline, generator),
-        PRIOR_PREDICTIVE: predicted(
-            fit.point, few, np.zeros((picked.size, terms)), generator, with_misfit=False
+    few = {name: values[: chains * REPLICATES] for name, values in prior.items()}
+    flat = np.zeros((chains * REPLICATES, terms))
+    speeds = {MOTOR_SPEED: predicted(point, few, flat, generator)}
+    shown = prior if curve is None else {**prior, DELTA.name: np.exp(log_gap)}
+    groups = {
+        PRIOR.name: dataset(
+            PRIOR, {n: v[None] for n, v in shown.items()}, numbered((1, PRIOR_DRAWS))
         ),
+        PRIOR_PREDICTIVE.name: replicates(PRIOR_PREDICTIVE, chains, speeds),
     }
-    shape = (chains, REPLICATES)
-    return {
-        "log_prior": dataset(LOG_PRIOR, density, numbered((chains, count))),
-        "prior": dataset(PRIOR, {n: v[None] for n, v in prior.items()}, numbered((1, PRIOR_DRAWS))),
-        **{
-            group.name: dataset(
-                group,
-                {"motor_speed_rpm": speeds.reshape(*shape, -1).astype(np.float32)},
-                numbered(shape),
-            )
-            for group, speeds in made.items()
-        },
+    found = likelihood_draws(point, of_amplitude, NOISE_DRAWS // chains * chains, generator)
+    if found is None:
+        return groups
+    flat_draws, baseline = found
+    few = {name: values[: chains * REPLICATES] for name, values in flat_draws.items()}
+    speeds = {MOTOR_SPEED: predicted(point, few, baseline[: chains * REPLICATES], generator)}
+    draws = {name: values.reshape(chains, -1) for name, values in flat_draws.items()}
+    shape = draws[AMPLITUDE].shape
+    baseline = baseline.reshape(*shape, -1)
+    density = {n: np.full(shape, -math.log(b - a)) for n, (a, b) in ranges.items()}
+    return groups | {
+        NOISE_POSTERIOR.name: dataset(
+            NOISE_POSTERIOR,
+            {**draws, "baseline_rpm": baseline},
+            {**numbered(shape), "baseline_term": _baseline_terms(fit)},
+        ),
+        LOG_LIKELIHOOD.name: log_likelihood_group(log_likelihood(point, draws, baseline)),
+        LOG_PRIOR.name: dataset(
+            LOG_PRIOR, {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])}, numbered(shape)
+        ),
+        POSTERIOR_PREDICTIVE.name: replicates(POSTERIOR_PREDICTIVE, chains, speeds),
     }
 
 

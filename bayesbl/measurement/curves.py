@@ -333,9 +333,12 @@ class SweepProblem:
         shifts = np.array(
             [[(b.value(n) - self.bench.value(n)) / tolerances[n] for n in names] for b in benches]
         )
+        kept = [self.work.recall("sweep row", self._inputs(b), SweepRow) for b in benches]
+        lacking = [bench for bench, row in zip(benches, kept, strict=True) if row is None]
+        made = _mapped(partial(self.drawn, nominal), lacking, workers)
         rows = []
-        for row in _mapped(partial(self.drawn, nominal), benches, workers):
-            rows.append(departures(row, nominal, self.model))
+        for row in kept:
+            rows.append(departures(row or next(made), nominal, self.model))
             if progress is not None:
                 progress(len(rows), count)
         return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
@@ -346,9 +349,12 @@ class SweepProblem:
 
     def _row(self, drawn: Bench | None, make: Callable[[], SweepRow]) -> SweepRow:
         """The row of the bench, or of one drawn around it, if no earlier sweep has made it."""
+        return self.work.get("sweep row", self._inputs(drawn), partial(_finite, make), SweepRow)
+
+    def _inputs(self, drawn: Bench | None) -> tuple[object, ...]:
+        """All that decides a row."""
         benches = (self.bench.fingerprint(), None if drawn is None else drawn.fingerprint())
-        inputs = (*benches, self.model, self.settings, self.seed)
-        return self.work.get("sweep row", inputs, partial(_finite, make), SweepRow)
+        return (*benches, self.model, self.settings, self.seed)
 
 
 def _root_of_shifts(bench: Bench) -> FloatArray | None:

@@ -201,8 +201,10 @@ class DirectMeasurer(Measurer):
             DirectMatch,
         )
         level = self.config.interval.level
+        seeds = task.seeds.predictive.spawn(len(task.recordings))
         answers = [
-            self._answer(recording, index, found) for index, recording in enumerate(task.recordings)
+            self._answer(recording, index, found, own)
+            for index, (recording, own) in enumerate(zip(task.recordings, seeds, strict=True))
         ]
         change_reason = undecided_change(
             found.joint,
@@ -223,14 +225,17 @@ class DirectMeasurer(Measurer):
             else Reason.told("change_undecided", change_reason),
         )
 
-    def _answer(self, recording: Recording, index: int, found: DirectMatch) -> Answer:
+    def _answer(
+        self, recording: Recording, index: int, found: DirectMatch, seed: np.random.SeedSequence
+    ) -> Answer:
         posterior = found.posterior
         check = [entry for entry in found.check if entry.recording == recording.name]
         seen = posterior.fit.model.recordings[index]
         told = (Reason.told("recording", text) for text in (*recording.notes, *seen.notes))
         notes = (*told, *_of_the_part(found.joint), *self._counted_twice(recording))
         level = self.config.interval.level
-        groups = direct_groups(posterior, recording, index, check)
+        generator = np.random.default_rng(seed)
+        groups = direct_groups(posterior, recording, index, check, generator)
         gap, ends = posterior.values(GAP, recording.name), excluded_ends(posterior, recording.name)
         return Answer(
             recording.name,
@@ -582,6 +587,14 @@ POSTERIOR = Group(
     "posterior", (shared.DELTA,), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS)
 )
 
+NOISE_POSTERIOR = shared.noise_posterior(_unknown(*shared.DRAWS))
+
+LOG_PRIOR = Group(
+    "log_prior", (), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS), optional=True
+)
+
+PRIOR = Group("prior", (), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS))
+
 SAMPLE_STATS = Group(
     "sample_stats",
     (
@@ -651,6 +664,12 @@ PREDICTIVE_CHECK = Group(
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
+    NOISE_POSTERIOR,
+    shared.LOG_LIKELIHOOD,
+    LOG_PRIOR,
+    PRIOR,
+    shared.PRIOR_PREDICTIVE,
+    shared.POSTERIOR_PREDICTIVE,
     *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
@@ -664,6 +683,7 @@ def direct_groups(
     recording: Recording,
     index: int,
     check: Sequence[RepeatingPower],
+    generator: np.random.Generator,
 ) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension.
 
@@ -673,11 +693,14 @@ def direct_groups(
         Place of the recording in the posterior's model.
     check
         Entries of the predictive check that belong to this recording.
+    generator
+        Of what prior and posterior predict.
     """
     seen = posterior.fit.model.recordings[index]
     return {
-        "posterior": _posterior(posterior, recording.name),
+        "posterior": _draws(POSTERIOR, posterior, recording.name, posterior.draws),
         "sample_stats": _sample_stats(posterior),
+        **_noise_only(posterior, index, generator),
         **shared.common_groups(
             recording,
             seen.channels,
@@ -704,11 +727,55 @@ def own_unknowns(posterior: DirectPosterior, recording: str) -> dict[str, int]:
     }
 
 
-def _posterior(posterior: DirectPosterior, recording: str) -> xr.Dataset:
+def _draws(
+    group: Group, posterior: DirectPosterior, recording: str, points: FloatArray
+) -> xr.Dataset:
+    """Values of a recording's unknowns at points of shape (chain, draw, d)."""
     unknowns = posterior.fit.model.unknowns
     places = own_unknowns(posterior, recording)
-    draws = {name: unknowns[i].value(posterior.draws[..., i]) for name, i in places.items()}
-    return dataset(POSTERIOR, draws, shared.numbered(posterior.draws.shape))
+    draws = {name: unknowns[i].value(points[..., i]) for name, i in places.items()}
+    return dataset(group, draws, shared.numbered(points.shape))
+
+
+def _noise_only(
+    posterior: DirectPosterior, index: int, generator: np.random.Generator
+) -> dict[str, xr.Dataset]:
+    """Bench and noise alone as a model: prior, posterior, and what both predict."""
+    model = posterior.fit.model
+    seen, noise = model.recordings[index], model.noise[index]
+    chains, count, d = posterior.draws.shape
+
+    def predicted(group: Group, points: FloatArray) -> xr.Dataset:
+        few = points.reshape(-1, d)[: chains * shared.REPLICATES]
+        speeds = model.signals(few, index) + noise.draw(seen.samples, len(few), generator)
+        channels = dict(zip(seen.channels, speeds.swapaxes(0, 1), strict=True))
+        return shared.replicates(group, chains, channels)
+
+    prior = model.prior_draws(shared.PRIOR_DRAWS, generator)
+    groups = {
+        PRIOR.name: _draws(PRIOR, posterior, seen.name, prior[None]),
+        shared.PRIOR_PREDICTIVE.name: predicted(shared.PRIOR_PREDICTIVE, prior),
+    }
+    if posterior.noise_only is None:
+        return groups
+    draws = posterior.noise_only.draws
+    densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
+    places = own_unknowns(posterior, seen.name)
+    return groups | {
+        NOISE_POSTERIOR.name: _draws(NOISE_POSTERIOR, posterior, seen.name, draws),
+        shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
+            posterior.noise_only.log_likelihood[index]
+        ),
+        LOG_PRIOR.name: dataset(
+            LOG_PRIOR,
+            {name: densities[..., i] for name, i in places.items()},
+            shared.numbered(draws.shape),
+        ),
+        shared.POSTERIOR_PREDICTIVE.name: predicted(
+            shared.POSTERIOR_PREDICTIVE,
+            draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES],
+        ),
+    }
 
 
 def _sample_stats(posterior: DirectPosterior) -> xr.Dataset:

@@ -8,7 +8,8 @@ comparison all that is of one recording has a dimension ``snapshot`` in front.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,61 @@ BUDGET = Group(
 
 OF_EVERY_ROUTE = (OBSERVED, CONSTANT, DIAGNOSTICS, BUDGET)
 """Groups that every route stores of a recording, by :func:`common_groups`."""
+
+(RECORDING,) = table("""
+    recording (chain, draw, rotation) | 1 | log density of one load rotation, all channels, by the
+        noise alone
+""")
+
+LOG_LIKELIHOOD = Group(
+    "log_likelihood",
+    (RECORDING,),
+    (CHAIN, DRAW, *table("rotation (rotation) | 1 | number of the load rotation")),
+    optional=True,
+)
+
+
+def _replicate(name: str) -> Variable:
+    return replace(_channel(name), dims=(*DRAWS, "sample"))
+
+
+POSTERIOR_PREDICTIVE = Group(
+    "posterior_predictive", (), (CHAIN, DRAW), named=_replicate, optional=True
+)
+PRIOR_PREDICTIVE = Group("prior_predictive", (), (CHAIN, DRAW), named=_replicate)
+
+PRIOR_DRAWS = 1000
+NOISE_DRAWS = 1000
+"""Of the posterior by the noise alone, over all chains."""
+REPLICATES = 3
+"""Recordings that are predicted for each chain, each as long as the one that was fitted."""
+
+
+def noise_posterior(
+    named: Callable[[str], Variable | None],
+    variables: tuple[Variable, ...] = (),
+    coordinates: tuple[Variable, ...] = (),
+) -> Group:
+    """Draws that log likelihood and predictions belong to: prior times likelihood, not widened."""
+    return Group("noise_posterior", variables, (CHAIN, DRAW, *coordinates), named, optional=True)
+
+
+def log_likelihood_group(by_rotation: FloatArray) -> xr.Dataset:
+    """From shape (chain, draw, rotation)."""
+    rotation = {"rotation": np.arange(by_rotation.shape[-1])}
+    return dataset(
+        LOG_LIKELIHOOD, {"recording": by_rotation}, {**numbered(by_rotation.shape), **rotation}
+    )
+
+
+def replicates(group: Group, chains: int, channels: Mapping[str, FloatArray]) -> xr.Dataset:
+    """Predicted recordings, each channel of shape (m, n), m a multiple of ``chains``."""
+    values = {
+        name: rows.reshape(chains, -1, rows.shape[-1]).astype(np.float32)
+        for name, rows in channels.items()
+    }
+    return dataset(group, values, numbered(next(iter(values.values())).shape))
+
 
 GAP = Group("gap", (DELTA,), (CHAIN, DRAW), optional=True)
 """The draws of δ of the route that answers; absent without a curve."""

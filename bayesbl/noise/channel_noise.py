@@ -18,6 +18,8 @@ from bayesbl.noise.rotation_noise import FEWEST_DIFFERENCES, bic
 from bayesbl.recording.types import BoolArray, FloatArray
 
 HIGHEST_ORDER = 10
+CIRCLE = 1000
+"""Samples after which noise is forgotten."""
 
 NEGLIGIBLE = 0.01
 """Of a channel's variance: what cannot be seen of its error is not counted if it is less."""
@@ -64,6 +66,21 @@ class ChannelNoise:
             left -= np.einsum("ab,...bn->...an", phi, signals[..., p - k : n - k])
         inverse = np.linalg.inv(self.root)
         return np.asarray(np.einsum("ab,...bn->...an", inverse, left))
+
+    def draw(self, samples: int, count: int, generator: np.random.Generator) -> FloatArray:
+        """Noise of recordings of their own, shape (count, c, n), in the channels' units.
+
+        As a circular process, longer than asked for, so that its ends are independent.
+        """
+        size = samples + CIRCLE
+        white = generator.standard_normal((count, len(self.root), size))
+        turn = np.exp(-2j * np.pi * np.fft.rfftfreq(size))[:, None, None]
+        passed = np.eye(len(self.root)) - sum(
+            (phi * turn**k for k, phi in enumerate(self.coefficients, start=1)), 0.0 * turn
+        )
+        response = np.linalg.solve(passed, np.broadcast_to(self.root, passed.shape))
+        spectrum = np.einsum("fab,rbf->raf", response, np.fft.rfft(white))
+        return np.asarray(np.fft.irfft(spectrum, size)[..., :samples])
 
 
 def estimate_channel_noise(

@@ -172,17 +172,30 @@ class RouteResult:
         """All groups, those that ArviZ knows by its names."""
         return self._tree
 
-    def to_arviz(self) -> Any:
-        """As the installed ArviZ takes it: a data tree from its version 1 on."""
-        import arviz
+    def to_arviz(self, *, noise_only: bool = False) -> Any:
+        """As the installed ArviZ takes it: a data tree from its version 1 on.
 
+        Parameters
+        ----------
+        noise_only
+            The posterior is that of the model and its noise alone, which log likelihood, log prior
+            and predictions belong to, as for ``arviz.loo``. The answer's is wider: it allows for
+            what the model lacks.
+        """
+        import arviz
+        import xarray
+
+        groups: Any = {n: node.to_dataset() for n, node in self._tree.children.items()}
+        noise_posterior = groups.pop("noise_posterior", None)
+        if noise_only and noise_posterior is not None:
+            groups = {**groups, "posterior": noise_posterior}
+            del groups["sample_stats"]
+        else:
+            groups = {n: data for n, data in groups.items() if not n.startswith("log_")}
         if not hasattr(arviz, "InferenceData"):
-            return self._tree
+            return xarray.DataTree.from_dict(groups)
         known = set(arviz.data.inference_data.SUPPORTED_GROUPS_ALL)
-        groups: Any = {
-            n: node.to_dataset() for n, node in self._tree.children.items() if n in known
-        }
-        return arviz.InferenceData(**groups)
+        return arviz.InferenceData(**{n: data for n, data in groups.items() if n in known})
 
     def snapshot(self, name: str) -> RouteResult:
         """The same of one recording of a comparison, without the padding of shorter ones."""

@@ -249,10 +249,15 @@ def _incomplete(problems: list[str], file: str | Path | None) -> ResultError:
 
 
 def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str, xr.Dataset]:
-    """Groups of several fits by snapshot name, stacked along :data:`STACKED`, padded with NaN."""
+    """Groups of several fits by snapshot name, stacked along :data:`STACKED`, padded with NaN.
+
+    A group that not all have is left out.
+    """
     names = list(groups)
     stacked = {}
     for group in next(iter(groups.values())):
+        if not all(group in own for own in groups.values()):
+            continue
         parts = _of_one_size([groups[name][group] for name in names])
         stacked[group] = xr.concat(
             parts,

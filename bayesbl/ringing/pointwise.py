@@ -1,26 +1,32 @@
-"""Log likelihood of a recording rotation by rotation, and recordings that a posterior predicts.
+"""Waveform and noise alone as a model of a recording: likelihood by rotation, draws, predictions.
 
-The noise is that of :mod:`bayesbl.noise.rotation_noise`: what repeats every rotation and the
-waveform lacks is taken off first, so that one rotation is as independent of the next as noise is.
-Leaving out one rotation is then what a leave-one-out comparison of models means here.
+The noise is that of :mod:`bayesbl.noise.rotation_noise`. What repeats every rotation and the
+waveform lacks is not in this model, so comparisons of models see it. The answer's posterior is
+another one: it is centred on the least-squares optimum and as wide as that scatters
+(:mod:`bayesbl.ringing.posterior`), so its draws do not belong to this likelihood.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.compiled import compiled
 from bayesbl.noise.process import NoiseModel
-from bayesbl.noise.rotation_noise import Noise, autocorrelation, innovation_share
+from bayesbl.noise.rotation_noise import Noise, autocorrelation, innovation_share, innovations
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.objective import kernel_parameters
-from bayesbl.ringing.symbols import ROTATION
-from bayesbl.ringing.waveform import model_speed
+from bayesbl.ringing.optimum import bounds
+from bayesbl.ringing.symbols import AMPLITUDE, ROTATION, SYMBOLS
+from bayesbl.ringing.waveform import jacobian, model_speed
+from bayesbl.sampling.importance import independent_draws
+
+PROPOSED = 2000
+"""Points of which draws are resampled: of nine symbols half of them count."""
 
 
 def rotations_of(point: PointEstimate) -> NDArray[np.int64]:
@@ -50,9 +56,6 @@ def log_likelihood(
     parameters = kernel_parameters({**point.optimum.symbols, **draws})
     shape, rows = parameters.shape[:-1], parameters.reshape(-1, parameters.shape[-1])
     objective, noise = point.objective, point.noise
-    repeats, _ = point.misfit.at(
-        objective.time_s - objective.time_s[0], point.optimum.symbols[ROTATION]
-    )
     coefficients = np.asarray(noise.coefficients, dtype=np.float64)
     turn, baseline = point.optimum.symbols[ROTATION], baseline_rpm.reshape(len(rows), -1)
     away = objective.time_s - 0.5 * (objective.time_s[0] + objective.time_s[-1])
@@ -68,7 +71,7 @@ def log_likelihood(
         turn,
         away,
         np.exp(2j * math.pi / turn * np.outer(orders, away)),
-        objective.speed_rpm - repeats,
+        objective.speed_rpm,
         _known_innovations(objective.used, coefficients.size),
         np.searchsorted(rotation, np.arange(count + 1)),
         coefficients,
@@ -79,6 +82,59 @@ def log_likelihood(
         found,
     )
     return found.reshape(*shape, -1)
+
+
+def likelihood_draws(
+    point: PointEstimate,
+    log_prior: Callable[[FloatArray], FloatArray],
+    count: int,
+    generator: np.random.Generator,
+) -> tuple[dict[str, FloatArray], FloatArray] | None:
+    """Draws of prior times likelihood: free symbols by name, (count,), and baseline, (count, 2k).
+
+    The first proposal is the normal distribution about one Gauss-Newton step from the optimum.
+
+    Parameters
+    ----------
+    log_prior
+        Of the amplitude in rpm, shape (m,) to (m,); flat in all else within its range.
+
+    Returns
+    -------
+    ``None`` where the posterior is too far from a normal distribution.
+    """
+    objective, optimum, names = point.objective, point.optimum, point.spread.names
+    columns = jacobian(optimum.model, objective.time_s, optimum.symbols, optimum.baseline_rpm)
+    white = _whitened(point, np.column_stack([columns, np.nan_to_num(point.residual_rpm)]))
+    curvature = white[:, :-1].T @ white[:, :-1]
+    covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)
+    symbols = [name for name in names if name in SYMBOLS]
+    centre = np.r_[[optimum.symbols[name] for name in symbols], optimum.baseline_rpm]
+    low, high = np.full(centre.size, -np.inf), np.full(centre.size, np.inf)
+    places = [symbols.index(name) for name in objective.searched]
+    low[places], high[places] = bounds(objective)
+
+    def named(points: FloatArray) -> tuple[dict[str, FloatArray], FloatArray]:
+        return dict(zip(symbols, points.T, strict=False)), points[:, len(symbols) :]
+
+    def density(points: FloatArray) -> FloatArray:
+        prior = log_prior(points[:, symbols.index(AMPLITUDE)])
+        return np.asarray(log_likelihood(point, *named(points)).sum(axis=1) + prior)
+
+    peak = centre + covariance @ (white[:, :-1].T @ white[:, -1])
+    peak = np.clip(peak, low, high)
+    found = independent_draws(density, peak, covariance, (low, high), count, generator, PROPOSED)
+    return None if found is None else named(found[0])
+
+
+def _whitened(point: PointEstimate, columns: FloatArray) -> FloatArray:
+    """Innovations of columns (n, p) over their standard deviation; 0 where a sample is missing."""
+    noise, used = point.noise, point.objective.used
+    if noise.differentiated:
+        columns = np.cumsum(np.where(used[:, None], columns - columns[used].mean(axis=0), 0.0), 0)
+    order = noise.order
+    new = np.column_stack([innovations(column, noise.coefficients) for column in columns.T])
+    return new / innovation_sd(noise) * _known_innovations(used, order)[order:, None]
 
 
 def _known_innovations(used: BoolArray, order: int) -> FloatArray:
@@ -106,8 +162,6 @@ def predicted(
     draws: Mapping[str, FloatArray],
     baseline_rpm: FloatArray,
     generator: np.random.Generator,
-    *,
-    with_misfit: bool = True,
 ) -> FloatArray:
     """New recordings of the speed, one a draw, with noise of their own, shape (m, n), rpm.
 
@@ -117,19 +171,13 @@ def predicted(
         Free symbols by name, each of shape (m,).
     baseline_rpm
         Shape (m, 2k).
-    with_misfit
-        Whether what repeats every rotation and the waveform lacks is added.
     """
     objective = point.objective
-    repeats = np.zeros(objective.samples)
-    if with_misfit:
-        since = objective.time_s - objective.time_s[0]
-        repeats, _ = point.misfit.at(since, point.optimum.symbols[ROTATION])
     rows = []
     for number, baseline in enumerate(baseline_rpm):
         symbols = {**point.optimum.symbols, **{n: float(v[number]) for n, v in draws.items()}}
         model = model_speed(objective.time_s, symbols, baseline)
-        rows.append(model + repeats + _drawn(point.noise, model.size, generator))
+        rows.append(model + _drawn(point.noise, model.size, generator))
     return np.array(rows)
 
 

@@ -12,7 +12,7 @@ from bayesbl.recording.types import FloatArray
 TRIALS = 20
 """Candidates for each draw of a normal distribution in a box."""
 PROPOSED = 8000
-"""Draws of each proposal."""
+"""Draws of each proposal, unless said otherwise."""
 ADAPTATIONS = 4
 LARGEST_TAIL = 0.7
 """Pareto k̂ up to which so many weights are enough (Vehtari et al. 2024)."""
@@ -32,6 +32,7 @@ def independent_draws(
     box: tuple[FloatArray, FloatArray],
     count: int,
     generator: np.random.Generator,
+    proposed: int = PROPOSED,
 ) -> tuple[FloatArray, float] | None:
     """Draws of a density that is nearly normal within a box, and their effective share.
 
@@ -46,6 +47,8 @@ def independent_draws(
         Of the first proposal without its box, shapes (d,) and (d, d).
     box
         Low and high end of every range, shapes (d,); infinite where there is none.
+    proposed
+        Draws of each proposal.
 
     Returns
     -------
@@ -54,7 +57,7 @@ def independent_draws(
     from arviz_stats.base import array_stats
 
     for _ in range(ADAPTATIONS):
-        points, log_proposal = normal_in_box(peak, covariance, box, PROPOSED, generator)
+        points, log_proposal = normal_in_box(peak, covariance, box, proposed, generator)
         density = target(points)
         log_weights = density - log_proposal
         if effective_size(log_weights) < FEWEST * peak.size:
@@ -62,7 +65,7 @@ def independent_draws(
         possible = np.isfinite(log_weights)
         # ArviZ weighs by the inverse of a likelihood.
         log_weights[possible], tail = array_stats.psislw(-log_weights[possible])
-        share = effective_size(log_weights) / PROPOSED
+        share = effective_size(log_weights) / proposed
         if tail < LARGEST_TAIL and share > LEAST_SHARE:
             return points[resampled(log_weights[None], count, generator)[0]], share
         peak, covariance = _quadratic(points, density, np.exp(log_weights - log_weights.max()))

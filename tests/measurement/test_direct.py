@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 import pytest
 from places import CONFIGS
-from scipy.stats import chi2, kstest, truncnorm
+from scipy.stats import chi2, kstest, norm, truncnorm, uniform
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.simulation import Measurement
@@ -189,6 +189,51 @@ def test_in_the_linear_gaussian_limit_the_posterior_is_exact():
     # Means of 1000 draws scatter by 0.032 sd; four times that.
     assert (draws.mean(axis=0) - mean) / sd == pytest.approx(0.0, abs=0.13)
     assert draws.std(axis=0) / sd == pytest.approx(1.0, abs=0.09)
+
+
+def test_in_the_linear_limit_the_log_likelihood_of_each_rotation_is_exact():
+    matrix, data, _, posterior = linear_posterior([Unknown("a", 0.0, 1.0), Unknown("b", -1.0, 1.0)])
+    draws = posterior.noise_only.draws
+    residual = data - draws @ matrix.T
+    exact = norm.logpdf(residual).reshape(*draws.shape[:2], 4, 100).sum(axis=-1)
+    assert posterior.noise_only.log_likelihood[0] == pytest.approx(exact, abs=1e-6)
+
+
+def test_log_likelihood_by_rotation_adds_up_to_that_of_the_simulation():
+    fit = fitted(bench(), record(bench(), 8e-4, 6))
+    posterior = sample_direct(fit, SETTINGS, np.random.SeedSequence(2))
+    draws = posterior.noise_only.draws[:, :10].reshape(-1, len(fit.point))
+    told = posterior.noise_only.log_likelihood[0][:, :10].sum(axis=-1).ravel()
+    noise, seen = fit.model.noise[0], fit.model.recordings[0]
+    each = math.log(2.0 * math.pi) + np.log(np.diag(noise.root)).sum()
+    exact = -0.5 * simulated_chi_square(fit.model, draws) - each * (seen.samples - noise.order)
+    # Within what the surrogate may be off by, where it is taken for the posterior.
+    assert np.std(told - exact) < 0.1
+    assert np.mean(told - exact) == pytest.approx(0.0, abs=0.5)
+
+
+def test_draws_of_the_prior_are_of_its_density():
+    unknowns = [
+        Unknown("flat", 0.35, 0.45),
+        Unknown("normal", centre=1.0, sd=0.2),
+        Unknown("cut", 0.0, 1.0, centre=0.0, sd=0.5),
+        Unknown("value", math.log(0.1), math.log(0.5), logarithmic=True, flat_in_value=True),
+        Unknown("phase"),
+    ]
+    model = Linear(unknowns, np.ones((400, 5)), np.zeros(400))
+    drawn = model.prior_draws(1000, np.random.default_rng(8))
+    laws = [
+        uniform(0.35, 0.1),
+        norm(1.0, 0.2),
+        truncnorm(0.0, 2.0, loc=0.0, scale=0.5),
+        uniform(0.1, 0.4),
+        uniform(0.0, 2.0 * math.pi),
+    ]
+    values = [u.value(x) for u, x in zip(unknowns, drawn.T, strict=True)]
+    for own, law, density in zip(values, laws, model.log_priors(drawn).T, strict=True):
+        assert kstest(own, law.cdf).pvalue > 0.001
+        apart = density - law.logpdf(own)
+        assert apart == pytest.approx(apart[0], abs=1e-9), "the same up to a constant"
 
 
 @pytest.mark.long

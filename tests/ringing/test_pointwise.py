@@ -6,15 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arviz_stats.base import array_stats
 from made_recordings import synthetic_recording
 from scipy import stats
+from scipy.special import logsumexp
 from synthetic_ringing import QUICK
 
 from bayesbl.noise.process import NoiseModel
 from bayesbl.noise.rotation_noise import innovation_share, innovations
 from bayesbl.ringing.estimator import Estimator, PointEstimate
-from bayesbl.ringing.pointwise import innovation_sd, log_likelihood, predicted, rotations_of
-from bayesbl.ringing.symbols import AMPLITUDE, DECAY, ROTATION
+from bayesbl.ringing.pointwise import (
+    innovation_sd,
+    likelihood_draws,
+    log_likelihood,
+    predicted,
+    rotations_of,
+)
+from bayesbl.ringing.symbols import AMPLITUDE, DECAY
 from bayesbl.ringing.waveform import model_speed
 
 
@@ -39,9 +47,7 @@ def draws_around(point: PointEstimate) -> tuple[dict[str, np.ndarray], np.ndarra
 def by_hand(point: PointEstimate, symbols: dict[str, float], baseline: np.ndarray) -> np.ndarray:
     """By NumPy and SciPy, one rotation after the other."""
     objective, noise = point.objective, point.noise
-    time = objective.time_s
-    repeats, _ = point.misfit.at(time - time[0], point.optimum.symbols[ROTATION])
-    rest = objective.speed_rpm - model_speed(time, symbols, baseline.tolist()) - repeats
+    rest = objective.speed_rpm - model_speed(objective.time_s, symbols, baseline.tolist())
     order = len(noise.coefficients)
     sd = noise.sd_rpm * np.sqrt(innovation_share(noise.coefficients))
     if noise.degrees_of_freedom is None:
@@ -69,7 +75,6 @@ def test_samples_that_are_left_out_add_nothing(point):
     left_out = np.zeros(point.objective.samples, dtype=bool)
     left_out[400:420] = True
     cut = replace(point, recording=replace(point.recording, excluded=left_out))
-    vars(cut)["residual_rpm"] = point.residual_rpm  # what repeats is the same
     less = log_likelihood(cut, draws, baseline)
     whole = log_likelihood(point, draws, baseline)
     changed = np.flatnonzero(~np.isclose(less[0], whole[0]))
@@ -90,3 +95,23 @@ def test_recordings_that_are_predicted_scatter_like_the_noise(point):
     # 40 recordings of 1470 samples: the standard deviation is known to 0.6 % with AR(1) 0.6.
     assert found.std(axis=0).mean() == pytest.approx(point.noise.sd_rpm, rel=0.03)
     assert np.abs(found.mean(axis=0) - point.optimum.predict(point.objective.time_s)).mean() < 1.0
+
+
+def test_draws_of_the_likelihood_are_worth_as_many_parameters_as_the_waveform_has():
+    """Of twenty rotations, leaving one out is what Pareto-smoothed weights can tell."""
+    recording = synthetic_recording(
+        QUICK, NoiseModel(1.5, (0.6,)), np.random.default_rng(3), rotations=20.0, sampling_hz=250.0
+    )
+    point = Estimator().estimate(recording, np.random.SeedSequence(1))
+    generator = np.random.default_rng(4)
+    draws, baseline = likelihood_draws(point, np.zeros_like, 1000, generator)
+    by_rotation = log_likelihood(point, draws, baseline)
+    free = len(point.spread.names)
+    # −2 ln L less its least is χ² of so many degrees of freedom: its mean is known to 0.045 √(2f).
+    deviance = 2.0 * (by_rotation.sum(axis=1).max() - by_rotation.sum(axis=1))
+    assert deviance.mean() == pytest.approx(free, rel=0.2)
+    smoothed = [array_stats.psislw(own) for own in by_rotation.T]
+    assert sum(tail > 0.7 for _, tail in smoothed) <= 1
+    left_out = sum(logsumexp(w + own) for (w, _), own in zip(smoothed, by_rotation.T, strict=True))
+    with_all = np.sum(logsumexp(by_rotation, axis=0) - np.log(len(by_rotation)))
+    assert with_all - left_out == pytest.approx(free, rel=0.5)

@@ -41,6 +41,8 @@ from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.units import number
 
 _ROW_IN = 0.5
+VISIBLE = 0.005
+"""Of a density's peak: what is lower is a line on its baseline."""
 _RIDGE = 0.6
 """Height of a density, in rows."""
 
@@ -165,8 +167,12 @@ def _draw_rows(
 ) -> None:
     """Rows from above; the others' densities are outlines, the answer's filled."""
     texts: list[tuple[float, int, str]] = []
+    ends_shown: list[float] = []
     for place, row in enumerate(rows):
         across, heights = style.smooth_density(row.draws)
+        seen = heights > VISIBLE * heights.max()
+        across, heights = across[seen], heights[seen]
+        ends_shown += [float(across[0]), float(across[-1])]
         ridge = place - _RIDGE * heights / heights.max()
         if row.answers:
             panel.fill_between(across, ridge, place, color=row.colour, alpha=0.35, linewidth=0.0)
@@ -185,9 +191,7 @@ def _draw_rows(
             ends = " to ".join(number(found[k], places) for k in ("low", "high"))
             text = f"{number(found['median'], places)}  ({ends})"
         texts.append((float(np.median(row.draws)), place, text))
-    everything = [row.draws for row in rows]
-    low = min(float(np.quantile(draws, 0.001)) for draws in everything)
-    high = max(float(np.quantile(draws, 0.999)) for draws in everything)
+    low, high = min(ends_shown), max(ends_shown)
     if limit_rad is not None:
         limit = 1e3 * float(limit_rad)
         panel.axvline(limit, color=style.LIMIT, linewidth=0.9, linestyle=style.LIMIT_DASHES)
@@ -196,7 +200,7 @@ def _draw_rows(
             ha="right", va="top", fontsize=7.0,
         )  # fmt: skip
         low, high = min(low, limit), max(high, limit)
-    room = 0.1 * (high - low)
+    room = 0.05 * (high - low)
     panel.set_xlim(low - room, high + room)
     for at, place, text in texts:
         share = (at - low + room) / (high - low + 2.0 * room)

@@ -70,6 +70,8 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
     residual = snapshot.values("predictive", f"residual_{channel}")[inside]
     lower.plot(time[inside], residual, color=style.MEASURED, linewidth=0.6)
     lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    reach = 1.1 * float(np.nanmax(np.abs(residual)))
+    lower.set_ylim(-reach, reach)
     lower.set_xlim(begin, begin + period)
     lower.set_xlabel("Time (s)")
     unit = _CHANNELS[channel].rsplit(" ", 1)[1]

@@ -174,6 +174,7 @@ def _legend(figure: Figure, interval: str) -> None:
     "grey: the windows of the pulses, with their signs.",
     110,
     holding("misfit/mean_rpm"),
+    for_specialists=True,
 )
 def misfit(tree: xr.DataTree) -> Figure:
     """Rotation-averaged residual against load phase, ± one standard error, a panel a snapshot."""
