@@ -722,7 +722,7 @@ class _Known:
         column = column - self.orthogonal @ shared
         along = max(float(column @ self.residual), 0.0)
         shift = -np.linalg.solve(self.triangle, shared)
-        return along**2 / float(column @ column), shift[: self.fit.point.size]
+        return along**2 / float(column @ column), np.asarray(shift[: self.fit.point.size])
 
 
 def _fitted_part(known: _Known, part: Candidate, tried: int) -> Explanation | None:
