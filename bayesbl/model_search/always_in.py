@@ -196,7 +196,7 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 size = max(abs(values[item.name]), _stated_sd(present[effect.name], item.name))
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
-            if effect.name == "sampled_control":
+            if effect.name == "sampled_control" and "delay_periods" not in effect.parameters:
                 yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0)
         elif effect.always_in and not (effect.enters == "loop" and loop_is_stated):
             item = effect.amplitudes[0]

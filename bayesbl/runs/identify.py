@@ -15,7 +15,7 @@ from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, identify
 from bayesbl.identification.problem import Problem
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.model_search.always_in import with_friction
 from bayesbl.recording.checks import ready_for_fit, require_alive
 from bayesbl.recording.readers import read_recording
@@ -83,7 +83,7 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         require_alive(recording, (MOTOR_CURRENT,))
         known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
         one = observed(recording, bench, entry.reference_speed_rpm)
-        one = replace(one, known={**one.known, **known})
+        one = marginalising_motor_lines(replace(one, known={**one.known, **known}), bench)
         seen[entry.use].append(one)
         notes += [f"{entry.name}: {note}" for note in (*recording.notes, *one.notes)]
     used = tuple(seen["fit"])
