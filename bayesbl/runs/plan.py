@@ -111,7 +111,7 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
 
 NONE_SHOWS = (
     "Within these limits the load never passes from one tooth flank to the other, so no recording "
-    "can tell δ. Allow a range in which gravity's torque changes its sign (hanging straight down "
+    "can show δ. Allow a range in which gravity's torque changes its sign (hanging straight down "
     "or upright), or more acceleration."
 )
 

@@ -232,7 +232,7 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
         return (
             "Something repeats that neither the bench nor the catalogue explains. It may move the "
             "gap by more than anything else, so no gap is given. Record another speed or "
-            "direction, and look at what is left."
+            "direction, and look at the residuals."
         )
     return "" if posterior is None else posterior.beyond_tolerance(None, level) or ""
 

@@ -671,7 +671,7 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     panel.spines["left"].set_visible(False)
     panel.set_xlabel("From the data sheet's value (%)")
     level = next(iter(found.values()))["posterior"]["level"]
-    estimated = f"found: median and {100.0 * level:g} % interval"
+    estimated = f"identified: median and {100.0 * level:g} % interval"
     handles = [
         panel.barh(0, 0, color=style.BAND, label="data sheet with its tolerance"),
         panel.errorbar([], [], xerr=[], fmt="o", color=style.MODEL, label=estimated),
