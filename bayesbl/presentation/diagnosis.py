@@ -332,7 +332,7 @@ def removed(closed: float | None) -> str:
 def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_floor"]) -> str:
     """``3.34 rpm``; over all channels ``4.2 × noise``."""
     unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
-    return f"{row[key]:.3g}{unit}"
+    return f"{significant(row[key], 3)}{unit}"
 
 
 def assumptions(_: DiagnosisSummary) -> Iterator[str]:

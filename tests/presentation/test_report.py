@@ -655,7 +655,7 @@ def test_a_data_sheet_that_no_joint_can_be_as_is_not_said_to_be_compared():
     def told(before):
         return compared({"disagreement": {"over_all": {"used": {"before": before, "after": 1.0}}}})
 
-    assert told(14.7) == "Before: the data sheet's values. After: the bench found."
+    assert told(14.7) == "Before: the data sheet's values. After: the identified bench."
     assert told(1.0).startswith("The data sheet's values cannot be simulated")
 
 

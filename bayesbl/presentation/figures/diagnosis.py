@@ -92,7 +92,7 @@ def _recording_before_and_after(tree: xr.DataTree, recording: str, use: str) -> 
     height = max(_SHOWN_ROW_IN * len(rms) + 0.3, 0.26 * len(pieces) + 0.6)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + height)
     spec = style.grid(
-        figure, len(rms), 3, left=0.6, top=top, between=(0.62, 0.5), widths=(2.9, 2.1, 1.6)
+        figure, len(rms), 3, left=0.6, top=top, between=(0.62, 0.58), widths=(2.9, 2.1, 1.6)
     )
     figure.text(
         0.06 / style.DOUBLE_COLUMN_IN, 1.0 - 0.06 / (top + height), "\n".join(heading),
