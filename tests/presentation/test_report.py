@@ -638,7 +638,7 @@ def diagnosis(*closed):
 
 def test_a_share_that_cannot_be_told_is_a_dash_with_its_reason():
     text = flat(printed(diagnosis(0.998, None)))
-    assert "1 rpm – " in text
+    assert "1.00 rpm – " in text
     assert UNTOLD_SHARE in text
     assert "–" not in printed(diagnosis(0.998))
 
