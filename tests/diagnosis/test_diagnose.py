@@ -305,7 +305,7 @@ def test_a_rigid_bench_may_leave_out_what_drives_it_but_is_not_simulated(folder:
     again.write_text(dump_bench(bench))
     assert "speed_gain" not in again.read_text()
     assert load_bench(again) == bench
-    with pytest.raises(BenchError, match="leaves out what drives it"):
+    with pytest.raises(BenchError, match="has no drive"):
         bench.simulate(0.0)
 
 

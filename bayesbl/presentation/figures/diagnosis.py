@@ -43,6 +43,8 @@ Rms = tuple[float, float, float]
 
 _ZOOM = 0.04
 """Share of a recording that the panel beside its residuals shows."""
+_FEWEST_SHOWN = 150
+"""Samples in that panel, where the recording has twice as many."""
 _OUTLINE_BINS = 900
 _LINE_LETTERS = 125
 _SHOWN_ROW_IN = 1.75
@@ -156,7 +158,8 @@ def _worst(course: dict[str, FloatArray]) -> tuple[float, float]:
     """The stretch of time in which the bench as given disagrees most."""
     time, residual = course["time_s"], np.abs(course["measured"] - course["before"])
     first, last = float(np.nanmin(time)), float(np.nanmax(time))
-    width = _ZOOM * (last - first)
+    enough = _FEWEST_SHOWN * float(np.nanmedian(np.diff(time)))
+    width = min(max(_ZOOM * (last - first), enough), 0.5 * (last - first))
     middle = float(time[np.nanargmax(residual)])
     begin = min(max(middle - 0.4 * width, first), last - width)
     return begin, begin + width
