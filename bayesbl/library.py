@@ -334,6 +334,7 @@ def draw(
     folder: Path,
     formats: Formats = ("png",),
     study: Path | None = None,
+    for_specialists: bool = True,
 ) -> list[Path]:
     """Write every figure of a result of any kind into a folder; the files written.
 
@@ -343,6 +344,8 @@ def draw(
         ``"png"``, ``"pdf"``, both or none; a fleet's pages are written whatever they are.
     study
         The study file, if the result is a study's: only the user says which file is run.
+    for_specialists
+        Whether the figures that show how the answer was made are drawn too.
 
     Raises
     ------
@@ -360,18 +363,12 @@ def draw(
         return draw_study(load_study(study), tree, folder, formats)
     from bayesbl.presentation.figures.stored_figure import draw_all
 
-    return draw_all(tree, folder, formats)
+    return draw_all(tree, folder, formats, for_specialists=for_specialists)
 
 
 def draw_answer(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """As :func:`draw`, of what a run draws at once: the figures that its answer needs."""
-    from bayesbl.measurement.stored import routes_of
-
-    if not routes_of(tree):
-        return draw(tree, folder, formats)
-    from bayesbl.presentation.figures.stored_figure import draw_all
-
-    return draw_all(tree, folder, formats, for_specialists=False)
+    return draw(tree, folder, formats, for_specialists=False)
 
 
 def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | None = None) -> None:

@@ -104,15 +104,15 @@ def repeats_beyond_noise(
 ) -> str:
     """Simulation and recording disagree."""
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
-    repeats, look = "repeats every rotation", "`bayesbl diagnose` looks for what is missing."
+    part, look = "that repeats every rotation", "`bayesbl diagnose` looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
-        repeats = "is left"
+        part = "of the residual"
         look = "`bayesbl identify` of some recordings, with --effects catalogue, finds which."
     return (
         "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
-        f"{channel} of {recording}, {which}, what {repeats} has {ratio:.3g} times the power that "
-        f"noise would leave (disagreement in {', '.join(channels)}). The bench file lacks an "
+        f"{channel} of {recording}, {which}, the part {part} has {ratio:.3g} times the power "
+        f"expected from noise (disagreement in {', '.join(channels)}). The bench file lacks an "
         f"effect or has wrong values; {look}"
     )
 
@@ -158,7 +158,7 @@ def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float
     )
     return (
         "These ramps show no play: the joint is stiffer around zero torque than beyond (its "
-        f"compliance is {relative_compliance:.2g} of that), as a preloaded joint is. {seen} The "
+        f"compliance is {relative_compliance:.2g} of that), like a preloaded joint. {seen} The "
         f"loop is {1e3 * width_rad:.2g} mrad wide at zero torque because friction holds the "
         "compliance; δ is at most half of that."
     )
@@ -174,8 +174,8 @@ def soft_flanks(relative_compliance: float, times: float, share: float) -> str:
     return (
         f"Around zero torque the joint is {relative_compliance:.2g} times as soft as beyond. "
         "Flanks that are soft at small torque, as in a strain wave gear, look like play, and the "
-        f"probability of play leaves them out: flanks {times:.0f} times as soft, which is common, "
-        f"would make up {part}. That part is lost motion."
+        f"probability of play ignores them: flanks {times:.0f} times as soft, which is common, "
+        f"would explain {part}. That part is lost motion."
     )
 
 
@@ -219,8 +219,8 @@ def nothing_told(upper_mrad: float) -> str:
 def few_reversals(count: int) -> str:
     """The play is shown at reversals alone."""
     return (
-        f"The motor turns back {count} time{'' if count == 1 else 's'} only: play shows at "
-        "reversals. Ten or more, slow and fast, tell it from a skew of the channels."
+        f"The motor reverses only {count} time{'' if count == 1 else 's'}, and only reversals show "
+        "play. Record ten or more, slow and fast, to separate play from a skew of the channels."
     )
 
 
@@ -234,7 +234,7 @@ def no_torque() -> str:
 
 
 def torque_unused() -> str:
-    """Play and wind-up are not told apart by it."""
+    """It does not separate play and wind-up."""
     return (
         "The torque does not show how far the joint winds up between the flanks. 0.05 mrad is "
         "subtracted as typical wind-up."
@@ -260,7 +260,7 @@ def channels_skewed(skew_ms: float) -> str:
 def lag_changes(before_mrad: float, after_mrad: float) -> str:
     """One recording, two plays."""
     return (
-        f"Between both directions lie {before_mrad:.2g} mrad in the first half of the recording "
+        f"The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "
         f"and {after_mrad:.2g} mrad in the second, so the interval of δ includes both. Check for "
         "slip or a loose part, then record again, or give both halves as two recordings."
     )
@@ -302,9 +302,9 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "joint (--bench FILE) or the curve of a sweep (--curve RESULT)."
     ),
     "ringing_contradicts_bench": lambda: (
-        "The ringing's frequency and decay are not those of the curve's bench at this amplitude, "
-        "whatever its tolerances: δ belongs to another joint, or something other than the gap "
-        "changed. Correct the bench or widen its tolerances."
+        "The ringing's frequency and decay do not fit the curve's bench at this amplitude, even "
+        "within its tolerances: this is another joint, or something besides the gap changed. "
+        "Correct the bench or widen its tolerances."
     ),
     "few_curve_draws": lambda effective, total: (
         f"Only {effective:.0f} of {total} draws of the curve match the ringing's frequency and "
@@ -359,8 +359,8 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     ),
     "elastic_part": lambda name, frequency_hz, probability: (
         f"The joint probably has a part that the bench lacks: {name} with a resonance near "
-        f"{frequency_hz:.2g} Hz (probability {probability:.2g}). δ allows for it; "
-        f"add the part to the bench file to make δ sharper."
+        f"{frequency_hz:.2g} Hz (probability {probability:.2g}). The interval of δ includes this; "
+        "add the part to the bench file to make δ sharper."
     ),
     "counted_twice": lambda name: (
         f"The bench was identified from {name} as well, so this recording counts twice and its "
@@ -380,8 +380,8 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
     "no_play": no_play,
     "play_unsure": lambda probability, relative_compliance: (
         f"There may be no play (probability of play {100.0 * probability:.0f} %): around zero "
-        f"torque the joint is {relative_compliance:.2g} times as soft as beyond, but not alike at "
-        "all positions. δ allows for no play."
+        f"torque the joint is {relative_compliance:.2g} times as soft as beyond, but this differs "
+        "between positions. The interval of δ includes no play."
     ),
     "soft_flanks": soft_flanks,
     "ramps_skipped": lambda skipped_nm, amplitude_nm: (
@@ -398,9 +398,9 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "for δ."
     ),
     "positions_differ": lambda: (
-        "The snapshots were taken at one position each, and not at the same: the intervals allow "
-        "for a gap that varies by up to 70 % over the turn. Give ramps at three positions or "
-        "more (files = […])."
+        "Each snapshot has one position, and these differ: the intervals allow for a gap that "
+        "varies by up to 70 % over the turn. Give ramps at three positions or more "
+        "(files = […])."
     ),
     "one_position": lambda: (
         "δ was measured at one position of the turn. How it varies over the turn is unknown and "

@@ -28,7 +28,7 @@ HEAD = """# Every key of a configuration
 is TOML with `schema = 1` and its `kind`; paths are relative to it. For an unknown key, the error
 names the nearest known one. `bayesbl init` writes a first file, `bayesbl check CONFIG` checks one
 without running it. Editors complete keys by the JSON Schemas in `docs/schema` (in Taplo, by a
-first line `#:schema docs/schema/compare.json`).
+first line `#:schema docs/schema/compare.json`). A row in bold begins a section of the file.
 """
 
 
@@ -56,18 +56,24 @@ def _portable(value: Any) -> Any:
 
 def _page() -> str:
     parts = [HEAD]
-    seen: set[str] = set()
+    seen: set[tuple[str, str]] = set()
     for kind, what in FILES.items():
         schema = MODELS[kind].model_json_schema()
         parts.append(f'## `kind = "{kind}"`: {what}\n')
+        parts.append("| key | value | default |\n|---|---|---|")
+        own: dict[str, list[str]] = {}
         shared = []
         for name, section in _sections(schema, schema, ""):
-            text = _table(name, section, schema)
-            if text in seen:
+            body = _rows(name, section, schema)
+            if (name, body) in seen:
                 shared.append(f"`{name}`")
             else:
-                seen.add(text)
-                parts.append(text)
+                seen.add((name, body))
+                own.setdefault(body, []).append(name)
+        for body, names in own.items():
+            head = ", ".join(f"`{name}`" for name in names)
+            parts.append(f"| **{head}** {body}" if head != "``" else body)
+        parts.append("")
         if shared:
             parts.append(f"As above: {', '.join(shared)}.\n")
     return "\n".join(parts)
@@ -98,21 +104,17 @@ def _resolved(whole: Schema, reference: Schema) -> Schema:
     return found
 
 
-def _table(name: str, section: Schema, whole: Schema) -> str:
-    lines = [f"### `{name}`\n"] if name else []
-    if name and "description" in section:
-        text = re.sub(r"``(.+?)``", r"`\1`", section["description"])
-        text = text.removeprefix(f"`{name}`: ")
-        lines += [text[0].upper() + text[1:] + "\n"]
+def _rows(name: str, section: Schema, whole: Schema) -> str:
+    """Its text, and a row for all keys of one value and default."""
+    text = " ".join(re.sub(r"``(.+?)``", r"`\1`", section.get("description", "")).split())
+    text = text.removeprefix(f"`{name}`: ")
+    lines = [f"| {text[:1].upper()}{text[1:]} | |"] if name else []
     rows: dict[str, list[str]] = {}
     for key, value in section.get("properties", {}).items():
         if not any(True for _ in _inner(whole, value)) or "anyOf" in value:
             row = f"{_kind(whole, value)} | {_default(key, value, section)}"
             rows.setdefault(row, []).append(f"`{key}`")
-    if rows:
-        lines += ["| key | value | default |", "|---|---|---|"]
-        lines += [f"| {', '.join(keys)} | {row} |" for row, keys in rows.items()]
-        lines += [""]
+    lines += [f"| {', '.join(keys)} | {row} |" for row, keys in rows.items()]
     return "\n".join(lines)
 
 

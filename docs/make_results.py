@@ -60,41 +60,41 @@ def pages() -> dict[Path, str]:
 
 
 def _keys() -> Iterator[str]:
-    yield "## Keys of `summary.json`\n"
     parts: list[Any] = []
-    yield "### Of every kind\n"
-    yield from _keys_of(Head, parts)
-    for kind, address in SUMMARIES.items():
-        module, _, name = address.partition(":")
-        yield f'### `kind = "{kind}"`\n'
-        yield from _keys_of(getattr(import_module(module), name), parts)
-    yield "### Their parts\n"
-    for part in parts:  # which grows on the way
-        yield f"#### {_title(part)}\n"
-        yield from _keys_of(part, parts)
+    summaries = {
+        f'`kind = "{kind}"`': getattr(import_module(module), name)
+        for kind, (module, _, name) in ((k, v.partition(":")) for k, v in SUMMARIES.items())
+    }
+    yield "## Keys of `summary.json`\n"
+    yield "| of | keys |\n|---|---|"
+    for title, table in ({"every kind": Head} | summaries).items():
+        yield f"| {title} | {_keys_of(table, parts)} |"
+    yield "\nTheir parts, whose names are in italics there:\n"
+    yield "| part | what it is | keys |\n|---|---|---|"
+    rows = [  # parts grow on the way
+        (_title(part), _plain(part.__doc__ or ""), _keys_of(part, parts)) for part in parts
+    ]
+    for row in sorted(rows):
+        yield f"| {' | '.join(row)} |"
+    yield ""
 
 
-def _keys_of(table: Any, parts: list[Any]) -> Iterator[str]:
-    """A table of its own keys, those of one value in one row; tables among them join the parts."""
-    if table.__doc__ and "``summary.json``" not in table.__doc__.partition("\n")[0]:
-        yield re.sub(r":class:`(\w+)`", r"\1", re.sub("``(.+?)``", r"`\1`", _plain(table.__doc__)))
-        yield ""
+def _keys_of(table: Any, parts: list[Any]) -> str:
+    """Its own keys, those of one value together; tables among them join the parts."""
     hints = _hints(table)
     values = {key: _value(hint, parts) for key, hint in hints.items()}
     wider = (part for part in parts if _hints(part).items() < hints.items())
     shared = [part for part in wider if len(_hints(part)) > 2]
+    texts = []
     if shared:
         base = max(shared, key=lambda part: len(_hints(part)))
-        yield f"Keys of {_value(base, parts)}, and:\n"
+        texts = [f"those of {_value(base, parts)}"]
         values = {key: value for key, value in values.items() if key not in _hints(base)}
     rows: dict[str, list[str]] = {}
     for key, value in values.items():
         always = get_origin(hints[key]) is not NotRequired and key in table.__required_keys__
         rows.setdefault(value, []).append(f"`{key}`" if always else f"(`{key}`)")
-    yield "| key | value |\n|---|---|"
-    for value, keys in rows.items():
-        yield f"| {', '.join(keys)} | {value} |"
-    yield ""
+    return "; ".join([*texts, *(f"{', '.join(keys)}: {value}" for value, keys in rows.items())])
 
 
 def _hints(table: Any) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def _value(hint: Any, parts: list[Any]) -> str:
     if is_typeddict(hint):
         if hint not in parts:
             parts.append(hint)
-        return f"[{_title(hint)}](#{_title(hint).replace(' ', '-')})"
+        return f"*{_title(hint)}*"
     if get_origin(hint) is Literal:
         return ", ".join(f'`"{choice}"`' for choice in get_args(hint))
     if get_origin(hint) is list:
@@ -172,8 +172,9 @@ def _columns() -> Iterator[str]:
 
 
 def _plain(text: str) -> str:
-    """A docstring as paragraphs."""
-    return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n")).strip()
+    """A docstring in one line of Markdown."""
+    text = re.sub(r":class:`(\w+)`", r"\1", re.sub("``(.+?)``", r"`\1`", text))
+    return " ".join(text.split()).replace("|", chr(92) + "|").replace("`None`", "null")
 
 
 if __name__ == "__main__":

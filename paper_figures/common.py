@@ -62,10 +62,6 @@ RESULTS: Mapping[str, Made] = {
     "wear_swept": Made("compare", ("configs/wear_swept.toml",)),
     "wear_tolerances": Made("compare", ("configs/wear_tolerances.toml",)),
     "wear_dates": Made("compare", ("configs/simulate_wear_dates.toml", "configs/wear_dates.toml")),
-    "hidden_friction": Made(
-        "diagnose",
-        ("configs/simulate_hidden_friction.toml", "configs/diagnose_hidden_friction.toml"),
-    ),
 }
 """The quick experiments by the name of their folder in ``results``, in an order that works."""
 

@@ -25,7 +25,6 @@ NAMES = (
     "uncertainty_budget",
     "shared_estimator",
     "shared_curve",
-    "disagreement",
     "confusion",
     "calibration",
     "wear_detection",

@@ -315,7 +315,7 @@ class Bench:
         missing = [name for name in sorted(self.assumed) if not name.startswith("shaft_")]
         if missing:
             raise BenchError(
-                "This bench leaves out what drives it, so it cannot be simulated in steady "
+                "This bench has no drive, so it cannot be simulated in steady "
                 "rotation; it can be compared with recordings.",
                 where="[parameters]",
                 found="no " + ", ".join(missing),

@@ -108,7 +108,7 @@ BenchFile = Annotated[
     _option(
         "--bench",
         "FILE|RESULT",
-        "Bench of the joint, its file or what identify found: simulated, and swept for curves.",
+        "Bench of the joint, its file or a result of identify: simulated, and swept for curves.",
     ),
 ]
 Route = Annotated[
@@ -206,7 +206,7 @@ Duration = Annotated[
 ]
 GapRad = Annotated[
     float | None,
-    _option("--gap-rad", "RAD", "Gap that a plan is reckoned at. [default: 0.0008]", _gap),
+    _option("--gap-rad", "RAD", "Gap that the plan is calculated for. [default: 0.0008]", _gap),
 ]
 
 
@@ -486,7 +486,8 @@ def watch_command(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Of recordings.parquet. [default: [run] output + _watched]"
+            metavar="FOLDER",
+            help="Folder of recordings.parquet. [default: [run] output + _watched]",
         ),
     ] = None,
     publish: Annotated[
@@ -495,7 +496,7 @@ def watch_command(
     ] = None,
     credentials: Credentials = None,
     once: Annotated[
-        bool, typer.Option("--once", help="End when all that is there is measured and sent.")
+        bool, typer.Option("--once", help="Stop when every recording is measured and sent.")
     ] = False,
     settled_s: Annotated[
         float,
@@ -564,7 +565,7 @@ def collect_command(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Of recordings.parquet.")],
     credentials: Credentials = None,
     once: Annotated[
-        bool, typer.Option("--once", help="End when nothing more comes for 5 s.")
+        bool, typer.Option("--once", help="Stop when nothing arrives for 5 s.")
     ] = False,
 ) -> None:
     """Collect what devices publish into one recordings.parquet."""
@@ -600,7 +601,7 @@ def _ended_by_signals() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        _log("Stopped; what has a row is safe.")
+        _log("Stopped; every recording with a row is safe.")
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -684,7 +685,7 @@ BelievedBench = Annotated[
     typer.Option(
         "--bench",
         metavar="FILE|RESULT",
-        help="The bench that should describe them: its file, or what identify found.",
+        help="The bench that should describe them: its file, or a result of identify.",
     ),
 ]
 

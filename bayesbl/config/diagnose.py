@@ -57,12 +57,12 @@ def bench_parameter(name: str) -> str:
 
 
 class Compared(Section):
-    """``[comparison]``: how simulation and recordings are put side by side.
+    """``[comparison]``: how simulation and recordings are compared.
 
     Without ``channels`` the method takes what the recordings hold. ``known_torque`` names columns
-    that are added to the torque the bench asks for, N m at the motor. ``cutoff_hz`` belongs to the
-    zero-phase filter that both sides of the inverse method pass; without it, it is chosen where
-    the prediction stops being coherent with the measurement.
+    that are added to the torque the bench asks for, N m at the motor. ``cutoff_hz`` is that of the
+    zero-phase filter that both sides of the inverse method pass; by default the frequency at which
+    prediction and measurement lose coherence.
     """
 
     method: Method = "forward"

@@ -61,11 +61,11 @@ def _table(value: object, info: ValidationInfo) -> object:
 
 
 class FleetSection(Section):
-    """``[fleet]``: the inventory, where the recordings are, and what is asked of them.
+    """``[fleet]``: inventory, recordings, and how joints share information.
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
-    ``joint``, ``date`` and ``file``; both may lead into an object store (``s3://…``). ``pool_by``
-    is the column of the inventory whose joints wear alike; without it every joint stands alone.
+    ``joint``, ``date`` and ``file``; both may be in an object store (``s3://…``). ``pool_by`` is
+    the column of the inventory whose joints wear alike; without it every joint counts by itself.
     ``covariates`` are columns of numbers, such as a load, that the rates of joints of one type may
     depend on.
     """
@@ -95,7 +95,7 @@ class FleetSection(Section):
 
 
 class FleetEstimator(Section):
-    """``[estimator]`` of a fleet: that of a comparison; bench and curve stand in the inventory.
+    """``[estimator]`` of a fleet: that of a comparison; the inventory has bench and curve.
 
     ``route`` holds for joints with a bench; the others are measured by the amplitude.
     """

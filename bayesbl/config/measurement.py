@@ -194,11 +194,10 @@ WITHOUT_BENCH = {"torque_ramp": "Ramps of torque", "two_encoders": "Two encoders
 class Estimator(Section):
     """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
 
-    Where a bench is given the route is ``auto``: the direct one answers where its checks pass, and
-    the amplitude's answer, by curves swept from the bench, stands beside it. ``gap_rad`` is the
-    range of the direct route's log-uniform prior. ``torque_ramp`` reads ramps of the motor's torque
-    with the output held, ``two_encoders`` the positions of motor and load over any motion with
-    reversals; both need neither bench nor curve.
+    With a bench the route is ``auto``: both routes run, and the direct one answers if its checks
+    pass. ``gap_rad`` is the range of the direct route's log-uniform prior. ``torque_ramp`` reads
+    ramps of the motor's torque with the output held, ``two_encoders`` the positions of motor and
+    load over any motion with reversals; both need neither bench nor curve.
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"

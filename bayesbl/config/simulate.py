@@ -101,8 +101,7 @@ MotionSection = Annotated[
 class SimulatedRecording(Section):
     """An entry of ``[[recordings]]`` to be simulated.
 
-    In steady rotation, from a start angle that is drawn unless given; or in a motion, which begins
-    where it begins.
+    In steady rotation, from a start angle that is drawn unless given; or in a motion.
     """
 
     name: Name

@@ -111,7 +111,7 @@ class SweepRow:
         kept = slice(int(leaps[-1]) + 1 if leaps.size else 0, None)
         if leaps.size and self.gap_rad[kept].size < FEWEST_GAPS:
             raise CurveError(
-                "The best fit leaps from one ringing to another, and too few gaps lie beyond.",
+                "The best fit jumps from one ringing to another, and too few gaps lie beyond.",
                 where=f"δ = {self.gap_rad[leaps[-1]]:.3g} to {self.gap_rad[leaps[-1] + 1]:.3g} rad",
                 found=f"{self.gap_rad[kept].size} gaps",
                 expected=f"at least {FEWEST_GAPS}; larger gaps, or another bench",

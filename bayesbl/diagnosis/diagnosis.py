@@ -192,7 +192,7 @@ class Diagnosis:
     gap_withheld
         Why no gap is given; empty where one is, or nothing is asked of it.
     signals
-        Of every piece, where that is what a figure shows best.
+        Of every piece; of a closed loop those held out, or all if none is.
     order_sizes
         Of every order and piece, where a speed loop was looked at.
     residuals_before, residuals_after

@@ -1,7 +1,8 @@
 """Groups of ``result.nc`` by which a diagnosis is stored, each where there is something to store.
 
 ``disagreement``: RMS before and after, for every piece (a channel of a recording, or of a part of
-it). ``signals``: measured and predicted, for every piece. ``order_sizes``: lines of a speed loop.
+it). ``signals``: measured and predicted, for every piece; of a closed loop
+for those held out. ``order_sizes``: lines of a speed loop.
 ``posterior``: draws of everything unknown, with what was named added. ``ranking``: every candidate
 added alone. ``residuals_before``, ``residuals_after``: what the simulation does not explain, over
 load angle, order and time. ``learned_torque``, ``encoder_error``: what was learned, over what it
@@ -144,7 +145,8 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     group = disagreement_group(found.disagreement.unit or "as the channel")
     groups = {"disagreement": of_rows(group, found.disagreement.pieces)}
     if found.signals:
-        group = signals_group(unit_of(found.signals[0].channel))
+        units = {unit_of(piece.channel) for piece in found.signals}
+        group = signals_group(units.pop() if len(units) == 1 else "as the channel")
         groups["signals"] = of_rows(group, found.signals)
     if found.order_sizes:
         groups["order_sizes"] = of_rows(ORDER_SIZES, found.order_sizes)

@@ -614,8 +614,8 @@ def diagnose(
     remains = bool(lines or denied or group is not None or "gravity" in kinds.values()) or is_much
     if effects and is_much:
         denied = (
-            f"What is named leaves {left.after / left.noise_floor:.0f} times the noise: something "
-            "else is missing too, and the sizes may hold part of it.",
+            f"With what is named, {left.after / left.noise_floor:.0f} times the noise remains: "
+            "something else is missing too, and the sizes may include part of it.",
         )
     answer = Diagnosis(
         verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
@@ -639,7 +639,7 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
     if "gravity" in inference.posterior.named:
         ((name, size),) = inference.values("gravity").items()
         yield (
-            "What is left goes with the load's angle as gravity does, though the bench has "
+            "The rest follows the load's angle as gravity does, although the bench has "
             f"{name} = 0: {size.value:.3g} N m at the load were fitted, with their "
             "direction. A balancer that the bench lacks may look the same. Give gravity in the "
             "bench file, if it is that."

@@ -53,7 +53,7 @@ class ParameterErrorSummary(TypedDict):
 
 
 class RemainingSummary(TypedDict):
-    """What still stands out after naming; ``chi_squared`` of a line whose test has one."""
+    """What still repeats after naming; ``chi_squared`` of a line whose test has one."""
 
     channel: str
     dependence: str
@@ -80,7 +80,7 @@ class LearnedSummary(LearnedDependence):
     """A torque of no known law, or an error of the encoder.
 
     ``amplitude_nm``, ``amplitude_rad`` its largest size, at its side; ``alike`` other dependences
-    that say the same here; ``gap_share`` how much of what the recordings know of the gap it leaves;
+    that look the same here; ``gap_share`` the share of the information on the gap that remains;
     ``gap_withheld`` why no gap is given.
     """
 
@@ -111,7 +111,7 @@ class DisagreementTableSummary(TypedDict):
 
 
 class SuggestedRecording(TypedDict):
-    """A recording that would tell apart what these cannot."""
+    """A recording that would separate what these cannot."""
 
     reference_speed_rpm: float
     payload_share: float

@@ -97,7 +97,7 @@ def read_address(url: str) -> Address:
         raise ConfigError("This address cannot be read.", expected=_EXPECTED) from None
     if parts.username is not None or parts.password is not None:
         raise ConfigError(
-            "User and password do not stand in an address: others can read it.",
+            "User and password do not belong in an address: others can read it.",
             where="URL",
             expected="a file with them (--credentials FILE)",
         )

@@ -196,7 +196,7 @@ def read_joints(section: FleetSection) -> list[Joint]:
         _refuse(file, costs.index(None) + 1, "cost_at_limit", "nothing", expected)
     if any(costs) and section.decide_before is None:
         raise ConfigError(
-            "What a cost is expected by is not said.",
+            "An expected cost needs a date.",
             file=file,
             where="cost_at_limit",
             expected="[fleet] decide_before: a date, such as that of the next shutdown",
@@ -304,7 +304,7 @@ def digest_of_file(file: str) -> tuple[str | None, str | None]:
 def file_of_another(joint: str, date: str) -> str:
     """Why a recording is not used whose file is there for another joint too."""
     return (
-        f"Its file is to the last byte that of joint {joint}, {date}, so nobody knows whose it is. "
+        f"Its file is to the last byte that of joint {joint}, {date}, so it counts for neither. "
         "Was a file copied by mistake?"
     )
 

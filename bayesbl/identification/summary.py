@@ -31,7 +31,7 @@ class ParameterSummary(TypedDict):
 
 
 class EffectFound(TypedDict):
-    """An effect that is missing or was free: its parameters, where it is in the bench found."""
+    """A missing or free effect, and its parameters if the identified bench has it."""
 
     name: str
     parameters: dict[str, Interval | HeldValue]
@@ -59,7 +59,8 @@ class TogetherSummary(TypedDict):
 
 
 class NextRecordingSummary(TypedDict):
-    """What to record next; ``motion_of``: the recording whose way it goes, null for a rotation."""
+    """What to record next; ``motion_of``: the recording whose motion to repeat, null for a
+    rotation."""
 
     reference_speed_rpm: float
     motion_of: str | None

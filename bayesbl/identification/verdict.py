@@ -58,7 +58,7 @@ def beyond_in_words(result: Identification, problem: Problem) -> str:
     wrong = result.beyond
     assert wrong is not None
     text = (
-        f"{wrong.name} lies {wrong.deviations:.0f} standard deviations outside its data sheet: "
+        f"{wrong.name} is {wrong.deviations:.0f} standard deviations outside its data sheet: "
         f"{wrong.found:.4g} by the recordings, {wrong.believed:.4g} ± {wrong.tolerance:.2g} there."
     )
     if wrong.could_be:
@@ -90,12 +90,12 @@ def _decided_by_edges(
 
 
 def left_over(check: Sequence[RepeatingPower]) -> str:
-    """Where most is left, of what stands out of the noise."""
+    """Where recording and simulation disagree most."""
     worst = max(standing_out(check) or check, key=lambda entry: entry.ratio)
     where = f"orders up to {worst.highest_order}" if worst.highest_order else "the mean"
     return (
-        f"Most is left in {worst.channel} of {worst.recording}, {where}: {worst.ratio:.3g} times "
-        "the power that noise would leave."
+        f"The disagreement is largest in {worst.channel} of {worst.recording}, {where}: "
+        f"{worst.ratio:.3g} times the power expected from noise."
     )
 
 

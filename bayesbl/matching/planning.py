@@ -147,7 +147,7 @@ def noise_of_bench(bench: Bench) -> ChannelNoise:
     models = (bench.measurement.speed_noise, bench.measurement.current_noise)
     if not all(model.standard_deviation > 0.0 for model in models):
         raise BenchError(
-            "Without noise every motion tells the gap exactly.",
+            "Without noise every motion shows the gap exactly.",
             where="[measurement]",
             found="no noise of the speed or of the current",
             expected="speed_noise and current_noise, as recordings of this joint have them",

@@ -53,8 +53,8 @@ def unknown_start(fit: SimulatedFit, index: int) -> str | None:
     if seen.motion is None or remembered_start(fit, index)[seen.first_compared] <= REMEMBERED:
         return None
     return (
-        "On which flank the teeth stood when the recording began is not known: nothing presses "
-        "them together there, and what is compared still depends on it. Record the same motion for "
+        "The flank at the start of the recording is unknown, because nothing presses the teeth "
+        "together there, and the compared part still depends on it. Record the same motion for "
         "longer, or begin where gravity presses the load against its flank."
     )
 
@@ -121,7 +121,7 @@ def motion_notes(fit: SimulatedFit, index: int) -> list[str]:
         notes.append("Standstills are left out, because friction at rest is not that of motion.")
     if begin > 0:
         notes.append(
-            f"The first {begin / seen.sampling_hz:.2g} s are left out: how the teeth and "
-            "the controller stood when the recording began is not known."
+            f"The first {begin / seen.sampling_hz:.2g} s are left out, because the state "
+            "of teeth and controller at the start is unknown."
         )
     return notes

@@ -12,9 +12,8 @@ from bayesbl.sampling.convergence import Outcome
 class ReasonSummary(TypedDict):
     """Why an answer is withheld or limited: programs go by ``code``.
 
-    Beside these it has the numbers and names that the sentence is made of, by name; ``recordings``
-    where it holds for some of them alone, ``also`` where there are further reasons, which ``text``
-    includes.
+    It also has the numbers and names of its sentence, by name; ``recordings`` if it concerns only
+    some, ``also`` if there are further reasons, which ``text`` includes.
     """
 
     code: str
@@ -24,7 +23,7 @@ class ReasonSummary(TypedDict):
 
 
 class ListedReason(ReasonSummary):
-    """One of all that is to be known of an answer; ``withholds`` where it withholds δ."""
+    """A reason, and whether it withholds δ."""
 
     withholds: bool
 
@@ -99,9 +98,8 @@ class BlindSpotSummary(TypedDict):
 class JointCheckSummary(TypedDict):
     """A snapshot against its bench, or snapshots against one another.
 
-    ``could_be`` names effects or parameters of the bench that would do what was found;
-    ``sentences`` say so, one for each finding. Where nothing was compared, ``items`` is empty and
-    ``agrees`` true.
+    ``could_be`` names effects or parameters of the bench that would explain it, ``sentences`` say
+    so. If nothing was compared, ``items`` is empty and ``agrees`` true.
     """
 
     agrees: bool
@@ -148,7 +146,7 @@ class _FromSimulation(TypedDict, total=False):
 
 
 class RampsSummary(TypedDict):
-    """The ramps that tell the play; ``width_rad`` is the mean of each position around the turn."""
+    """The ramps that show the play; ``width_rad`` is the mean of each position around the turn."""
 
     positions: int
     cycles: int
@@ -222,11 +220,11 @@ class StatedLimit(TypedDict):
 
 
 class RouteSummary(_FromRinging, _FromSimulation, _FromRamps, _FromTwoEncoders):
-    """What one route says of one recording; every route gives the keys here, and some of its own.
+    """One recording by one route; every route has the keys here, and some of its own.
 
     A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone.
-    ``delta_upper_bound_rad``: δ is below it with a probability of 95 %, where it is not told from
-    none.
+    ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
+    gap.
     """
 
     route: str
@@ -326,10 +324,10 @@ class DateInterval(TypedDict):
 
 
 class ForecastFromPrior(TypedDict):
-    """How much of a forecast is what was believed before measuring.
+    """How much of a forecast comes from the prior.
 
-    ``width_over_prior`` is the width of ln years_to_limit over that with the same gap and mean rate
-    if the recordings said nothing of how wear goes on: near 1, the date is mostly belief.
+    ``width_over_prior`` is the width of ln years_to_limit over that by the prior with the same gap
+    and mean rate: near 1, the recordings say almost nothing about the date.
     ``probability_change_ahead`` is the share of forecasts in which wear changes between the last
     recording and the limit, which no recording can show.
     """
@@ -339,7 +337,7 @@ class ForecastFromPrior(TypedDict):
 
 
 class ChangeSummary(TypedDict):
-    """What one route alone says of the change from first to last."""
+    """The change from first to last, by one route."""
 
     change_rad: Interval | None
     probability_increase: float | None
@@ -349,15 +347,16 @@ class ChangeSummary(TypedDict):
 
 
 class WearSummary(TypedDict):
-    """Wear in time; one-sided statements hold with the probability of the intervals, ``level``.
+    """Wear in time, of dated snapshots since the last repair; one-sided bounds hold with
+    probability ``level``.
 
-    Of dated snapshots since the last repair. ``probability_wear`` that the gap grows has not ruled
-    out healing, all that follows has. ``law`` is the posterior probability of each law of wear,
-    ``rate`` the mean since the first snapshot, ``rate_now`` that at the last one by the laws.
-    ``scatter_rad_per_root_year`` is irregular wear, ``None`` under four snapshots.
-    ``relative_sd_per_date`` is what the gap may drift, as configured, and ``drift_widens`` by what
-    factor that widens the rate. ``years_to_limit`` count from the last snapshot.
-    ``forecast_from_prior`` is ``None`` without a limit ahead.
+    ``probability_wear`` that the gap grows allows for shrinking gaps; the keys below do not.
+    ``law`` is the posterior probability of each law of wear, ``rate`` the mean since the first
+    snapshot, ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is
+    irregular wear, ``None`` under four snapshots. ``relative_sd_per_date`` is what the gap may
+    drift, as configured, and ``drift_widens`` by what factor that widens the rate.
+    ``years_to_limit`` count from the last snapshot. ``forecast_from_prior`` is ``None`` without a
+    limit ahead.
     """
 
     snapshots: list[str]

@@ -152,7 +152,7 @@ def estimate_fast_noise(
     count = residual.shape[1] - samples + 1
     if count < FEWEST_DIFFERENCES:
         raise RecordingError(
-            "The recording is too short to tell noise from motion.",
+            "The recording is too short to separate noise from motion.",
             found=f"{residual.shape[1]} samples",
             expected=f"at least {FEWEST_DIFFERENCES + samples}",
         )
@@ -178,7 +178,7 @@ def _noise_of(
         count = int(whole.sum())
         if count < FEWEST_DIFFERENCES:
             raise RecordingError(
-                "Too little of the recording is compared to tell its noise.",
+                "Too little of the recording is compared to estimate its noise.",
                 found=f"{count} samples",
                 expected=f"at least {FEWEST_DIFFERENCES}",
             )

@@ -187,7 +187,7 @@ def ringing_headline(summary: MeasuredSummary) -> str:
             told += ". Something other than the gap changed, so this is no evidence of wear"
         elif (unseen := wear.unseen_without_current(summary)) is not None:
             told += (
-                f". This says something of the gap only if {unseen} did not change: no motor "
+                f". It is evidence about the gap only if {unseen} did not change: no motor "
                 "current can be compared"
             )
         return f"{told}."
@@ -577,7 +577,7 @@ def _of_ringing(summary: MeasuredSummary) -> Advice:
             (*summary["same_joint"]["sentences"], _why(summary)),
         )
     grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
-    title = "The ringing grew: describe the joint in a bench file to learn by how much gap."
+    title = "The ringing grew. To learn how much the gap grew, describe the joint in a bench file."
     if not grew:
         title = "Describe the joint in a bench file to learn the gap."
     return Advice("watch" if grew else "note", title, (_why(summary),))
@@ -744,6 +744,6 @@ def _of_interval(last: SnapshotSummary) -> Iterator[str]:
     found = last["delta_rad"] or last["amplitude_rpm"]
     if found is not None:
         yield (
-            f"The {interval_kind(found)} is a credible interval: given all this, it contains the "
-            f"value with probability {100.0 * found['level']:g} %."
+            f"The {interval_kind(found)} is a credible interval: on these assumptions, it contains "
+            f"the value with probability {100.0 * found['level']:g} %."
         )

@@ -99,10 +99,10 @@ def headline(summary: DiagnosisSummary) -> str:
                 parameter_errors(summary)
             )
         case "unexplained" if (found := learned_of(summary)) is not None:
-            return f"No effect that was tried explains it: {dependence(found)}."
+            return f"No known effect explains the disagreement. It follows {dependence(found)}."
         case "unexplained" if summary["remaining"]:
             what = next(remaining(summary)).partition(": ")[2]
-            return f"Something repeats that no effect that was tried explains: {what}"
+            return f"Something repeats that no known effect explains: {what}"
         case verdict:
             left = summary["disagreement"]["over_all"].get("used")
             if left is not None and (
@@ -114,7 +114,7 @@ def headline(summary: DiagnosisSummary) -> str:
                     f"{after}, and the noise is {noise}."
                 )
             return (
-                "Nothing is missing: nothing repeats in the residuals that also predicts what was "
+                "Nothing is missing: whatever repeats in the residuals does not predict the data "
                 "held out."
             )
 
@@ -182,7 +182,7 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         size = f"{words.significant(1e3 * found['amplitude_rad'])} mrad"
     else:
         size = f"{words.significant(found['amplitude_nm'])} N m"
-    text = f"Learned, because no effect that was tried explains it: {dependence(found)}, {size}."
+    text = f"Learned, because no known effect explains it: {dependence(found)}, {size}."
     if found["alike"]:
         others = "; ".join(dependence(other) for other in found["alike"])
         text += f" It cannot be distinguished from {others}."
@@ -192,8 +192,8 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         yield found["gap_withheld"]
     elif share is not None and share < 0.5:
         yield (
-            f"With it unknown, the recordings tell {words.significant(100.0 * share)} % of what "
-            "they would otherwise tell about the gap; the gap's interval includes that."
+            f"It hides all but {words.significant(100.0 * share)} % of the information on the gap; "
+            "the gap's interval includes that."
         )
 
 
@@ -332,7 +332,7 @@ def removed(closed: float | None) -> str:
 def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_floor"]) -> str:
     """``3.34 rpm``; over all channels ``4.2 × noise``."""
     unit = " × noise" if row["unit"] == "noise" else f" {row['unit']}"
-    return f"{row[key]:.3g}{unit}"
+    return f"{significant(row[key], 3)}{unit}"
 
 
 def assumptions(_: DiagnosisSummary) -> Iterator[str]:

@@ -34,13 +34,15 @@ LITTLE = 0.1
 
 
 def headline(summary: IdentificationSummary) -> str:
-    """Whether the bench was found."""
+    """Whether the bench was identified."""
     if summary["outcome"] == "withheld":
-        return "The bench is withheld: " + (summary["reason"] or "it was not found.")
+        return "The bench is withheld: " + (
+            summary["reason"] or "it does not explain the recordings."
+        )
     if summary["verdict"] == "missing_effect":
         names = " and ".join(in_words(members[0]) for members in summary["missing"])
-        return f"The bench is found, with what the data sheet lacks: {names}."
-    return "The bench is found: it explains every recording to within noise."
+        return f"The bench is identified, with an addition to the data sheet: {names}."
+    return "The bench is identified: it explains every recording to within noise."
 
 
 def blocks(summary: IdentificationSummary) -> Iterator[Block]:
@@ -74,7 +76,7 @@ def compared(summary: IdentificationSummary) -> str:
             "The data sheet's values cannot be simulated: before and after are both of the bench "
             "found."
         )
-    return "Before: the data sheet's values. After: the bench found."
+    return "Before: the data sheet's values. After: the identified bench."
 
 
 def gaps(summary: IdentificationSummary) -> Iterator[str]:
@@ -143,7 +145,7 @@ def cards(summary: IdentificationSummary) -> Iterator[Card]:
 def _parameters(summary: IdentificationSummary) -> Table:
     rows = [_row(name, found) for name, found in summary["parameters"].items()]
     level = next(iter(summary["parameters"].values()))["posterior"]["level"]
-    titles = ("Data sheet", f"Found ({100.0 * level:g} % interval)")
+    titles = ("Data sheet", f"Identified ({100.0 * level:g} % interval)")
     columns = (text("Parameter"), *map(numbers, titles), text("Unit"), numbers("Learned"))
     return table(columns, rows)
 

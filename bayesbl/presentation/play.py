@@ -33,15 +33,15 @@ def no_play_by_ramps(part: SnapshotSummary) -> str | None:
         return None
     lifts = part["preload_torque_nm"]
     up_to = (
-        "how far the preload reaches is not seen"
+        "the preload is unknown"
         if lifts is None
         else f"both flanks carry it up to {words.significant(lifts['median'])} N m "
         f"({words.interval_kind(lifts)} {words.bounds(lifts)})"
     )
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
-        f"No play is seen: the joint is stiffer around zero torque than beyond; {up_to}. A gap δ "
-        f"that this hides is below {most} mrad."
+        f"These ramps show no play: the joint is stiffer around zero torque than beyond; {up_to}. "
+        f"A gap δ that this hides is below {most} mrad."
     )
 
 
@@ -125,7 +125,7 @@ def ramp_blocks(part: RouteSummary) -> Iterator[Block]:
     if stated < first["median"]:
         yield Sentence(
             f"Lost motion is stated at ±{words.significant(stated)} N m, less than the friction: "
-            "the middles of the loop there say little of the joint.",
+            "the middles of the loop there say little about the joint.",
             "aside",
         )
     yield Sentence(words.sampling(part), label="Sampling")
@@ -207,8 +207,8 @@ def encoder_blocks(part: RouteSummary) -> Iterator[Block]:
 def encoder_assumptions(summary: MeasuredSummary) -> Iterator[str]:
     """What the answer rests on."""
     yield (
-        "The load is dragged through the play by its friction, or goes through it by itself; its "
-        "weight does not hold it on one flank in both directions."
+        "Friction drags the load through the play, or it moves through by itself; its weight does "
+        "not hold it on one flank in both directions."
     )
     yield "Both encoders turn with their shafts: a loose ring or coupling is play as well."
     yield "Transmission error is a curve of the angles alone, the same in both directions."

@@ -167,8 +167,8 @@ def plan_blocks(summary: PlanSummary) -> Iterator[Block]:
     blind = len(plan["motions"]) - len(shown)
     if blind and shown:
         yield Sentence(
-            f"{blind} of {len(plan['motions'])} motions would show nothing: in them the load "
-            "never, or only just, passes from one tooth flank to the other.",
+            f"{blind} of {len(plan['motions'])} motions would show nothing, because the load "
+            "hardly reaches the other tooth flank.",
             "aside",
         )
     yield Sentence(f"Calculated for δ = {1e3 * plan['gap_rad']:g} mrad.", "aside")

@@ -260,8 +260,8 @@ def notes(wear: WearSummary) -> Iterator[str]:
     count = len(wear["snapshots"])
     if count == 2:
         yield (
-            "Two snapshots cannot show whether wear is steady: the date rests on what is assumed "
-            "about wear in general. Take a third."
+            "Two snapshots cannot show whether wear is steady: the date rests on assumptions about "
+            "wear in general. Take a third."
         )
     elif count < FEWEST_FOR_SCATTER:
         yield (
@@ -271,9 +271,8 @@ def notes(wear: WearSummary) -> Iterator[str]:
         )
     if (prior := wear["forecast_from_prior"]) is not None:
         yield (
-            "Future wear is mostly assumed: what these recordings show of the law of wear makes "
-            f"the interval of the date {prior['width_over_prior']:.2f} times as wide (as a ratio "
-            "of times), and in "
+            "Future wear is mostly assumed: these recordings make the interval of the date "
+            f"{prior['width_over_prior']:.2f} times as wide (as a ratio of times), and in "
             f"{words.probability(prior['probability_change_ahead'])} of forecasts the wear changes "
             "before the limit is reached."
         )

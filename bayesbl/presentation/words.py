@@ -162,7 +162,7 @@ def sampling(part: RouteSummary) -> str:
 
 def glued(sentence: str) -> str:
     """With no-break spaces between a number and its sign or unit."""
-    before_unit = r"(?<=\d) (?=%|mrad|rpm|rad|A\b|N m|kg m)"
+    before_unit = r"(?<=\d) (?=%|mrad|rpm|rad|(?:A|Hz|m|mm|ms|s)\b|N m|kg m)"
     within = r"(?<=[<>]) (?=\d)|(?<=\d N) (?=m)|(?<=\d kg) (?=m)"
     return re.sub(f"{before_unit}|{within}", "\N{NO-BREAK SPACE}", sentence)
 

@@ -58,7 +58,7 @@ def read_input(path: Path) -> bytes:
 def require_size(size: int | None) -> None:
     """Raise ``OSError`` for what is larger than the limit, in bytes, or does not say."""
     if size is None:
-        raise _too_large("a size that is not told")
+        raise _too_large("an unknown size")
     if size > memory_bytes():
         raise _too_large(f"{size / 1e6:.5g} MB")
 

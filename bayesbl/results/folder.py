@@ -67,7 +67,7 @@ def require_inside(folder: Path, name: str) -> Path:
     home, place = (os.path.realpath(p) for p in (folder, path.parent))
     if not os.path.isabs(name) and Path(home) not in (Path(place), *Path(place).parents):
         raise ResultError(
-            "This path leaves the output folder.",
+            "This path is outside the output folder.",
             file=name,
             found=place,
             expected="a path inside the folder, or an absolute path",

@@ -158,7 +158,7 @@ def settled(
     ends, sse = ends[np.isfinite(sse)], sse[np.isfinite(sse)]
     if not len(ends):
         raise RecordingError(
-            "The search found no pulses that fit this recording.",
+            "No pulses fit this recording.",
             expected="a speed signal with impacts, longer than two load rotations",
         )
     order = np.argsort(sse, kind="stable")

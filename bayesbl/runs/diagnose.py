@@ -62,7 +62,7 @@ def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:
         recording = read_recording(entry.file, name=entry.name, columns=specs)
         if recording.samples < FEWEST_SAMPLES * (2 if entry.use == "split" else 1):
             raise RecordingError(
-                "The recording is too short to tell an effect from noise.",
+                "The recording is too short to separate an effect from noise.",
                 file=entry.file,
                 found=f"{recording.samples} samples",
                 expected=f"at least {FEWEST_SAMPLES} to fit on, and as many to predict",

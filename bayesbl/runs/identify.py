@@ -94,7 +94,7 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
     if steady and len({one.reference_speed_rpm for one in used}) < 2:
         notes.append(
             "All recordings are at one speed in one direction: strokes to and fro, another speed "
-            "and the other direction tell much more."
+            "and the other direction show much more."
         )
     if any(len(one.signals) < 2 for one in used):
         notes.append(

@@ -36,7 +36,7 @@ MOTIONS = Group(
 
 
 class PlannedEntry(TypedDict):
-    """A motion, as ``motion = {…}`` of a simulation takes it, with what it would tell."""
+    """A motion, as ``motion = {…}`` of a simulation takes it, with the precision expected."""
 
     kind: Literal["strokes"]
     range_rad: list[float]
@@ -49,7 +49,7 @@ class PlannedEntry(TypedDict):
 
 
 class Planned(TypedDict):
-    """``plan``: the motions, the one that tells δ best first."""
+    """``plan``: the motions, the one that shows δ most precisely first."""
 
     gap_rad: float
     motions: list[PlannedEntry]
@@ -111,7 +111,7 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
 
 NONE_SHOWS = (
     "Within these limits the load never passes from one tooth flank to the other, so no recording "
-    "can tell δ. Allow a range in which gravity's torque changes its sign (hanging straight down "
+    "can show δ. Allow a range in which gravity's torque changes its sign (hanging straight down "
     "or upright), or more acceleration."
 )
 

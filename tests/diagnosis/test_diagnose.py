@@ -100,7 +100,7 @@ def test_a_diagnosis_leaves_a_whole_result_in_the_words_of_the_contract(
         disagreement["recordings"]["a"][MOTOR_TORQUE]["used"]["after"]
     )
     drawn = sorted(path.name for path in (folder / "out" / "figures").glob("*.png"))
-    assert drawn == ["diagnosis_a.png", "diagnosis_b.png"]
+    assert drawn == ["diagnosis.png"]
     assert status(["inspect", str(folder / "out")]) == 0
     assert status(["figures", str(folder / "out")]) == 0
     assert status(["run", str(folder / "config.toml")]) == 2  # never written over
@@ -305,7 +305,7 @@ def test_a_rigid_bench_may_leave_out_what_drives_it_but_is_not_simulated(folder:
     again.write_text(dump_bench(bench))
     assert "speed_gain" not in again.read_text()
     assert load_bench(again) == bench
-    with pytest.raises(BenchError, match="leaves out what drives it"):
+    with pytest.raises(BenchError, match="has no drive"):
         bench.simulate(0.0)
 
 

@@ -18,7 +18,7 @@ def test_addresses_are_read_with_their_usual_ports():
 @pytest.mark.parametrize(
     ("url", "told"),
     [
-        ("mqtts://ann:hunter2@b/p", "do not stand in an address"),
+        ("mqtts://ann:hunter2@b/p", "do not belong in an address"),
         ("http://b/p", "no address of a broker"),
         ("mqtts:///p", "no address of a broker"),
         ("mqtts://b", "names no topic"),

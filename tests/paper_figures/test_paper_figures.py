@@ -348,13 +348,6 @@ def test_shares_of_a_budget_are_whole(shown):
     assert shown["uncertainty_budget"]["share"].sum("source").values == pytest.approx(1.0)
 
 
-def test_naming_closes_the_disagreement_on_the_recording_held_out(shown):
-    found = shown["disagreement"]
-    held = found["over_noise"].where(found["held_out"] == 1, drop=True)
-    assert float(held.sel(stage="before").min()) > 1.5
-    assert float(held.sel(stage="after").max()) < 1.1
-
-
 def test_a_missing_result_is_told_with_its_command(tmp_path, capsys):
     stored = common.Stored(tmp_path, tmp_path)
     chosen = [FIGURES[name] for name in ("figure_7", "efficiency")]

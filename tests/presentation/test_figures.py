@@ -22,7 +22,7 @@ from bayesbl.errors import ResultError
 from bayesbl.measurement.curves import curve_from_dataset
 from bayesbl.measurement.routes import measure
 from bayesbl.presentation import figures
-from bayesbl.presentation.figures.diagnosis import named_effects
+from bayesbl.presentation.figures.diagnosis import held_out, named_effects
 from bayesbl.presentation.figures.gap import amplitude_to_gap, gap
 from bayesbl.presentation.figures.posterior import corner, enclosing_levels, trace
 from bayesbl.presentation.figures.ringing import convergence, misfit, noise, signal
@@ -624,6 +624,73 @@ def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
         assert beyond(figure) == []
     assert "before: as in the bench file" in texts(near)
     assert "← before" in texts(far)
+
+
+def compared_result():
+    """As much of a diagnosis as the figure of a held-out recording reads; the bench lacks a peak.
+
+    Two channels, one recording that was fitted and two that were held out, the second far worse.
+    """
+    generator = np.random.default_rng(4)
+    time = np.arange(2000) / 100.0
+    recordings, rows = {}, []
+    for name, use, peak in (("a", "used", 9.0), ("b", "held_out", 3.0), ("c", "held_out", 6.0)):
+        recordings[name] = {}
+        for channel, floor in (("motor_speed_rpm", 1.0), ("motor_current_a", 0.1)):
+            after = floor * np.sin(time)
+            before = after - floor * peak * np.exp(-(((time - 7.0) / 0.1) ** 2))
+            measured = after + floor * generator.standard_normal(time.size)
+            size = {
+                k: float(np.std(measured - x)) for k, x in (("before", before), ("after", after))
+            }
+            recordings[name][channel] = {use: size | {"noise_floor": floor}}
+            if use == "held_out":
+                rows.append((name, channel, use, time, measured, before, after))
+    keys = ("recording", "channel", "use", "time_s", "measured", "before", "after")
+    signals = xr.Dataset(
+        {
+            key: (("piece", "sample") if np.ndim(values[0]) else "piece", list(values))
+            for key, values in zip(keys, zip(*rows, strict=True), strict=True)
+        }
+    )
+    tree = xr.DataTree.from_dict({"signals": signals})
+    answer = {
+        "verdict": "unexplained", "remaining": [], "effects": [],
+        "disagreement": {"recordings": recordings, "over_all": {}},
+    }  # fmt: skip
+    tree.attrs = {"diagnosis": json.dumps(answer), "kind": "diagnose"}
+    tree.attrs |= dict.fromkeys(("version", "commit", "seed", "outcome", "reason"), "")
+    tree.attrs["warnings"] = []
+    return tree, recordings["c"]
+
+
+def test_the_recording_held_out_shows_where_and_by_how_much_less_the_bench_disagrees():
+    tree, worst = compared_result()
+    ((ending, drawn_from),) = held_out.parts(tree)
+    assert ending == ""
+    assert drawn_from[1:] == ("c", "held_out"), "the one that the bench as given predicts worst"
+    figure = held_out(*drawn_from)
+    before, after, zoom = figure.axes[:3]
+    assert before.get_ylim() == after.get_ylim()
+    assert before.get_ylim()[1] > 6.0
+    begin, end = zoom.get_xlim()
+    assert begin < 7.0 < end
+    shown = texts(figure)
+    for channel, unit in (("motor_speed_rpm", "rpm"), ("motor_current_a", "A")):
+        size = worst[channel]["held_out"]
+        assert f"before: RMS {size['before']:.3g} {unit}" in shown
+        assert f"noise floor {size['noise_floor']:#.3g} {unit}" in shown
+    ends = {
+        round(float(x), 6)
+        for line in figure.axes[-1].lines
+        for x in line.get_xdata()
+        if line.get_marker() != "None"
+    }
+    for channels in worst.values():
+        size = channels["held_out"]
+        assert round(size["before"] / size["noise_floor"], 6) in ends
+        assert round(size["after"] / size["noise_floor"], 6) in ends
+    assert beyond(figure) == []
 
 
 def test_a_density_is_that_of_scipy_by_the_same_bandwidth() -> None:

@@ -638,7 +638,7 @@ def diagnosis(*closed):
 
 def test_a_share_that_cannot_be_told_is_a_dash_with_its_reason():
     text = flat(printed(diagnosis(0.998, None)))
-    assert "1 rpm – " in text
+    assert "1.00 rpm – " in text
     assert UNTOLD_SHARE in text
     assert "–" not in printed(diagnosis(0.998))
 
@@ -655,7 +655,7 @@ def test_a_data_sheet_that_no_joint_can_be_as_is_not_said_to_be_compared():
     def told(before):
         return compared({"disagreement": {"over_all": {"used": {"before": before, "after": 1.0}}}})
 
-    assert told(14.7) == "Before: the data sheet's values. After: the bench found."
+    assert told(14.7) == "Before: the data sheet's values. After: the identified bench."
     assert told(1.0).startswith("The data sheet's values cannot be simulated")
 
 

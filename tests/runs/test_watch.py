@@ -195,7 +195,7 @@ def test_a_service_that_is_stopped_ends_well(plant, capfd):
         assert "J1, 2025-01-01" in process.stderr.readline()
         process.terminate()
         assert process.wait(20) == 0
-        assert "Stopped; what has a row is safe." in process.stderr.read()
+        assert "Stopped; every recording with a row is safe." in process.stderr.read()
 
 
 @pytest.fixture

@@ -35,9 +35,6 @@ SMALLER = {
         "start_angles = 4": "start_angles = 2",
         "bench_draws = 50": "bench_draws = 12",
     },
-    "diagnose_hidden_friction.toml": {
-        'effects = "all"': 'effects = ["load_coulomb_friction", "motor_coulomb_friction"]'
-    },
 }
 """What the tests leave out of the configurations: nothing that changes what is learnt."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.diagnosis.closed_loop.findings import Findings
 from bayesbl.diagnosis.closed_loop.learned_in_loop import answer_of
-from bayesbl.diagnosis.closed_loop.prediction import residuals_of
+from bayesbl.diagnosis.closed_loop.prediction import residuals_of, signals_of
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
@@ -66,6 +66,7 @@ def diagnosis_of(
         draws = sampled.draws.copy()
         draws[..., final.fit.model.index(GAP)] = np.log(after.draws)
         posterior = replace(sampled, draws=draws)
+    shown = [pair for pair in found.pairs if pair.use == "held_out"] or found.pairs
     pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
@@ -104,6 +105,7 @@ def diagnosis_of(
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
+        signals=tuple(signals for pair in shown for signals in signals_of(pair)),
         residuals_before=found.before.residuals,
         residuals_after=found.after.residuals,
         ranking=naming.ranking,
@@ -230,7 +232,7 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
         return (
             "Something repeats that neither the bench nor the catalogue explains. It may move the "
             "gap by more than anything else, so no gap is given. Record another speed or "
-            "direction, and look at what is left."
+            "direction, and look at the residuals."
         )
     return "" if posterior is None else posterior.beyond_tolerance(None, level) or ""
 

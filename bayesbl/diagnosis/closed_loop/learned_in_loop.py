@@ -352,8 +352,8 @@ def answer_of(learned: Learned, closed: float, remains: bool) -> LearnedAnswer:
         )
     elif learned.explanation.candidates:
         withheld = (
-            "Beside what has no known law a name of the catalogue may be wrong and draw the gap "
-            "away, so no gap is given. Add what is known of the joint to the bench, and diagnose "
+            "Beside a torque of no known law a name of the catalogue may be wrong and bias the "
+            "gap, so no gap is given. Add known effects of the joint to the bench, and diagnose "
             "again."
         )
     return LearnedAnswer(

@@ -162,8 +162,8 @@ def _counted_twice(bench: Bench, recordings: Sequence[Recording]) -> Iterator[st
     names = [r.name for r in recordings if r.source is not None and r.source.sha256 in known]
     if names:
         yield (
-            f"The bench was identified from {', '.join(names)} too: it was fitted to what it is "
-            "compared with here, and may hide what is missing. Later recordings would tell."
+            f"The bench was identified from {', '.join(names)} too. It was fitted to them, so "
+            "it may hide what is missing: use later recordings."
         )
 
 

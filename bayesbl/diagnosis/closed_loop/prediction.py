@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
+from bayesbl.diagnosis.diagnosis import PieceSignals
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated
@@ -82,6 +83,17 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
             trial[1 : 1 + len(phases)] = 0.5 * math.pi * k
     fits = [fit_simulated(model, trial) for trial in trials]
     return min(fits, key=lambda f: f.chi_square).simulated(0)
+
+
+def signals_of(pair: SimulatedPair) -> list[PieceSignals]:
+    """One entry for each channel; NaN where nothing was measured."""
+    seen = pair.seen
+    time = seen.begin_s + np.arange(seen.samples) / seen.sampling_hz
+    measured = seen.signals
+    if seen.excluded is not None:
+        measured = np.where(seen.excluded, np.nan, measured)
+    rows = zip(seen.channels, measured, pair.before, pair.after, strict=True)
+    return [PieceSignals(seen.name, name, pair.use, time, *signals) for name, *signals in rows]
 
 
 def residuals_of(pair: SimulatedPair) -> list[PieceResiduals]:

@@ -276,8 +276,8 @@ def _require_motion(view: InverseView, recordings: Sequence[Recording]) -> None:
         if moving < FEWEST_SAMPLES:
             (place,) = {r.place for r in recordings if r.name == piece.name}
             raise RecordingError(
-                "The axis stands or turns round nearly all of the time in a part that is to be "
-                "fitted or predicted.",
+                "The axis rests or reverses nearly all of the time in a part that is to be fitted "
+                "or predicted.",
                 file=place,
                 where=f"{piece.time_s[0]:.3g} to {piece.time_s[-1]:.3g} s",
                 found=f"{moving} of {piece.time_s.size} samples of a motion",

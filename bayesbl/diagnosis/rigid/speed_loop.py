@@ -709,7 +709,7 @@ MOST_LINES = 12
 
 ONE_SPEED = (
     "All recordings are at one speed: a torque that repeats and an error of the encoder look the "
-    "same. A recording at another speed tells them apart."
+    "same. A recording at another speed separates them."
 )
 
 

@@ -1,10 +1,11 @@
-"""A diagnosis or an identification: residuals before and after, and what was learned."""
+"""A diagnosis or an identification: the disagreement before and after, and what was learned."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 
+from bayesbl.diagnosis.summary import summarise_diagnosis
+from bayesbl.presentation.diagnosis import headline
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
     credible_interval,
@@ -32,72 +35,217 @@ if TYPE_CHECKING:
     from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
 
 
-BEFORE = "#d55e00"
-_HEIGHT_IN = 3.6
+BEFORE, AFTER = style.look(1), style.look(0)
+"""Looks of the bench as given, and with what was named."""
+
+Rms = tuple[float, float, float]
+"""Before naming, after it, and the noise floor, in the unit of the channel."""
+
+_ZOOM = 0.04
+"""Share of a recording that the panel beside its residuals shows."""
+_FEWEST_SHOWN = 150
+"""Samples in that panel, where the recording has twice as many."""
+_OUTLINE_BINS = 900
+_LINE_LETTERS = 125
+_SHOWN_ROW_IN = 1.75
+_USES = {"used": "fitted", "held_out": "held out of the fit"}
 
 
-def _each_signal(
-    tree: xr.DataTree,
-) -> Iterator[tuple[str, tuple[object, ...]]]:
-    recordings = tree["signals"].to_dataset()["recording"].values
-    for name in dict.fromkeys(map(str, recordings)):
-        yield file_ending(name), (tree, name)
+def _held_out(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
+    """The recording held out that the bench as given predicts worst; a fitted one if none is."""
+    pieces = list(_pieces(tree))
+    last = [piece for piece in pieces if piece[2] == "held_out"] or pieces
+    stored = set(tree["signals"].to_dataset()["recording"].values.tolist())
+    _, name, use, _ = max((p for p in last if p[1] in stored), key=lambda p: p[3][0] / p[3][2])
+    yield "", (tree, name, use)
 
 
-@stored_figure(
-    "Measured signal, bench before and after naming, and the residuals.",
-    90,
-    holding("signals/measured"),
-    name="diagnosis",
-    parts=_each_signal,
-)
-def recorded_and_predicted(tree: xr.DataTree, recording: str) -> Figure:
-    """Overlay above, residuals below; the half that was held out is tinted."""
+def _others(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
+    """Every other recording whose signals are stored, and the fitted half of one that was split."""
     signals = tree["signals"].to_dataset()
-    rows = [i for i, name in enumerate(signals["recording"].values) if str(name) == recording]
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, _HEIGHT_IN)
-    spec = style.grid(figure, 2, 1, between=(0.35, 0.0))
-    upper = figure.add_subplot(spec[0, 0])
-    lower = figure.add_subplot(spec[1, 0], sharex=upper)
-    for row in rows:
-        _draw_piece(upper, lower, signals.isel(piece=row), row == rows[0], len(rows) > 1)
-    unit = signals["measured"].attrs["units"]
-    channel = str(signals["channel"].values[rows[0]])
-    name = CHANNELS.get(channel, channel)
-    upper.set_ylabel(f"{name.capitalize()} ({unit})")
-    lower.set_ylabel(f"Residual ({unit})")
-    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
-    lower.set_xlabel("Time (s)")
-    upper.tick_params(labelbottom=False)
-    uses = {str(signals["use"].values[row]) for row in rows}
-    words = {"used": "fitted on", "held_out": "held out"}
-    whole = " and ".join(words[use] for use in sorted(uses, reverse=True))
-    style.head_panels([upper, lower], [f"{recording} ({whole})", "measured minus bench"])
-    style.legend_above(upper)
+    ((_, (_, *shown)),) = _held_out(tree)
+    places = zip(
+        map(str, signals["recording"].values), map(str, signals["use"].values), strict=True
+    )
+    for name, use in dict.fromkeys(places):
+        if [name, use] != shown:
+            yield f"{file_ending(name)}_{use}", (tree, name, use)
+
+
+def _pieces(tree: xr.DataTree) -> Iterator[tuple[str, str, str, Rms]]:
+    """Channel, recording, use and RMS of everything that was compared, held out first."""
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    rows = [
+        (channel, name, use, (found["before"], found["after"], found["noise_floor"]))
+        for name, channels in answer["disagreement"]["recordings"].items()
+        for channel, uses in channels.items()
+        for use, found in uses.items()
+    ]
+    yield from sorted(rows, key=lambda row: row[2])
+
+
+def _recording_before_and_after(tree: xr.DataTree, recording: str, use: str) -> Figure:
+    """A row for each channel: both residuals on one scale, a zoom; beside them every RMS."""
+    pieces = list(_pieces(tree))
+    rms = {channel: size for channel, name, of, size in pieces if (name, of) == (recording, use)}
+    whole = f"Left: recording {recording}, which was {_USES[use]}. Right: all recordings."
+    heading = [*textwrap.wrap(headline(summarise_diagnosis(tree)), _LINE_LETTERS), whole]
+    top = 0.5 + style.LINE_IN * len(heading)
+    height = max(_SHOWN_ROW_IN * len(rms) + 0.3, 0.26 * len(pieces) + 0.6)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + height)
+    spec = style.grid(
+        figure, len(rms), 3, left=0.6, top=top, between=(0.62, 0.58), widths=(2.9, 2.1, 1.6)
+    )
+    figure.text(
+        0.06 / style.DOUBLE_COLUMN_IN, 1.0 - 0.06 / (top + height), "\n".join(heading),
+        va="top", linespacing=1.25,
+    )  # fmt: skip
+    axes: list[Axes] = []
+    titles: list[str] = []
+    window: tuple[float, float] | None = None
+    for row, (channel, sizes) in enumerate(rms.items()):
+        course = _compared(tree["signals"].to_dataset(), recording, use, channel)
+        window = window or _worst(course)
+        maps = _draw_residuals(figure, spec[row, 0], course, sizes, channel, window)
+        zoom = figure.add_subplot(spec[row, 1])
+        _draw_zoom(zoom, course, channel, window)
+        name = CHANNELS.get(channel, channel)
+        axes += [maps[0], zoom]
+        titles += [f"{name}, recorded − simulated", "the tinted part"]
+    every = figure.add_subplot(spec[:, 2])
+    _draw_every(every, pieces)
+    style.head_panels([*axes, every], [*titles, "RMS over noise floor"])
+    handles, labels = axes[1].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="upper left", ncols=3, borderaxespad=0.0,
+        bbox_to_anchor=(0.0, 1.0 - (0.08 + style.LINE_IN * len(heading)) / (top + height)),
+    )  # fmt: skip
     return figure
 
 
-def _draw_piece(upper: Axes, lower: Axes, piece: xr.Dataset, labelled: bool, split: bool) -> None:
-    time = piece["time_s"].values
-    there = np.isfinite(time)
-    time = time[there]
-    measured, before, after = (
-        piece[name].values[there] for name in ("measured", "before", "after")
-    )
+held_out = stored_figure(
+    "A recording that was held out: by how much the bench disagrees with it, before naming and "
+    "after.",
+    85,
+    holding("signals/measured"),
+    name="diagnosis",
+    parts=_held_out,
+)(_recording_before_and_after)
 
-    def label(text: str) -> str | None:
-        return text if labelled else None
-
-    upper.plot(time, measured, color=style.MEASURED, linewidth=0.6, label=label("measured"))
-    upper.plot(time, before, color=BEFORE, linewidth=0.8, linestyle="--", label=label("before"))
-    upper.plot(time, after, color=style.MODEL, linewidth=0.8, label=label("after"))
-    lower.plot(time, measured - before, color=BEFORE, linewidth=0.6, linestyle="--")
-    lower.plot(time, measured - after, color=style.MODEL, linewidth=0.6)
-    if str(piece["use"].values) == "held_out" and split:
-        for axes in (upper, lower):
-            style.shade(axes, time[0], time[-1])
+others = stored_figure(
+    "By how much the bench disagrees with the recording, before naming and after.",
+    90,
+    holding("signals/measured"),
+    name="compared",
+    parts=_others,
+    for_specialists=True,
+)(_recording_before_and_after)
 
 
+def _compared(signals: xr.Dataset, recording: str, use: str, channel: str) -> dict[str, FloatArray]:
+    """``time_s``, ``measured``, ``before`` and ``after``, each (n,); NaN between two pieces."""
+    place = {"recording": recording, "use": use, "channel": channel}
+    rows = np.all([signals[key].values == value for key, value in place.items()], axis=0)
+    pieces = [signals.isel(piece=i) for i in np.flatnonzero(rows)]
+    kept = [piece.isel(sample=np.isfinite(piece["time_s"].values)) for piece in pieces]
+    return {
+        name: np.concatenate([np.append(piece[name].values, np.nan) for piece in kept])[:-1]
+        for name in ("time_s", "measured", "before", "after")
+    }
+
+
+def _worst(course: dict[str, FloatArray]) -> tuple[float, float]:
+    """The stretch of time in which the bench as given disagrees most."""
+    time, residual = course["time_s"], np.abs(course["measured"] - course["before"])
+    first, last = float(np.nanmin(time)), float(np.nanmax(time))
+    enough = _FEWEST_SHOWN * float(np.nanmedian(np.diff(time)))
+    width = min(max(_ZOOM * (last - first), enough), 0.5 * (last - first))
+    middle = float(time[np.nanargmax(residual)])
+    begin = min(max(middle - 0.4 * width, first), last - width)
+    return begin, begin + width
+
+
+def _draw_residuals(
+    figure: Figure,
+    place: SubplotSpec,
+    course: dict[str, FloatArray],
+    rms: Rms,
+    channel: str,
+    window: tuple[float, float],
+) -> list[Axes]:
+    """Before above after on one scale; the noise floor as a band, the zoom tinted."""
+    unit, (*sizes, floor) = unit_of(channel), rms
+    unchanged = np.array_equal(course["before"], course["after"])
+    stages = [("before", BEFORE), ("after", AFTER)][: 1 if unchanged else 2]
+    spec = place.subgridspec(len(stages), 1, hspace=0.12)
+    panels: list[Axes] = []
+    for index, ((stage, look), size) in enumerate(zip(stages, sizes, strict=False)):
+        first = panels[0] if panels else None
+        panel = figure.add_subplot(spec[index, 0], sharex=first, sharey=first)
+        middle, low, high = style.envelope(
+            course["time_s"], course["measured"] - course[stage], _OUTLINE_BINS
+        )
+        panel.fill_between(middle, low, high, color=look.colour, linewidth=0.3)
+        style.shade(panel, *window)
+        text = f"{stage}: RMS {significant(size, 3)} {unit}"
+        if stage == stages[-1][0]:
+            text += f", noise floor {significant(floor, 3)} {unit}"
+        panel.text(0.01, 0.98, text, transform=panel.transAxes, va="top")
+        panel.label_outer()
+        panels.append(panel)
+    bottom, top = panels[0].get_ylim()
+    panels[0].set_ylim(bottom, top + 0.25 * (top - bottom))  # the line of text is above the data
+    panels[0].set_xlim(np.nanmin(course["time_s"]), np.nanmax(course["time_s"]))
+    panels[-1].set_xlabel("Time (s)")
+    panels[0].set_ylabel(f"Residual ({unit})", y=0.5 if unchanged else -0.06)
+    return panels
+
+
+def _draw_zoom(
+    panel: Axes, course: dict[str, FloatArray], channel: str, window: tuple[float, float]
+) -> None:
+    time = course["time_s"]
+    inside = (time >= window[0]) & (time <= window[1])
+    panel.plot(
+        time[inside], course["measured"][inside], color=style.MEASURED, linewidth=1.4,
+        label="recorded",
+    )  # fmt: skip
+    labels = ("bench as given (before)", "with what was named (after)")
+    for stage, look, label in zip(("before", "after"), (BEFORE, AFTER), labels, strict=True):
+        panel.plot(
+            time[inside], course[stage][inside], color=look.colour, linestyle=look.dashes,
+            linewidth=0.9, label=label,
+        )  # fmt: skip
+    panel.set_xlim(*window)
+    panel.set_xlabel("Time (s)")
+    panel.locator_params(axis="x", nbins=4)
+    name = capitalised(CHANNELS.get(channel, channel))
+    panel.set_ylabel(f"{name} ({unit_of(channel)})")
+
+
+def _draw_every(panel: Axes, pieces: Sequence[tuple[str, str, str, Rms]]) -> None:
+    """RMS over the noise floor of every recording and channel, before and after."""
+    channels = {channel for channel, *_ in pieces}
+    reach = 1.0
+    for row, (channel, name, use, (before, after, floor)) in enumerate(pieces):
+        ends = (before / floor, after / floor)
+        reach = max(reach, *ends)
+        panel.plot(ends, (row, row), color=style.WITHHELD, linewidth=0.8, zorder=1.0)
+        for end, look in zip(ends, (BEFORE, AFTER), strict=True):
+            panel.plot(end, row, look.marker, color=look.colour, zorder=2.0)
+        of = f", {CHANNELS.get(channel, channel).removeprefix('motor ')}" * (len(channels) > 1)
+        text = f"{name}{of}" + ", held out" * (use == "held_out")
+        panel.text(1.0, row - 0.2, f" {text}", va="bottom")
+    panel.axvline(1.0, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)), zorder=0.5)
+    style.plain_log_axis(panel.xaxis, (1.0, 2.0, 5.0) if reach < 30.0 else (1.0,))
+    panel.set_xlim(0.85, 1.25 * max(reach, 1.6))
+    panel.set_ylim(len(pieces) - 0.5, -0.8)
+    panel.set_yticks([])
+    panel.spines["left"].set_visible(False)
+    panel.set_xlabel("RMS / noise floor")
+
+
+_LOOKS = (BEFORE, AFTER)
 _NOISE = "#000000"
 _ROW_IN = 2.0
 _BINS = 250
@@ -124,14 +272,15 @@ def _each_recording(
 
 
 @stored_figure(
-    "Measured signals, bench before and after naming, and the residuals.",
+    "Residuals before and after naming: mean over the load angle, and spectrum.",
     90,
     holding("residuals_before", "residuals_after"),
-    name="diagnosis",
+    name="residuals",
     parts=_each_recording,
+    for_specialists=True,
 )
 def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) -> Figure:
-    """A row for each channel: overlay, residuals against load angle, their order spectrum.
+    """A row for each channel: residuals against load angle, their order spectrum.
 
     Parameters
     ----------
@@ -145,40 +294,20 @@ def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) ->
     channels = [str(name) for name in np.atleast_1d(before.attrs["channels"])]
     channels = [n for n in channels if not np.isnan(stages[0][f"{n}_offset"])]
     rows = len(channels)
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 1.04 + _ROW_IN * rows)
-    spec = style.grid(figure, rows, 3, left=0.6, top=0.64, between=(0.6, 0.62))
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.86 + _ROW_IN * rows)
+    spec = style.grid(figure, rows, 2, left=0.6, top=0.46, between=(0.6, 0.62))
     axes: list[Axes] = []
     titles: list[str] = []
     for row, channel in enumerate(channels):
-        overlay = figure.add_subplot(spec[row, 0])
-        _overlay(overlay, stages, channel)
-        maps = _load_maps(figure, spec[row, 1], stages, channel)
-        spectrum = figure.add_subplot(spec[row, 2])
+        maps = _load_maps(figure, spec[row, 0], stages, channel)
+        spectrum = figure.add_subplot(spec[row, 1])
         _spectrum(spectrum, stages, channel)
-        axes += [overlay, maps[0], spectrum]
-        titles += [CHANNELS.get(channel, channel), "residuals: before, after", "their spectrum"]
+        axes += [maps[0], spectrum]
+        name = CHANNELS.get(channel, channel)
+        titles += [f"{name}: residuals before, after", "their spectrum"]
     style.head_panels(axes, titles)
     _legend(figure, stages, channels)
     return figure
-
-
-def _overlay(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
-    angle = _values(stages[0], "load_angle_rad")
-    panel.plot(
-        angle, _values(stages[0], f"{channel}_recorded"), color=style.MEASURED, linewidth=1.6
-    )
-    for index, stage in enumerate(stages):
-        look = style.look(index)
-        panel.plot(
-            angle,
-            _values(stage, f"{channel}_simulated"),
-            color=look.colour,
-            linestyle=look.dashes,
-            linewidth=0.9,
-        )
-    name = capitalised(CHANNELS.get(channel, channel))
-    panel.set_ylabel(f"{name} ({unit_of(channel)})")
-    style.rotation_axis(panel, "Load angle (rad)")
 
 
 def _load_maps(
@@ -191,7 +320,7 @@ def _load_maps(
     for index, stage in enumerate(stages):
         first = panels[0] if panels else None
         panel = figure.add_subplot(spec[index, 0], sharex=first, sharey=first)
-        look = style.look(index)
+        look = _LOOKS[index]
         mean = _values(stage, f"{channel}_load_map")
         error = float(stage[f"{channel}_map_error"])
         panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
@@ -213,7 +342,7 @@ def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             for name in ("load_order", f"{channel}_amplitude", f"{channel}_noise_amplitude")
         )
         shown = (order > 0.0) & np.isfinite(amplitude)
-        look = style.look(index)
+        look = _LOOKS[index]
         panel.plot(
             *_peaks(order[shown], amplitude[shown]),
             color=look.colour,
@@ -281,11 +410,9 @@ def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
 
 def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> None:
     panel = figure.axes[0]
-    handles = [
-        Line2D([], [], color=style.MEASURED, linewidth=1.6, label="recorded, mean of rotations")
-    ]
-    for index, name in enumerate(("simulated before", "simulated after")):
-        look = style.look(index)
+    handles: list[Line2D] = []
+    for index, name in enumerate(("before naming", "after naming")):
+        look = _LOOKS[index]
         handles += panel.plot([], [], color=look.colour, linestyle=look.dashes, label=name)
     limit = f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)"
     handles.append(Line2D([], [], color=_NOISE, linewidth=0.8, label=limit))
@@ -422,7 +549,7 @@ def _course(
     return figure
 
 
-_BELIEVED = "#d55e00"
+_BELIEVED = BEFORE.colour
 
 
 def has_sizes(tree: xr.DataTree) -> bool:
@@ -547,7 +674,7 @@ def prior_and_posterior(tree: xr.DataTree) -> Figure:
     panel.spines["left"].set_visible(False)
     panel.set_xlabel("From the data sheet's value (%)")
     level = next(iter(found.values()))["posterior"]["level"]
-    estimated = f"found: median and {100.0 * level:g} % interval"
+    estimated = f"identified: median and {100.0 * level:g} % interval"
     handles = [
         panel.barh(0, 0, color=style.BAND, label="data sheet with its tolerance"),
         panel.errorbar([], [], xerr=[], fmt="o", color=style.MODEL, label=estimated),

@@ -99,16 +99,15 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     subject = SUBJECTS[summary["kind"]]
     measured = summary if answer.is_measured(summary) else None
     gaps = answer.snapshots(measured) if measured else []
-    first = None if gaps else next(iter(pictures), None)
     return {
         "title": subject.title,
         "headline": subject.headline(summary),
         "advice": subject.advice(summary),
         "cards": list(subject.cards(summary)),
         "explained": answer.explained(measured) if measured else "",
-        "answer": _answer_picture(gaps) if gaps else first,
-        "pictures": [p for p in pictures if not p.special and p is not first],
-        "special": [p for p in pictures if p.special and p is not first],
+        "answer": _answer_picture(gaps) if gaps else None,
+        "pictures": [p for p in pictures if not p.special],
+        "special": [p for p in pictures if p.special],
         "numbers": list(blocks(summary)),
         "details": list(subject.details(tree, summary)),
         "budget": [(name or "Gap", list(_shares(part["budget"]))) for name, part in gaps],

@@ -674,7 +674,7 @@ def _scanned(file: Path, text: _Text, layout: _Layout) -> tuple[array[int], int,
                 incomplete.append(index)
             elif len(cells) == width and set(cells) & set(layout.names):
                 raise RecordingError(
-                    "Another header stands among the samples.",
+                    "There is another header among the samples.",
                     file=file,
                     where=f"line {index + 1}",
                     found=shortened(", ".join(cells)),
