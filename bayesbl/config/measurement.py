@@ -13,7 +13,7 @@ from bayesbl import units
 from bayesbl.config.sections import (
     BenchSource,
     CurveSource,
-    GapBounds,
+    GapBoundsFromZero,
     Interval,
     Model,
     Positive,
@@ -196,14 +196,15 @@ class Estimator(Section):
 
     Where a bench is given the route is ``auto``: the direct one answers where its checks pass, and
     the amplitude's answer, by curves swept from the bench, stands beside it. ``gap_rad`` is the
-    range of the direct route's log-uniform prior. ``torque_ramp`` reads ramps of the motor's torque
+    range of the direct route's prior, log-uniform; from zero it is uniform in ln(δ + 0.01 mrad).
+    ``torque_ramp`` reads ramps of the motor's torque
     with the output held, ``two_encoders`` the positions of motor and load over any motion with
     reversals; both need neither bench nor curve.
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"
     bench: BenchSource | None = None
-    gap_rad: GapBounds = (1e-4, 1e-2)
+    gap_rad: GapBoundsFromZero = (0.0, 1e-2)
     model: Model = Field(default_factory=Model)
     search: Search = Field(default_factory=Search)
     noise: Noise = Field(default_factory=Noise)

@@ -22,7 +22,7 @@ from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
-GAPS_TRIED = 24
+GAPS_TRIED = 36
 SHIFTS_TRIED = 4
 """Of what was learned, in a period of its highest order."""
 POINTS_AT_ONCE = 64
