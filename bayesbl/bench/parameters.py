@@ -134,12 +134,12 @@ See docs/design.md, "What recordings cannot tell apart".
 """
 
 SMALLEST_SHARPNESS_GAP = 50.0
-"""α·δ below which the arctan form has no dead zone left, only a weak shaft, unless its edges are
-sharp beside the twist."""
+"""α·δ below which the arctan form has no dead zone left, only a weak shaft."""
 
-SMALLEST_SHARPNESS_TWIST = 1000.0
-"""α·m g l/K_s from which a gap may be as small as it likes: around zero twist the arctan form has
-2 K_s/(π α) of torque that the dead zone lacks, here 0.06 % of gravity's."""
+SHARPEST_PER_RAD = 5e5
+"""α from which a gap may be as small as it likes: edges of 2 µrad, 0.2 µm at 100 mm, are sharper
+than any tooth's, and the 2 K_s/(π α) of torque that the dead zone lacks around zero twist moves no
+impact."""
 
 
 def declaration_of(name: str) -> ParameterInfo | EffectParameter:
@@ -212,17 +212,15 @@ def _check_gap(matrix: FloatArray) -> None:
     gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
     sharpness = matrix[:, Slot.stiffness_sharpness_per_rad]
     arctan = (matrix[:, Slot.hard_dead_zone] == 0.0) & (matrix[:, Slot.rigid] == 0.0)
-    weak = arctan & (gap > 0.0) & (sharpness * gap < SMALLEST_SHARPNESS_GAP)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        twist = matrix[:, Slot.gravity_torque_nm] / matrix[:, Slot.shaft_stiffness_nm_per_rad]
-    weak &= ~(sharpness * np.abs(twist) >= SMALLEST_SHARPNESS_TWIST)
+    weak = arctan & (gap > 0.0) & (sharpness < SHARPEST_PER_RAD)
+    weak &= sharpness * gap < SMALLEST_SHARPNESS_GAP
     if weak.any():
         row = int(np.argmax(weak))
         raise BenchError(
             "The arctan stiffness has no dead zone at so small a gap: stiffness_sharpness_per_rad "
-            f"must be at least {SMALLEST_SHARPNESS_GAP:g} over the gap, or "
-            f"{SMALLEST_SHARPNESS_TWIST:g} over the twist by gravity, m g l/K_s, or the shaft is "
-            'only weakened everywhere. Use gap_form = "dead_zone", a larger sharpness, or no gap.',
+            f"must be at least {SHARPEST_PER_RAD:g}, or {SMALLEST_SHARPNESS_GAP:g} over the gap, "
+            'or the shaft is only weakened everywhere. Use gap_form = "dead_zone", a larger '
+            "sharpness, or no gap.",
             where="stiffness_sharpness_per_rad * gap_rad",
             found=f"{sharpness[row]:g} * {gap[row]:g} = {sharpness[row] * gap[row]:.3g}",
         )
