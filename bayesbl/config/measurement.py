@@ -196,8 +196,8 @@ class Estimator(Section):
 
     Where a bench is given the route is ``auto``: the direct one answers where its checks pass, and
     the amplitude's answer, by curves swept from the bench, stands beside it. ``gap_rad`` is the
-    range of the direct route's prior, log-uniform; from zero it is uniform in ln(δ + 0.01 mrad).
-    ``torque_ramp`` reads ramps of the motor's torque
+    range of the direct route's prior: log-uniform, or uniform in ln(δ + 0.01 mrad) where it begins
+    at zero. ``torque_ramp`` reads ramps of the motor's torque
     with the output held, ``two_encoders`` the positions of motor and load over any motion with
     reversals; both need neither bench nor curve.
     """
