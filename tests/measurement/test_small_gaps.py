@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -125,3 +126,21 @@ def test_a_joint_without_a_gap_is_answered_by_a_bound_and_its_growth_by_an_inter
     told = capsys.readouterr().out
     assert "The gap grew by" in told
     assert "below 0.00" in told
+
+
+@pytest.mark.long
+def test_the_shipped_precision_reducer_is_measured(tmp_path: Path, no_figures) -> None:
+    configs = tmp_path / "configs"
+    configs.mkdir()
+    for name in ("bench_precision.toml", "simulate_precision.toml", "precision.toml"):
+        shutil.copy(CONFIGS / name, configs)
+    assert cli.status(["simulate", str(configs / "simulate_precision.toml")]) == 0
+    assert cli.status(["run", str(configs / "precision.toml")]) == 0
+    found = json.loads((tmp_path / "results/precision/summary.json").read_text())
+    for part, gap_rad in zip(found["snapshots"], (5e-5, 9e-5), strict=True):
+        sd = part["posterior_sd"]["delta_rad"]
+        assert sd < 0.05 * gap_rad
+        # Fails by chance in 1 of 10 000.
+        assert abs(part["delta_rad"]["median"] - gap_rad) < 4.0 * sd
+    assert found["change_rad"]["low"] > 3e-5
+    assert found["snapshots"][1]["probability_above_limit"] < 0.01
