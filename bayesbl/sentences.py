@@ -352,6 +352,11 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "Sensor noise fed back through the speed loop makes impacts vary: the interval is "
         f"{times:.2g} times wider for it."
     ),
+    "gap_not_told": lambda upper_rad, smallest_rad: (
+        f"There may be no gap: the recording does not exclude one below "
+        f"{1e3 * smallest_rad:.2g} mrad, which counts as none. δ is below "
+        f"{1e3 * upper_rad:.2g} mrad with 95 % probability."
+    ),
     "soft_edges": lambda sd_rad: (
         "The gap has soft edges: contact builds up over about "
         f"±{number(1e3 * sd_rad, 2)} mrad. δ is in the middle, and its interval includes that; "

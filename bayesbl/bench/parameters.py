@@ -136,6 +136,11 @@ See docs/design.md, "What recordings cannot tell apart".
 SMALLEST_SHARPNESS_GAP = 50.0
 """α·δ below which the arctan form has no dead zone left, only a weak shaft."""
 
+SHARPEST_PER_RAD = 5e5
+"""α from which a gap may be as small as it likes: edges of 2 µrad, 0.2 µm at 100 mm, are sharper
+than any tooth's, and the 2 K_s/(π α) of torque that the dead zone lacks around zero twist moves no
+impact."""
+
 
 def declaration_of(name: str) -> ParameterInfo | EffectParameter:
     """What is declared of a bench parameter or ``effect.parameter``, also by its slot's name."""
@@ -207,14 +212,15 @@ def _check_gap(matrix: FloatArray) -> None:
     gap = matrix[:, Slot.gap_rad] + matrix[:, Slot.backlash__gap_rad]
     sharpness = matrix[:, Slot.stiffness_sharpness_per_rad]
     arctan = (matrix[:, Slot.hard_dead_zone] == 0.0) & (matrix[:, Slot.rigid] == 0.0)
-    weak = arctan & (gap > 0.0) & (sharpness * gap < SMALLEST_SHARPNESS_GAP)
+    weak = arctan & (gap > 0.0) & (sharpness < SHARPEST_PER_RAD)
+    weak &= sharpness * gap < SMALLEST_SHARPNESS_GAP
     if weak.any():
         row = int(np.argmax(weak))
         raise BenchError(
             "The arctan stiffness has no dead zone at so small a gap: stiffness_sharpness_per_rad "
-            f"times the gap must be 0 or at least {SMALLEST_SHARPNESS_GAP:g}, or the shaft is "
-            'only weakened everywhere. Use gap_form = "dead_zone", a larger sharpness, or no '
-            "gap.",
+            f"must be at least {SHARPEST_PER_RAD:g}, or {SMALLEST_SHARPNESS_GAP:g} over the gap, "
+            'or the shaft is only weakened everywhere. Use gap_form = "dead_zone", a larger '
+            "sharpness, or no gap.",
             where="stiffness_sharpness_per_rad * gap_rad",
             found=f"{sharpness[row]:g} * {gap[row]:g} = {sharpness[row] * gap[row]:.3g}",
         )

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from bayesbl.config.measurement import Curve, Noise, Posterior, WearOverDates
 from bayesbl.config.sections import (
     ClusterRun,
-    GapBounds,
+    GapBoundsFromZero,
     InputPath,
     Interval,
     Model,
@@ -101,7 +101,7 @@ class FleetEstimator(Section):
     """
 
     route: Literal["auto", "amplitude", "direct"] = "auto"
-    gap_rad: GapBounds = (1e-4, 1e-2)
+    gap_rad: GapBoundsFromZero = (0.0, 1e-2)
     model: Model = Field(default_factory=Model)
     noise: Noise = Field(default_factory=Noise)
 

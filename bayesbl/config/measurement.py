@@ -13,7 +13,7 @@ from bayesbl import units
 from bayesbl.config.sections import (
     BenchSource,
     CurveSource,
-    GapBounds,
+    GapBoundsFromZero,
     Interval,
     Model,
     Positive,
@@ -195,14 +195,15 @@ class Estimator(Section):
     """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
 
     With a bench the route is ``auto``: both routes run, and the direct one answers if its checks
-    pass. ``gap_rad`` is the range of the direct route's log-uniform prior. ``torque_ramp`` reads
-    ramps of the motor's torque with the output held, ``two_encoders`` the positions of motor and
-    load over any motion with reversals; both need neither bench nor curve.
+    pass. ``gap_rad`` is the range of the direct route's prior: log-uniform, or uniform in
+    ln(δ + 0.01 mrad) if it begins at zero. ``torque_ramp`` reads ramps of the motor's torque with
+    the output held, ``two_encoders`` the positions of motor and load over any motion with
+    reversals; both need neither bench nor curve.
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"
     bench: BenchSource | None = None
-    gap_rad: GapBounds = (1e-4, 1e-2)
+    gap_rad: GapBoundsFromZero = (0.0, 1e-2)
     model: Model = Field(default_factory=Model)
     search: Search = Field(default_factory=Search)
     noise: Noise = Field(default_factory=Noise)

@@ -139,6 +139,12 @@ def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
 def _positive(bounds: tuple[float, float]) -> tuple[float, float]:
     if bounds[0] <= 0.0:
         refuse("A gap must be positive.", found=bounds[0], expected="greater than 0")
+    return bounds
+
+
+def _gaps(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] < 0.0:
+        refuse("No gap is below zero.", found=bounds[0], expected="0 or above")
     if bounds[1] > math.pi:
         refuse("A gap is less than half a turn.", found=bounds[1], expected="at most π")
     return bounds
@@ -203,7 +209,8 @@ ResultFile = Annotated[Path, BeforeValidator(_result_file)]
 BenchSource = ResultFile
 """A bench file, or the result of an identification: its folder or ``result.nc``."""
 Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_increasing)]
-GapBounds = Annotated[Range, AfterValidator(_positive)]
+GapBoundsFromZero = Annotated[Range, AfterValidator(_gaps)]
+GapBounds = Annotated[GapBoundsFromZero, AfterValidator(_positive)]
 SymbolName = Annotated[str, AfterValidator(_symbol)]
 ChannelName = Annotated[str, AfterValidator(_channel)]
 Name = Annotated[str, AfterValidator(_name)]

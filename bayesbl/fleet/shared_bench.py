@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from bayesbl.bench.parameters import JointNormal
-from bayesbl.matching.signals import Unknown
+from bayesbl.matching.signals import SMALLEST_GAP_RAD, Unknown
 from bayesbl.probabilities import chi2_sf
 from bayesbl.recording.types import FloatArray
 
@@ -99,11 +99,12 @@ class MatchedAlone:
 
     def at(self, bench: FloatArray, generator: np.random.Generator) -> FloatArray:
         """Draws of the gap on given benches, shape (draw,)."""
-        log_gap = np.log(self.gap_rad)
+        log_gap = np.log(self.gap_rad + SMALLEST_GAP_RAD)
         columns = np.vstack([np.ones(log_gap.size), self.bench]).T
         line, *_ = np.linalg.lstsq(columns, log_gap, rcond=None)
         left = generator.choice(log_gap - columns @ line, bench.shape[1])
-        return np.asarray(np.exp(line[0] + line[1:] @ bench + left))
+        gap_rad = np.exp(line[0] + line[1:] @ bench + left) - SMALLEST_GAP_RAD
+        return np.asarray(np.maximum(gap_rad, 0.0))
 
 
 def shared_bench(alone: Sequence[MatchedAlone]) -> tuple[FloatArray, FloatArray]:

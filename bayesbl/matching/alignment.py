@@ -22,7 +22,7 @@ from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
-GAPS_TRIED = 24
+GAPS_TRIED = 36
 LOAD_FRICTION = ("load_viscous_friction", "load_coulomb_friction")
 FRICTIONS_TRIED = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
 """In usual sizes; beyond, one joint in eighty."""

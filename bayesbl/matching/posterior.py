@@ -556,7 +556,8 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Sequence[str]:
             ("lower", np.mean(own < unknown.low + near)),
             ("upper", np.mean(own > unknown.high - near)),
         ):
-            if share > AT_BOUND_SHARE:
+            # Where the range begins at no gap there is nothing below.
+            if share > AT_BOUND_SHARE and not (side == "lower" and unknown.offset):
                 ends = unknown.value(np.array([unknown.low, unknown.high]))
                 sentences.append(
                     f"The posterior of δ lies at the {side} bound of its range "

@@ -33,6 +33,8 @@ from bayesbl.sampling.importance import truncated_normal
 GAP = "gap_rad"
 START_ANGLE = "start_angle_rad"
 REFERENCE_DELAY = "reference_delay_s"
+SMALLEST_GAP_RAD = 1e-5
+"""That is called a gap: makers of precision reducers state 0.1′ of play, 0.0145 mrad, at best."""
 MOST_DELAY_S = 0.02
 """Some cycles of the slowest usual bus."""
 TURN_SD_RAD = 2.0 * math.pi / math.sqrt(12.0)
@@ -69,6 +71,8 @@ class Unknown:
         Name of the recording it belongs to; ``None`` if all share it.
     logarithmic
         The coordinate is ln of the value.
+    offset
+        Of a logarithmic one: the coordinate is ln(value + offset), so that it reaches zero.
     added
         The value is added to what the recording has without it: to the bench's value as it is, to
         another in proportion.
@@ -85,6 +89,7 @@ class Unknown:
     logarithmic: bool = False
     added: bool = False
     flat_in_value: bool = False
+    offset: float = 0.0
 
     @property
     def key(self) -> tuple[str, str | None]:
@@ -99,7 +104,18 @@ class Unknown:
 
     def value(self, coordinate: FloatArray) -> FloatArray:
         """From the coordinate to the value."""
-        return np.exp(coordinate) if self.logarithmic else coordinate
+        return np.exp(coordinate) - self.offset if self.logarithmic else coordinate
+
+    def coordinate(self, value: FloatArray) -> FloatArray:
+        """From the value to the coordinate; −∞ below what the coordinate reaches."""
+        if not self.logarithmic:
+            return value
+        with np.errstate(divide="ignore"):
+            return np.log(np.maximum(value + self.offset, 0.0))
+
+    def slope(self, value: FloatArray) -> FloatArray:
+        """Of the value by the coordinate, at a value."""
+        return value + self.offset if self.logarithmic else np.ones_like(value)
 
     @property
     def middle(self) -> float:
@@ -120,8 +136,15 @@ class Unknown:
 
 
 def gap_unknown(low_rad: float, high_rad: float) -> Unknown:
-    """δ with a log-uniform prior."""
-    return Unknown(GAP, math.log(low_rad), math.log(high_rad), logarithmic=True)
+    """δ with a log-uniform prior; from zero with the density 1/(δ + 0.01 mrad), which is proper.
+
+    Below :data:`SMALLEST_GAP_RAD` signals are linear in δ, far above in ln δ.
+    """
+    offset = 0.0 if low_rad > 0.0 else SMALLEST_GAP_RAD
+    low, high = math.log(low_rad + offset), math.log(high_rad + offset)
+    # Rounding leaves no gap below zero.
+    low = low if low_rad > 0.0 else math.nextafter(low, high)
+    return Unknown(GAP, low, high, logarithmic=True, offset=offset)
 
 
 def start_angle_unknown(recording: str) -> Unknown:

@@ -377,14 +377,16 @@ class AmplitudeMeasurer(Measurer):
         check, unlike = self._against_bench(recording, fit, gap, curve, level)
         unsuitable = unsuited(recording, fit, curve, task.config)
         against = [*reasons_as_printed(fit, curve), *unsuitable, *unlike]
+        judged = verdict(fit, gap, against, self.source.question(recording))
+        bounded = all(reason.code == "beyond_curve" for reason in judged.withholding)
         return Answer(
             recording.name,
             None if gap is None else gap.delta_rad,
-            verdict(fit, gap, against, self.source.question(recording)),
+            judged,
             groups,
             _numbers(fit, groups["posterior"], task.config.interval),
             check,
-            None if gap is None else gap.upper_bound_rad,
+            gap.upper_bound_rad if gap is not None and bounded else None,
         )
 
     def _against_bench(

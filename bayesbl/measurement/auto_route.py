@@ -15,6 +15,7 @@ import numpy as np
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
+from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
@@ -164,7 +165,7 @@ def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measur
 def _disagreement(direct: Measurement, amplitude: Measurement) -> Reason | None:
     """Why the change is withheld: both routes answer, and not alike."""
     pairs = [
-        (seen.name, np.log(seen.delta_rad), np.log(answer.delta_rad))
+        (seen.name, seen.delta_rad, answer.delta_rad)
         for seen, answer in zip(direct.answers, amplitude.answers, strict=True)
         if not (seen.is_withheld or answer.is_withheld)
         if seen.delta_rad is not None and answer.delta_rad is not None
@@ -172,16 +173,18 @@ def _disagreement(direct: Measurement, amplitude: Measurement) -> Reason | None:
     if not pairs:
         return None
     bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
-    apart = [name for name, *logs in pairs if abs(_standard_difference(*logs)) > bound]
+    apart = [name for name, *gaps in pairs if abs(_standard_difference(*gaps)) > bound]
     return Reason("routes_disagree", {"names": apart}) if apart else None
 
 
 def _standard_difference(first: FloatArray, second: FloatArray) -> float:
-    """Difference of means of ln δ over its standard deviation, as if both were independent.
+    """Difference of means of ln δ over its standard deviation, as if both gaps, in rad, were
+    independent; of gaps too small to be called so, of δ itself.
 
     What both draw from the tolerances of the bench is common to them, so the true standard
     deviation is smaller and the alarm rarer than its level.
     """
+    first, second = (np.log(SMALLEST_GAP_RAD + gap_rad) for gap_rad in (first, second))
     sd = float(np.hypot(first.std(), second.std()))
     return float(first.mean() - second.mean()) / sd
 

@@ -32,6 +32,7 @@ from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreeme
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
+    SMALLEST_GAP_RAD,
     Unknown,
     drift_unknowns,
     effect_unknowns,
@@ -106,6 +107,9 @@ tell it to."""
 
 LARGEST_Z = 37.0
 """Beyond it a probability is zero in double precision."""
+
+BOUNDED = ("gap_unseen",)
+"""Codes of what withholds δ and leaves a bound of it."""
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
@@ -236,15 +240,19 @@ class DirectMeasurer(Measurer):
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
         groups = direct_groups(posterior, recording, index, check, generator)
-        gap, ends = posterior.values(GAP, recording.name), excluded_ends(posterior, recording.name)
+        gap = posterior.values(GAP, recording.name)
+        verdict = direct_verdict(found, index, notes, level)
+        contradicted = any(reason.code not in BOUNDED for reason in verdict.withholding)
         return Answer(
             recording.name,
             gap,
-            direct_verdict(found, index, notes, level),
+            verdict,
             groups,
             _numbers(posterior, recording, index, check, groups, self.config.interval),
             found.model_check(recording.name, level),
-            upper_bound(gap) if ends == (False, True) else None,
+            None
+            if contradicted or excluded_ends(posterior, recording.name) != (False, True)
+            else upper_bound(gap),
         )
 
     def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
@@ -436,6 +444,12 @@ def direct_verdict(
     sampling = sampling_reasons(diagnostics, withhold=outcome == "withheld")
     # Where δ is not seen, its prior's range may decide: that needs no saying.
     reasons = [*against, *(unseen or sampling)]
+    unknown = fit.model.unknowns[fit.model.index(GAP, recording.name)]
+    ends = excluded_ends(found.posterior, recording.name)
+    if outcome != "withheld" and unknown.offset and ends == (False, True):
+        outcome = "usable"
+        values = {"upper_rad": upper_bound(gap), "smallest_rad": SMALLEST_GAP_RAD}
+        reasons.append(Reason("gap_not_told", values))
     if not with_current:
         reasons.append(Reason("no_current"))
     wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
@@ -824,7 +838,7 @@ def _optimum(posterior: DirectPosterior, recording: str) -> xr.Dataset:
     places = own_unknowns(posterior, recording)
     values = {name: float(fit.model.unknowns[i].value(fit.point[i])) for name, i in places.items()}
     slopes = np.array(
-        [values[n] if fit.model.unknowns[i].logarithmic else 1.0 for n, i in places.items()]
+        [float(fit.model.unknowns[i].slope(np.array(values[n]))) for n, i in places.items()]
     )
     index = np.array(list(places.values()))
     return dataset(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from bayesbl.bench.kernel import Slot
@@ -75,7 +73,7 @@ def largest_pull(fit: SimulatedFit, index: int) -> float:
 def _bound(posterior: DirectPosterior, index: int) -> str | None:
     """The one-sided bound that the posterior leaves, in words; ``None`` where it leaves none."""
     name = posterior.fit.model.recordings[index].name
-    draws = np.log(posterior.values(GAP, name).ravel())
+    draws = posterior.values(GAP, name).ravel()
     match excluded_ends(posterior, name):
         case True, False:
             side, share = "larger", 1.0 - UPPER_BOUND_LEVEL
@@ -83,15 +81,15 @@ def _bound(posterior: DirectPosterior, index: int) -> str | None:
             side, share = "smaller", UPPER_BOUND_LEVEL
         case _:
             return None
-    bound_rad = math.exp(float(np.quantile(draws, share)))
+    bound_rad = float(np.quantile(draws, share))
     return f"It is {side} than {1e3 * bound_rad:.2g} mrad ({UPPER_BOUND_LEVEL:.0%})."
 
 
 def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, bool]:
     """Whether a recording excludes the lower, and the upper, end of the range of its δ."""
     model = posterior.fit.model
-    unknown = model.unknowns[model.index(GAP, recording)]
-    draws = np.log(posterior.values(GAP, recording))
+    place = model.index(GAP, recording)
+    unknown, draws = model.unknowns[place], posterior.draws[..., place]
     end = EXCLUDED_END * (unknown.high - unknown.low)
     at_low = float(np.mean(draws < unknown.low + end))
     at_high = float(np.mean(draws > unknown.high - end))

@@ -557,8 +557,9 @@ def marginalised(
     for _ in range(MOST_TRIES):
         tried = flat[outside] + rest.posterior.draw(rng, outside.size).shift
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
-        gap_rad = np.exp(tried[:, gaps]) + edge_rad[:, None]
-        tried[:, gaps] = np.log(np.maximum(gap_rad, 1e-300))
+        for k in gaps:
+            unknown = model.unknowns[k]
+            tried[:, k] = unknown.coordinate(unknown.value(tried[:, k]) + edge_rad)
         within = np.all((tried > model.low) & (tried < model.high), axis=1)
         moved[outside[within]] = tried[within]
         outside = outside[~within]

@@ -480,8 +480,9 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
     if first == last:
         return []
     toward = np.zeros(fit.point.size)
-    toward[model.index(GAP, last)] = fit.value(GAP, last)
-    toward[model.index(GAP, first)] = -fit.value(GAP, first)
+    for sign, name in ((1.0, last), (-1.0, first)):
+        place = model.index(GAP, name)
+        toward[place] = sign * model.unknowns[place].slope(np.array(fit.value(GAP, name)))
     least = math.sqrt(float(chi2_isf(FALSE_ALARM / len(_candidates(fit, ())), 1)))
     least += normal_isf(MISSED)
     derivatives, noise = fit.derivatives(), noise_along(fit)

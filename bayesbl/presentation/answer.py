@@ -159,15 +159,13 @@ def headline(summary: MeasuredSummary) -> str:
                 return f"{by}{if_nothing_else(change, growth, cause)}"
             told = words.change_of("The gap", change, "mrad", 1e3)
             return f"{by}{told}; {grew(growth)}{wear.unless(summary)}."
-    elif summary["delta_rad"] is not None:
-        if (
-            none := play.no_play_by_ramps(summary) or play.no_play_by_encoders(summary)
-        ) is not None:
-            return none
-        return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
+    elif (none := play.no_play_by_ramps(summary)) is not None:
+        return none
     elif summary["delta_upper_bound_rad"] is not None:
         bound = words.significant(1e3 * summary["delta_upper_bound_rad"])
         return f"There may be no gap: it is below {bound} mrad with 95 % probability."
+    elif summary["delta_rad"] is not None:
+        return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
     what = "change of the gap" if summary["kind"] == "compare" else "gap"
     return f"The {what} is withheld: these data do not give an answer that can be trusted."
 
@@ -404,10 +402,10 @@ def _gap_table(summary: MeasuredSummary) -> Table:
     columns.append(text("Outcome"))
     rows = []
     for name, part in parts:
-        gaps = [part["routes"][route]["delta_rad"] for route in routes]
         cells = [name] if compared else []
-        for gap in gaps:
-            cells += words.gap_cells(gap, words.common_decimals([gap]))
+        for own in (part["routes"][route] for route in routes):
+            gap, upper_rad = own["delta_rad"], own["delta_upper_bound_rad"]
+            cells += words.gap_cells(gap, words.common_decimals([gap]), upper_rad)
         rows.append([*cells, part["diagnostics"]["outcome"]])
     if summary["kind"] == "compare":
         cells = ["change"]
@@ -478,14 +476,14 @@ def cards(summary: MeasuredSummary) -> Iterator[Card]:
         yield from _ringing_cards(summary)
         return
     labelled = [
-        (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"])
+        (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"], part["delta_upper_bound_rad"])
         for name, part in snapshots(summary)
     ]
     if summary["kind"] == "compare":
-        labelled.append(("Change", summary["change_rad"]))
-    places = words.common_decimals(found for _, found in labelled)
-    for label, found in labelled:
-        yield gap_card(label, found, places)
+        labelled.append(("Change", summary["change_rad"], None))
+    places = words.common_decimals(found for _, found, _ in labelled)
+    for label, found, upper_rad in labelled:
+        yield gap_card(label, found, places, upper_rad)
 
 
 def _ringing_cards(summary: MeasuredSummary) -> Iterator[Card]:
@@ -507,10 +505,10 @@ def _ringing_cards(summary: MeasuredSummary) -> Iterator[Card]:
 
 def _wear_cards(summary: ComparisonSummary, found: WearSummary) -> Iterator[Card]:
     """The gap now, how fast it grows, and when it reaches the limit; the picture shows them all."""
-    last = summary["snapshots"][-1]["delta_rad"]
-    change, rate = summary["change_rad"], found["rate"]
+    now = summary["snapshots"][-1]
+    last, change, rate = now["delta_rad"], summary["change_rad"], found["rate"]
     places = words.common_decimals([last, change])
-    yield gap_card("Gap δ now", last, places)
+    yield gap_card("Gap δ now", last, places, now["delta_upper_bound_rad"])
     if not wear.spans_repair(summary, found):
         yield gap_card("Change", change, places)  # across a repair it is no sign of wear
     yield Card(

@@ -90,8 +90,12 @@ class Card:
     note: str
 
 
-def gap_card(label: str, found: Interval | None, places: int) -> Card:
-    """A gap, or its change, in rad; ``places``: decimals in mrad."""
+def gap_card(
+    label: str, found: Interval | None, places: int, upper_rad: float | None = None
+) -> Card:
+    """A gap, its upper bound, or its change, in rad; ``places``: decimals in mrad."""
+    if upper_rad is not None:
+        return Card(label, f"below {words.significant(1e3 * upper_rad)}", "mrad", "95 %")
     if found is None:
         return Card(label, "withheld", "", "")
     value = number(1e3 * found["median"], places)

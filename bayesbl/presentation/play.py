@@ -67,7 +67,7 @@ def _snapshot_table(
 
 
 def _ramp_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
-    yield from words.gap_cells(part["delta_rad"], places)
+    yield from words.gap_cells(part["delta_rad"], places, part["delta_upper_bound_rad"])
     yield _median(part["lost_motion_rad"], 1e3)
     yield _median(part["compliance_rad_per_nm"], 1e3)
     yield _median(part["friction_torque_nm"])
@@ -144,17 +144,6 @@ def is_by_two_encoders(summary: MeasuredSummary) -> bool:
     return first["route"] == "two_encoders"
 
 
-def no_play_by_encoders(part: RouteSummary) -> str | None:
-    """The answer where play is not told from none."""
-    upper = part["delta_upper_bound_rad"]
-    if "transmission_error" not in part or upper is None:
-        return None
-    return (
-        f"There may be no play: the gap δ is below "
-        f"{words.significant(1e3 * upper)} mrad with 95 % probability."
-    )
-
-
 def encoder_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
     """A row per snapshot; ``places``: decimals of the gap in mrad."""
     titles = ("Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio")
@@ -163,13 +152,14 @@ def encoder_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> 
 
 def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
     play = part["play_rad"]
-    yield from words.gap_cells(part["delta_rad"], places)
+    yield from words.gap_cells(part["delta_rad"], places, part["delta_upper_bound_rad"])
     yield "withheld" if play is None else words.significant(1e3 * play["median"], 3)
     yield words.significant(1e3 * part["lost_motion_rad"]["median"], 3)
     yield words.bounds(part["channel_skew_s"], 1e3)
     ratio = part["gear_ratio"]
     yield number(ratio["median"], words.decimals(ratio))
-    yield "no play found" if no_play_by_encoders(part) else part["diagnostics"]["outcome"]
+    bounded = part["delta_upper_bound_rad"] is not None
+    yield "no play found" if bounded else part["diagnostics"]["outcome"]
 
 
 def encoder_blocks(part: RouteSummary) -> Iterator[Block]:

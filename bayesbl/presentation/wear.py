@@ -156,8 +156,11 @@ def spans_repair(summary: ComparisonSummary, wear: WearSummary | WithheldWearSum
 
 def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     """How large the gap is now and how fast it grows: the answer of dated snapshots."""
-    last = summary["snapshots"][-1]["delta_rad"]
-    now = "" if last is None else f"is {median_in_mrad(last)} mrad now and "
+    last = summary["snapshots"][-1]
+    gap, upper_rad = last["delta_rad"], last["delta_upper_bound_rad"]
+    now = "" if gap is None else f"is {median_in_mrad(gap)} mrad now and "
+    if upper_rad is not None:
+        now = f"is below {words.significant(1e3 * upper_rad)} mrad now and "
     if wear["probability_wear"] < words.SURE:
         return (
             f"The gap {now}is not shown to have grown since {wear['first_date']} (probability "

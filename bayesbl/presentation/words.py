@@ -86,6 +86,13 @@ def in_mrad(interval: Interval) -> str:
     return with_bounds(interval, "mrad", 1e3)
 
 
+def gap_in_words(gap: Interval | None, upper_rad: float | None) -> str:
+    """A gap in rad with its interval, or its upper bound, or that it is withheld."""
+    if upper_rad is not None:
+        return f"below {significant(1e3 * upper_rad)} mrad (95 %)"
+    return "withheld" if gap is None else in_mrad(gap)
+
+
 def change_of(what: str, change: Interval, unit: str, scale: float) -> str:
     """Whether it grew, shrank, or may have done neither, and by how much."""
     if change["low"] > 0.0:
@@ -95,8 +102,10 @@ def change_of(what: str, change: Interval, unit: str, scale: float) -> str:
     return f"{what} may not have changed: the change is {with_bounds(change, unit, scale)}"
 
 
-def gap_cells(gap: Interval | None, places: int) -> tuple[str, str]:
-    """A gap and its bounds in mrad, as a table has them."""
+def gap_cells(gap: Interval | None, places: int, upper_rad: float | None = None) -> tuple[str, str]:
+    """A gap and its bounds in mrad, or its upper bound, as a table has them."""
+    if upper_rad is not None:
+        return f"below {significant(1e3 * upper_rad)}", "95 %"
     if gap is None:
         return "withheld", "withheld"
     return number(1e3 * gap["median"], places), bounds(gap, 1e3, places)

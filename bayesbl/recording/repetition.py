@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline
 
 from bayesbl.recording.types import FloatArray
@@ -35,6 +36,9 @@ away in a fifteenth of a rotation they are alike."""
 STANDS_OUT = 6.0
 """Standard deviations by which what repeats must stand out of the noise at an order to count."""
 
+SPREAD_OF_MEDIAN = 1.25
+"""Standard deviation of the median of many normal values over that of their mean."""
+
 PLACES = 24
 """Parts of a rotation that a gain is told apart in: impacts are in a few, what goes on all the time
 in all of them."""
@@ -51,7 +55,8 @@ class Repetition:
     ----------
     gain
         χ² by which impacts agree better after this period than after the one stated. 0 where what
-        gains goes on all the time, as a line of the motor does.
+        gains goes on all the time, as a line of the motor does, and where no impacts stand out of
+        the noise: gravity's wave alone tells the period to a few thousandths.
     mean_rpm
         Over whole periods, without sign, with its standard deviation.
     """
@@ -98,12 +103,14 @@ def repetition(
         period = _most_alike(weighted, stated)
     if period is None:
         return None
-    gain = _differs(weighted, stated) - _differs(weighted, period)
+    gain = _of_impacts(_differs(weighted, stated) - _differs(weighted, period))
+    if not _shows_impacts(_folded(left, period), least_sd_rpm**2):
+        gain = 0.0
     turns = _folded(speed_rpm, period)
     noise = float(_noise_power(turns)[:LOWEST_BINS].mean()) + least_sd_rpm**2
     return Repetition(
         period / sampling_hz,
-        2.0 * period * _of_impacts(gain),
+        2.0 * period * gain,
         float(turns.mean()),
         math.sqrt(noise / turns.size),
     )
@@ -178,17 +185,32 @@ def _weights(turns: FloatArray, least_variance: float) -> FloatArray:
     Biometrika 60, 469): the products of two then sum up to ln of a likelihood. 0 where nothing
     stands out.
     """
-    whole, size = turns.shape
-    pairs = whole * (whole - 1)
-    spectra = np.fft.rfft(turns)
-    alike = np.abs(spectra.sum(axis=0)) ** 2 - (np.abs(spectra) ** 2).sum(axis=0)
-    repeats = _smooth(alike / pairs)
-    noise = size * (_smooth(_noise_power(turns)) + least_variance)
+    pairs = len(turns) * (len(turns) - 1)
+    repeats = _smooth(_repeating_power(turns))
+    noise = turns.shape[1] * (_smooth(_noise_power(turns)) + least_variance)
     stands_out = repeats > STANDS_OUT * noise / math.sqrt(SMOOTHED * pairs)
     weights = np.zeros(repeats.size)
     some, none = repeats[stands_out], noise[stands_out]
     weights[stands_out] = some / (none**2 + 2.0 * some * none)
     return weights
+
+
+def _shows_impacts(turns: FloatArray, least_variance: float) -> bool:
+    """Whether what repeats in rotations (m, k) stands out of the noise in most of some neighbouring
+    orders, as impacts do and gravity's wave does not."""
+    pairs = len(turns) * (len(turns) - 1)
+    noise = turns.shape[1] * (_smooth(_noise_power(turns)) + least_variance)
+    ratio = np.pad(_repeating_power(turns) / noise, SMOOTHED // 2, "reflect")
+    most = np.median(sliding_window_view(ratio, SMOOTHED), axis=1)
+    return bool(np.max(most) > STANDS_OUT * SPREAD_OF_MEDIAN / math.sqrt(SMOOTHED * pairs))
+
+
+def _repeating_power(turns: FloatArray) -> FloatArray:
+    """Of what is alike in rotations (m, k), by order, without bias."""
+    whole = len(turns)
+    spectra = np.fft.rfft(turns)
+    alike = np.abs(spectra.sum(axis=0)) ** 2 - (np.abs(spectra) ** 2).sum(axis=0)
+    return np.asarray(alike / (whole * (whole - 1)))
 
 
 def _noise_power(turns: FloatArray) -> FloatArray:

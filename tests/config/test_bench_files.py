@@ -254,7 +254,11 @@ def test_a_check_refuses_what_the_simulation_refuses(folder: Path, old, new, tol
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("gap_rad = 8e-4\nrotations", "gap_rad = 1e-6\nrotations", ["[[recordings]] 1", "1e-06"]),
+        (
+            "gap_rad = 8e-4\nrotations",
+            "gap_rad = 4\nrotations",
+            ["[[recordings]] 1", "at most π"],
+        ),
         ('bench = "bench.toml"', 'bench = "benches.toml"', ["benches.toml", "no such file"]),
         ('file = "sub/reverse.csv"', 'file = "forward.csv"', ["same file"]),
         ("rotations = 0.5", "rotation = 0.5", ["rotation", "rotations"]),

@@ -235,9 +235,9 @@ WRONG = {
         "range is empty",
         "[estimator] gap_rad",
     ),
-    "direct from a gap of zero": (
-        "[estimator]\ngap_rad = [0.0, 1e-3]\n",
-        "must be positive",
+    "direct from a gap below zero": (
+        "[estimator]\ngap_rad = [-1e-4, 1e-3]\n",
+        "No gap is below zero",
         "[estimator] gap_rad",
     ),
     "paper with baseline": (

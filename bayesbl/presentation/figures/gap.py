@@ -34,7 +34,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import decimals, route_in_words
+from bayesbl.presentation.words import decimals, route_in_words, significant
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE
@@ -249,6 +249,9 @@ def answer_picture(parts: Sequence[tuple[str, SnapshotSummary]], decimals: int =
             )
             continue
         low, middle, high = (1e3 * found[key] for key in ("low", "median", "high"))
+        upper_rad = part["delta_upper_bound_rad"]
+        if upper_rad is not None:
+            low, middle, high = 0.0, 1e3 * upper_rad, 1e3 * upper_rad
         # A tick for the median: a round mark would hide an interval that is narrower than it.
         panel.plot(
             [low, high],
@@ -260,7 +263,8 @@ def answer_picture(parts: Sequence[tuple[str, SnapshotSummary]], decimals: int =
         )
         panel.plot([middle], [row], color=own.colour, marker="|", markersize=15.0, mew=1.4)
         panel.annotate(
-            f"{middle:.{decimals}f}", (middle, row), (0.0, 9.0), textcoords="offset points",
+            f"{middle:.{decimals}f}" if upper_rad is None else f"below {significant(middle)}",
+            (middle, row), (0.0, 9.0), textcoords="offset points",
             ha="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
         )  # fmt: skip
     if limit is not None:

@@ -132,8 +132,7 @@ def _answer_picture(gaps: Sequence[tuple[str, SnapshotSummary]]) -> Picture | No
     if all(part["delta_rad"] is None for _, part in gaps):
         return None
     each = "; ".join(
-        f"{name or 'gap'}: "
-        + ("withheld" if part["delta_rad"] is None else words.in_mrad(part["delta_rad"]))
+        f"{name or 'gap'}: {words.gap_in_words(part['delta_rad'], part['delta_upper_bound_rad'])}"
         for name, part in gaps
     )
     buffer = io.BytesIO()
