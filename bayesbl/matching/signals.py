@@ -45,7 +45,6 @@ FEW_POINTS = 16
 
 SAMPLED = "sampled_control__"
 """Begins the names of what only the ticks of a controller tell."""
-PERIOD = f"{SAMPLED}period_s"
 COARSER = 4.0
 """Error allowed to a simulation without ticks, over that with: it is only subtracted from another
 that has nearly the same error. It costs or saves time, and fits end at the ticks themselves."""
@@ -329,10 +328,10 @@ class SimulatedSignals:
 
         What ticks add to a signal hardly changes near a point: over the posterior of a joint with a
         period of 0.5 ms by less than a third of a standard deviation in all samples together.
-        Points far from it, and an unknown period, need the sampled controllers themselves.
+        Points far from it, and unknown ticks, need the sampled controllers themselves.
         """
         swift = self.for_differences(point)
-        if swift is self or any(u.name == PERIOD for u in self.unknowns):
+        if swift is self or any(u.name.startswith(SAMPLED) for u in self.unknowns):
             return self
         shift = white - swift.whitened(point)[0]
         if not np.all(np.isfinite(shift)):
