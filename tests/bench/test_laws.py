@@ -234,7 +234,10 @@ def test_fingerprint_knows_what_decides_the_signals() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"gap_rad": 1e-5}, "arctan stiffness has no dead zone"),
+        (
+            {"gap_rad": 1e-5, "stiffness_sharpness_per_rad": 4e5},
+            "arctan stiffness has no dead zone",
+        ),
         ({"gap_rad": -1e-3}, "gap_rad"),
         ({"shaft_stiffness_nm_per_rad": -1.0}, "shaft_stiffness_nm_per_rad"),
         ({"load_inertia_kg_m2": math.nan}, "load_inertia_kg_m2"),

@@ -157,7 +157,7 @@ def test_a_row_is_cut_at_a_leap_however_fine_its_gaps(leap: int | None, kept: in
 
 
 def test_a_leap_that_leaves_too_few_gaps_is_told() -> None:
-    with pytest.raises(CurveError, match="leaps"):
+    with pytest.raises(CurveError, match="jumps"):
         made_row(38).on_one_branch({})
 
 

@@ -289,7 +289,7 @@ def test_another_header_among_the_samples_is_another_table(tmp_path: Path) -> No
     swapped = "motor_speed_rpm,time_s,motor_current_a"
     whole = text([*lines[:300], swapped, *lines[300:]], ",".join([*NAMES, "motor_current_a"]))
     path.write_text(whole)
-    with pytest.raises(RecordingError, match=r"line 302: Another header"):
+    with pytest.raises(RecordingError, match=r"line 302: There is another header"):
         read_recording(path)
 
 
