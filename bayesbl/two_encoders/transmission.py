@@ -73,7 +73,7 @@ WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
 
-TRIED, MOVED = 1024, 6
+TRIED, MOVED = 512, 4
 """Points of this space that are weighed, and the best of them that are moved."""
 
 STAYS = 0.5
@@ -276,6 +276,14 @@ class Design:
         columns[:, 1] = self.motor_rad - lag
         return columns
 
+    def beside(self, lag: FloatArray) -> FloatArray:
+        """H, and beside it what β about its centre has to explain, shape (bins, k + 1)."""
+        both = np.empty((lag.size, len(self.names) + 1))
+        both[:, :-1] = self.base
+        both[:, 1] = self.motor_rad - lag
+        both[:, -1] = self.load_rad - both[:, 1:3] @ self.centre[1:3]
+        return both
+
     def _waves(self) -> list[FloatArray]:
         """Of the transmission error: over the load's own reading, which is within it of the angle.
         """
@@ -367,12 +375,12 @@ class Model:
         design, change, like = self.design, 0, half_rad if final is None else final.half_rad
         if self.courses[course].free:
             spread = float(np.hypot(noise.white_rad, noise.drift_rad))
-            if half_rad < VISIBLE * spread:
+            if like < VISIBLE * spread:
                 return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
-            margin = min(3.0 * spread, 0.2 * half_rad)
-            inside = np.abs(self.seen) < half_rad - margin
+            margin = min(3.0 * spread, 0.2 * like)
+            inside = np.abs(self.seen) < like - margin
             lag = np.where(inside, self.seen, half_rad * np.sign(self.seen))
-            loose = np.where(inside, (ANYWHERE * max(half_rad, like)) ** 2, 0.0)
+            loose = np.where(inside, (ANYWHERE * like) ** 2, 0.0)
             change = int(np.count_nonzero(np.diff(inside)))
         else:
             lag = self.paths.binned(self.lag(course, half_rad))
@@ -382,22 +390,27 @@ class Model:
         white = noise.white_rad**2 + loose + self.reading
         if final is not None:
             white += lag.size * final.misfit_rad**2
-        columns = design.columns(lag)
-        left = design.load_rad - columns @ design.centre
-        both = np.concatenate([columns, left[:, None]], axis=1)
+        both = design.beside(lag)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
-        columns, seen = both[:, :-1], both[:, -1]
         precision = design.precision(noise)
-        inner = columns.T @ columns
+        products = both.T @ both
+        inner, towards = products[:-1, :-1].copy(), products[:-1, -1]
         inner.flat[:: precision.size + 1] += precision
         factor = cho_factor(inner, lower=True, overwrite_a=True, check_finite=False)
-        towards = columns.T @ seen
         beta = cho_solve(factor, towards, check_finite=False)
-        square = float(seen @ seen) - float(towards @ beta)
+        square = float(products[-1, -1]) - float(towards @ beta)
         diagonal = np.diag(factor[0])
         beta = beta + design.centre
         log += -0.5 * square - float(np.log(diagonal).sum()) + 0.5 * float(np.log(precision).sum())
         return Cell(course, half_rad, log, beta, np.asarray(factor[0]), lag)
+
+    def place(self, cell: Cell) -> FloatArray | None:
+        """Where a course that was placed is: ln h, ln of the drag, and both parts of a weight."""
+        how = self.courses[cell.course]
+        if how.free or not np.isfinite(how.drag) or how.drag <= 0.0 or cell.half_rad <= 0.0:
+            return None
+        way = [how.weight.real, how.weight.imag] if how.weight else []
+        return np.array([np.log(cell.half_rad), np.log(how.drag), *way])
 
     def again(self, noise: Noise) -> Noise:
         """Noise of which each repetition counts once."""
@@ -567,23 +580,28 @@ def fit_transmission(
     told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
-    weighed = False
+    settled, placed = False, None
     for made in range(8):
         told(made, 10)
         model, friction, weight = _model(channels, slope, skew, stated)
         free, best = model.fitted(*_searched(model, noise, 0))
-        free, best = _coasting(model, free, best)
-        if weighed:
+        # All places at first and once skew and ratio are settled, else from the last.
+        if placed is not None:
+            free, best = _placed(model, free, best, [placed], 0.1 * (1.0 - STAYS))
+        if made == 0 or settled:
+            free, best = _coasting(model, free, best)
+        if settled:
             free, best = _with_weight(model, free, best)
+        placed = model.place(best)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
         moved = abs(late) > LINEAR * model.paths.period_s
         moved &= abs(skew + late) < LONGEST_SKEW_S
         scaled = not stated and abs(scale - 1.0) > 5e-3
         if not moved and not scaled:
-            if weighed:
+            if settled:
                 break
-            weighed = True
+            settled = True
             continue
         skew += float(late) if moved else 0.0
         slope *= float(scale) if scaled else 1.0
