@@ -40,7 +40,7 @@ from bayesbl.recording.types import (
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
-from bayesbl.two_encoders.paths import ALIKE, Channels, scaled_paths
+from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
 
 NAME = "two_encoders"
@@ -231,8 +231,9 @@ class TwoEncoderMeasurer(Measurer):
         """All that limits the answer."""
         upper = upper_bound_rad(found)
         lost = float(np.median(found.draws["lost_motion_rad"]))
-        if found.probability_of_play < UPPER_BOUND_LEVEL:
-            if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
+        lost_track = float(np.std(found.draws["channel_skew_s"])) > LONGEST_SKEW_S
+        if lost_track or found.probability_of_play < UPPER_BOUND_LEVEL:
+            if lost_track or upper > TOO_WIDE * float(np.ptp(found.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper}, withholds=True)
             else:
                 yield Reason(

@@ -11,7 +11,8 @@ where the load makes less than a turn). β is normal and integrated out. The noi
 beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
 drift from stroke to stroke so counts once a stroke, not once a sample. Counts of the encoders and
 motion between two samples add to it (:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In
-the gap the load is where it likes, so the noise is as wide as the gap there.
+the gap the load is where it likes, so the noise is as wide as the gap there. Misfit that lasts for
+a stroke is no noise: it moves h, β and all together (:class:`Final`).
 
 Every course of the flanks (a load that stays, coasts on by some deceleration, or is
 moved by its weight) is tried over a grid of h, and their probabilities are added. h, half of what
@@ -94,6 +95,9 @@ orders of its curve, n times a turn, which fall by 1/n².
 Over a part of a turn they look like another gear ratio.
 """
 
+ALIKE_RAD = 1e-3
+"""Lag up to which the transmission error is the same at the motor's and the load's angle."""
+
 PLACES = 24
 """Along the travel, at which misfits of one pass and the next are compared."""
 
@@ -101,8 +105,9 @@ MODEL = 1e-2
 """Relative standard deviation of h for all that the model leaves out: flanks that are not straight,
 impacts, motion between two samples."""
 
-MOST_CURVE_RAD = 8e-3
-"""Largest standard deviation of the first order of the transmission error: more is another motion.
+MOST_CURVE_RAD, STEEPEST = 8e-3, 0.02
+"""Largest standard deviation of the first order of the transmission error, and over the travel:
+more is another motion.
 """
 
 ANY_PART = 0.5
@@ -125,6 +130,9 @@ INERTIA_S2 = 3e-4
 
 PER_DECADE = 4
 """Of the first grid of h; what holds much of the probability is refined."""
+
+LEAST_RAD = 1e-8
+"""Noise beside that of the encoders' counts."""
 
 DRAWS = (4, 1000)
 
@@ -233,7 +241,7 @@ class Design:
     ``curve`` are the columns of the transmission error, whose size is a parameter of the noise.
     """
 
-    def __init__(self, paths: Paths, *, stated: bool) -> None:
+    def __init__(self, paths: Paths, *, stated: bool, first: float | None = None) -> None:
         self.motor_rad = paths.binned(paths.motor_rad)
         self.load_rad = paths.binned(paths.load_rad)
         self.time_s = paths.binned(paths.time_s)
@@ -263,18 +271,19 @@ class Design:
             sd += [1.0 / n for _ in range(2) for n in counted]
         else:
             motor = []
-        self.base = np.stack([*plain, *self._waves(), *motor], axis=1)
         self.plain, self.names, self.sd = len(plain), tuple(names), np.array(sd)
+        between = np.zeros((self.time_s.size, len(names) - len(plain) - len(motor)))
+        self.base = np.column_stack([*plain, between, *motor])
+        self._follow(self.base, self.motor_rad)
         self.curve = slice(first, len(names))
         self.centre = np.zeros(len(names))
-        # The stated ratio, and channels of one clock.
-        self.centre[1], self.centre[2] = 1.0, paths.skew_s
+        # The first ratio, wherever the motion is scaled to since, and channels of one clock.
+        self.centre[1], self.centre[2] = (first or paths.slope) / paths.slope, paths.skew_s
+        self.sd[1] *= abs(self.centre[1])
 
     def columns(self, lag: FloatArray) -> FloatArray:
         """H, shape (bins, k), where the load lags the motor by ``lag``."""
-        columns = self.base.copy()
-        columns[:, 1] = self.motor_rad - lag
-        return columns
+        return self.beside(lag)[:, :-1]
 
     def beside(self, lag: FloatArray) -> FloatArray:
         """H, and beside it what β about its centre has to explain, shape (bins, k + 1)."""
@@ -282,18 +291,32 @@ class Design:
         both[:, :-1] = self.base
         both[:, 1] = self.motor_rad - lag
         both[:, -1] = self.load_rad - both[:, 1:3] @ self.centre[1:3]
+        if float(np.abs(lag).max()) > ALIKE_RAD:
+            self._follow(both, both[:, 1])
         return both
 
-    def _waves(self) -> list[FloatArray]:
-        """Of the transmission error: over the load's own reading, which is within it of the angle.
+    def _follow(self, base: FloatArray, angle: FloatArray) -> None:
+        """Take the transmission error at this angle of the load, in place.
+
+        Powers of one wave: not at the load's own reading, which is what H has to explain.
         """
-        angle = self.load_rad
         if self.turns:
-            orders = range(1, LOAD_ORDERS + 1)
-            return [wave(n * angle) for wave in (np.cos, np.sin) for n in orders]
-        phase = np.pi * (angle - angle.min()) / max(float(np.ptp(angle)), 1e-300)
-        encoder = [wave(n * angle) for wave in (np.cos, np.sin) for n in ENCODER_ORDERS]
-        return encoder + [np.cos(n * phase) for n in range(1, CURVE_ORDERS + 1)]
+            phase, orders = angle, LOAD_ORDERS
+        else:
+            phase = np.pi * (angle - angle.min()) / max(float(np.ptp(angle)), 1e-300)
+            orders = CURVE_ORDERS
+        wave, power = np.exp(1j * phase), np.ones(angle.size, dtype=complex)
+        column = self.plain
+        if not self.turns:
+            for wave_of in (np.cos, np.sin):
+                for n in ENCODER_ORDERS:
+                    base[:, column] = wave_of(n * angle)
+                    column += 1
+        for n in range(orders):
+            power = power * wave
+            base[:, column + n] = power.real
+            if self.turns:
+                base[:, column + orders + n] = power.imag
 
     def slopes(self, columns: FloatArray) -> FloatArray:
         """Slope over the angle of what each column of H is of the angle, shape (k,)."""
@@ -305,7 +328,7 @@ class Design:
     def precision(self, noise: Noise) -> FloatArray:
         """Of the prior of β."""
         sd = self.sd.copy()
-        sd[self.curve] *= noise.curve_rad
+        sd[self.curve] *= min(noise.curve_rad, STEEPEST * self.travel_rad)
         return sd**-2.0
 
 
@@ -344,7 +367,6 @@ class Model:
         self.paths, self.design, self.courses = paths, design, list(courses)
         self.step_s = np.diff(design.time_s)
         self.reading = paths.reading_variance()
-        self.floor_rad = max(0.2 * paths.load_step_rad, 1e-8)
         self.seen = design.motor_rad - design.load_rad
         self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
         self.counted = 1.0
@@ -452,14 +474,15 @@ class Model:
         left = self.residual(self.cell(course, half_rad, first))
         jumps = 1.05 * float(np.median(np.abs(np.diff(left))))
         spread = 1.5 * float(np.median(np.abs(left)))
-        noise = Noise(max(jumps, self.floor_rad), max(spread, 1e-8), first.drift_s, first.curve_rad)
+        noise = Noise(max(jumps, LEAST_RAD), max(spread, LEAST_RAD), first.drift_s, first.curve_rad)
         return noise, self.cell(course, half_rad, noise)
 
-    def fitted(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
+    def fitted(
+        self, course: int, half_rad: float, first: Noise, evaluations: int = 240
+    ) -> tuple[Noise, Cell]:
         """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
-        floor = self.floor_rad
         span = float(self.design.time_s[-1] - self.design.time_s[0])
-        low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
+        low = np.log([LEAST_RAD, LEAST_RAD, 2.0 * float(np.min(self.step_s)), 1e-6])
         high = np.log([1.0, 1.0, span, MOST_CURVE_RAD])
         guess, _there = self.profiled(course, half_rad, first)
         starts = [np.clip(np.log(astuple(each)), low, high) for each in (guess, first)]
@@ -478,7 +501,7 @@ class Model:
         steps = np.diag([*np.where(start[:4] < high - 1.0, 0.7, -0.7), 0.2])
         simplex = np.vstack([start, start + steps])[: 6 if half_rad else 5]
         if half_rad:
-            found = _lowest(cost, simplex, 240)
+            found = _lowest(cost, simplex, evaluations)
         else:
             found = np.append(_lowest(lambda p: cost(np.append(p, 0.0)), simplex[:, :4], 160), 0.0)
         return Noise(*np.exp(np.clip(found[:4], low, high))), at(found)
@@ -579,12 +602,13 @@ def fit_transmission(
     """Fit one recording; ``ratio`` is the stated one, motor over load."""
     told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
+    first = slope
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
     settled, placed = False, None
     for made in range(8):
         told(made, 10)
-        model, friction, weight = _model(channels, slope, skew, stated)
-        free, best = model.fitted(*_searched(model, noise, 0))
+        model, friction, weight = _model(channels, slope, skew, stated, first)
+        free, best = model.fitted(*_searched(model, noise, 0), 240 if settled else 80)
         # All places at first and once skew and ratio are settled, else from the last.
         if placed is not None:
             free, best = _placed(model, free, best, [placed], 0.1 * (1.0 - STAYS))
@@ -627,7 +651,7 @@ def fit_transmission(
 
 
 def _model(
-    channels: Channels, slope: float, skew: float, stated: bool
+    channels: Channels, slope: float, skew: float, stated: bool, first: float
 ) -> tuple[Model, float | None, float]:
     """The model, the friction that a torque shows, and how often the load's weight is above it."""
     paths = scaled_paths(channels, slope, skew)
@@ -639,7 +663,7 @@ def _model(
     drags = np.array(COASTING) * paths.typical_acceleration
     courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
     courses = [Course(np.inf, STAYS), *courses, Course(0.0, 0.2 * rest, free=True)]
-    return Model(paths, Design(paths, stated=stated), courses), friction, weight
+    return Model(paths, Design(paths, stated=stated, first=first), courses), friction, weight
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
