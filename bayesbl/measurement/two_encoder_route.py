@@ -265,7 +265,7 @@ class TwoEncoderMeasurer(Measurer):
         if abs(skew) > max(1.0, 3.0 * float(draws.std())):
             yield Reason("channels_skewed", {"skew_ms": skew})
         if _misfit_lasts(found):
-            values = {"misfit_mrad": 1e3 * found.noise.drift_rad, "lost_mrad": 1e3 * lost}
+            values = {"misfit_mrad": 1e3 * found.misfit_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
         before, after = found.half_lag_rad
         if found.probability_of_play > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
@@ -277,7 +277,7 @@ class TwoEncoderMeasurer(Measurer):
 def _misfit_lasts(found: Transmission) -> bool:
     """Whether a load with play leaves the flanks in ways that the model does not have."""
     half = 0.5 * float(np.median(found.draws["lost_motion_rad"]))
-    return found.probability_of_play > LIKELY and found.noise.drift_rad > LASTING * half
+    return found.probability_of_play > LIKELY and found.misfit_rad > LASTING * half
 
 
 def upper_bound_rad(found: Transmission) -> float:

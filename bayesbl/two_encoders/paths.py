@@ -105,6 +105,15 @@ class Paths:
         of_counts = (steps**2 / 12.0 / means).sum(axis=0)
         return np.asarray(of_counts + self.binned(self.between_rad) ** 2)
 
+    def scatter_variance(self) -> float:
+        """Of a bin in the middle, rad², by what samples differ from their neighbours.
+
+        What a model leaves beyond that is no noise.
+        """
+        bends = np.diff(self.motor_rad - self.load_rad, 2)
+        sample = float(np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0
+        return sample / float(np.median(np.diff(self.bins)))
+
     @property
     def period_s(self) -> float:
         """Between samples, in the middle."""

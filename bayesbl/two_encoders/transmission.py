@@ -202,6 +202,8 @@ class Transmission:
         That δ is not zero.
     log_odds
         Log evidence of the best lag over none, without the priors.
+    misfit_rad
+        What the model leaves that is no noise: it lasts for a stroke, or readings scatter less.
     position_rad, lag_rad, modelled_rad, curve_rad
         At the bins: the load's angle, motor less load without all but the lag, the lag as
         modelled, and the transmission error.
@@ -222,6 +224,7 @@ class Transmission:
     probability_of_play: float
     log_odds: float
     counted: float
+    misfit_rad: float
     noise: Noise
     position_rad: FloatArray
     lag_rad: FloatArray
@@ -241,7 +244,7 @@ class Design:
     ``curve`` are the columns of the transmission error, whose size is a parameter of the noise.
     """
 
-    def __init__(self, paths: Paths, *, stated: bool, first: float | None = None) -> None:
+    def __init__(self, paths: Paths, *, stated: bool, first_slope: float) -> None:
         self.motor_rad = paths.binned(paths.motor_rad)
         self.load_rad = paths.binned(paths.load_rad)
         self.time_s = paths.binned(paths.time_s)
@@ -278,7 +281,7 @@ class Design:
         self.curve = slice(first, len(names))
         self.centre = np.zeros(len(names))
         # The first ratio, wherever the motion is scaled to since, and channels of one clock.
-        self.centre[1], self.centre[2] = (first or paths.slope) / paths.slope, paths.skew_s
+        self.centre[1], self.centre[2] = first_slope / paths.slope, paths.skew_s
         self.sd[1] *= abs(self.centre[1])
 
     def columns(self, lag: FloatArray) -> FloatArray:
@@ -433,6 +436,12 @@ class Model:
             return None
         way = [how.weight.real, how.weight.imag] if how.weight else []
         return np.array([np.log(cell.half_rad), np.log(how.drag), *way])
+
+    def misfit(self, noise: Noise) -> float:
+        """What lasts for a stroke, and white noise beyond twice that of readings, rad."""
+        readings = max(self.paths.scatter_variance(), float(np.median(self.reading)))
+        beyond = max(noise.white_rad**2 - 2.0 * readings, 0.0)
+        return float(np.sqrt(noise.drift_rad**2 + beyond))
 
     def again(self, noise: Noise) -> Noise:
         """Noise of which each repetition counts once."""
@@ -644,7 +653,7 @@ def fit_transmission(
     odds = (best.log_evidence - model.cell(0, 0.0, free).log_evidence) / model.counted
     lists = [
         _refined(model, best, [model.again(noise), model.again(free)], final)
-        for final in (None, Final(free.drift_rad, best.half_rad))
+        for final in (None, Final(model.misfit(free), best.half_rad))
     ]
     generator = np.random.default_rng(seed)
     return _drawn(model, best, lists, odds, free, friction, weight, generator)
@@ -663,7 +672,7 @@ def _model(
     drags = np.array(COASTING) * paths.typical_acceleration
     courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
     courses = [Course(np.inf, STAYS), *courses, Course(0.0, 0.2 * rest, free=True)]
-    return Model(paths, Design(paths, stated=stated, first=first), courses), friction, weight
+    return Model(paths, Design(paths, stated=stated, first_slope=first), courses), friction, weight
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
@@ -859,7 +868,7 @@ def _drawn(
     again = model.again(noise)
     for cell in np.unique(nearest):
         mine = np.flatnonzero(nearest == cell)
-        final = Final(float(np.hypot(MODEL * half[cell], noise.drift_rad)), half[cell])
+        final = Final(float(np.hypot(MODEL * half[cell], model.misfit(noise))), half[cell])
         at = model.cell(cells[cell].course, half[cell], again, final)
         normal = generator.standard_normal((len(names), mine.size))
         moved = solve_triangular(at.root, normal, lower=True, trans=1)
@@ -913,6 +922,7 @@ def _drawn(
         float(np.mean(delta > 0.0)),
         log_odds,
         model.counted,
+        model.misfit(noise),
         noise,
         design.load_rad,
         seen,
