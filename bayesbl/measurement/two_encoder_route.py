@@ -40,7 +40,7 @@ from bayesbl.recording.types import (
 from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
-from bayesbl.two_encoders.paths import ALIKE, Channels, scaled_paths
+from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
 
 NAME = "two_encoders"
@@ -231,8 +231,9 @@ class TwoEncoderMeasurer(Measurer):
         """All that limits the answer."""
         upper = upper_bound_rad(found)
         lost = float(np.median(found.draws["lost_motion_rad"]))
-        if found.probability_of_play < UPPER_BOUND_LEVEL:
-            if upper > TOO_WIDE * float(np.ptp(found.position_rad)):
+        lost_track = float(np.std(found.draws["channel_skew_s"])) > LONGEST_SKEW_S
+        if lost_track or found.probability_of_play < UPPER_BOUND_LEVEL:
+            if lost_track or upper > TOO_WIDE * float(np.ptp(found.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper}, withholds=True)
             else:
                 yield Reason(
@@ -264,7 +265,7 @@ class TwoEncoderMeasurer(Measurer):
         if abs(skew) > max(1.0, 3.0 * float(draws.std())):
             yield Reason("channels_skewed", {"skew_ms": skew})
         if _misfit_lasts(found):
-            values = {"misfit_mrad": 1e3 * found.noise.drift_rad, "lost_mrad": 1e3 * lost}
+            values = {"misfit_mrad": 1e3 * found.misfit_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
         before, after = found.half_lag_rad
         if found.probability_of_play > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
@@ -276,7 +277,7 @@ class TwoEncoderMeasurer(Measurer):
 def _misfit_lasts(found: Transmission) -> bool:
     """Whether a load with play leaves the flanks in ways that the model does not have."""
     half = 0.5 * float(np.median(found.draws["lost_motion_rad"]))
-    return found.probability_of_play > LIKELY and found.noise.drift_rad > LASTING * half
+    return found.probability_of_play > LIKELY and found.misfit_rad > LASTING * half
 
 
 def upper_bound_rad(found: Transmission) -> float:

@@ -31,6 +31,9 @@ LONGEST_SKEW_S = 0.25
 SMOOTH_S = 0.01
 """Over which the motor's speed is averaged."""
 
+FINE_S = 2e-3
+"""Steps that the load is followed in: between two samples it may cross the whole play."""
+
 ALIKE = 0.02
 """Share of the load's variance that the motor's position leaves, up to which play is small."""
 
@@ -58,6 +61,8 @@ class Paths:
         At the output, with the sign that friction has; ``None`` without one.
     skew_s
         By which the load's stamps were taken to be late.
+    fine_time_s, fine_motor_rad, fine_speed, every
+        The motor's path in steps of about ``FINE_S``; one of ``every`` is a sample.
     bins
         First sample of every bin of the fit, and the end of the last.
     load_step_rad, motor_step_rad
@@ -74,6 +79,10 @@ class Paths:
     load_rad: FloatArray
     torque_nm: FloatArray | None
     skew_s: float
+    fine_time_s: FloatArray
+    fine_motor_rad: FloatArray
+    fine_speed: FloatArray
+    every: int
     bins: NDArray[np.int64]
     load_step_rad: float
     motor_step_rad: float
@@ -86,14 +95,24 @@ class Paths:
     def reading_variance(self) -> FloatArray:
         """Of the bins, rad², by the counts of both encoders and by motion between samples.
 
-        The error of a count is a curve of the position: it averages over a bin as far as that
-        passes many counts, and not at all where it stands still.
+        The error of a count is a curve of the position: it averages over the samples of a bin as
+        far as that passes many counts, and not at all where it stands still.
         """
         steps = np.array([[self.load_step_rad], [self.motor_step_rad]])
         paths = np.stack([self.load_rad, self.motor_rad])
         counts = (paths[:, self.bins[1:] - 1] - paths[:, self.bins[:-1]]) / steps
-        of_counts = (steps**2 / 12.0 / (1.0 + counts**2)).sum(axis=0)
+        means = np.minimum(1.0 + counts**2, np.diff(self.bins))
+        of_counts = (steps**2 / 12.0 / means).sum(axis=0)
         return np.asarray(of_counts + self.binned(self.between_rad) ** 2)
+
+    def scatter_variance(self) -> float:
+        """Of a bin in the middle, rad², by what samples differ from their neighbours.
+
+        What a model leaves beyond that is no noise.
+        """
+        bends = np.diff(self.motor_rad - self.load_rad, 2)
+        sample = float(np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0
+        return sample / float(np.median(np.diff(self.bins)))
 
     @property
     def period_s(self) -> float:
@@ -203,8 +222,12 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
     time = stamps - skew_s
     inside = (time >= stamps[0]) & (time <= stamps[-1])
     time, load = time[inside], load[inside]
-    x, speed = path(time), moving_mean(path(time, 1), stamps, SMOOTH_S)
-    acceleration = np.gradient(moving_mean(speed, stamps, 2.0 * SMOOTH_S), time)
+    every = max(1, round(float(np.median(np.diff(time))) / FINE_S))
+    parts = np.arange(every) / every
+    fine = np.append((time[:-1, None] + np.diff(time)[:, None] * parts).ravel(), time[-1])
+    fine_speed = moving_mean(path(fine, 1), fine, SMOOTH_S)
+    x, speed = path(time), fine_speed[::every]
+    acceleration = np.gradient(moving_mean(fine_speed, fine, 2.0 * SMOOTH_S), fine)[::every]
     if torque is not None:
         torque = np.interp(time, stamps, torque) / slope
         turning = np.tanh(speed / (0.1 * float(np.sqrt(np.mean(speed**2))) + 1e-300))
@@ -220,6 +243,10 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
         load - load.mean(),
         torque,
         skew_s,
+        fine,
+        path(fine) - x.mean(),
+        fine_speed,
+        every,
         _bins(time, speed),
         _least_step(channels.load_rad),
         abs(slope) * _least_step(channels.motor_rad),

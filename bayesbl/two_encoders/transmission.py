@@ -11,7 +11,8 @@ where the load makes less than a turn). β is normal and integrated out. The noi
 beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
 drift from stroke to stroke so counts once a stroke, not once a sample. Counts of the encoders and
 motion between two samples add to it (:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In
-the gap the load is where it likes, so the noise is as wide as the gap there.
+the gap the load is where it likes, so the noise is as wide as the gap there. Misfit that lasts for
+a stroke is no noise: it moves h, β and all together (:class:`Final`).
 
 Every course of the flanks (a load that stays, coasts on by some deceleration, or is
 moved by its weight) is tried over a grid of h, and their probabilities are added. h, half of what
@@ -72,7 +73,7 @@ WEIGHT, RUBBED, HALF = (3.0, 120.0), (0.03, 1.0), (0.5, 4.0)
 """Deceleration by the load's weight, rad/s² (gravity over 3 m to 8 cm), parts of it that friction
 makes, and h over half of what the encoders differ by: to begin with."""
 
-TRIED, MOVED = 1024, 6
+TRIED, MOVED = 512, 4
 """Points of this space that are weighed, and the best of them that are moved."""
 
 STAYS = 0.5
@@ -103,15 +104,16 @@ MODEL = 1e-2
 """Relative standard deviation of h for all that the model leaves out: flanks that are not straight,
 impacts, motion between two samples."""
 
-MOST_CURVE_RAD = 8e-3
-"""Largest standard deviation of the first order of the transmission error: more is another motion.
+MOST_CURVE_RAD, STEEPEST = 8e-3, 0.02
+"""Largest standard deviation of the first order of the transmission error, and over the travel:
+more is another motion.
 """
 
 ANY_PART = 0.5
 """Standard deviation of the part of h that is wind-up, from which it tells nothing."""
 
 LOOSE = 0.3
-"""Standard deviation in the gap, over h."""
+"""Standard deviation midway between the flanks, over h."""
 
 USUAL_SKEW_S = 5e-3
 """Standard deviation of the skew of the channels."""
@@ -127,6 +129,9 @@ INERTIA_S2 = 3e-4
 
 PER_DECADE = 4
 """Of the first grid of h; what holds much of the probability is refined."""
+
+LEAST_RAD = 1e-8
+"""Noise beside that of the encoders' counts."""
 
 DRAWS = (4, 1000)
 
@@ -168,6 +173,18 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
+class Final:
+    """What all cells have that are compared.
+
+    Misfit that does not average out; and the h by which the load's place between the flanks is
+    known, so that a load in no place that is known makes no gap likely.
+    """
+
+    misfit_rad: float
+    half_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class Transmission:
     """Draws of shape (chain, draw), independent of one another, and what they were drawn from.
 
@@ -184,6 +201,8 @@ class Transmission:
         That δ is not zero.
     log_odds
         Log evidence of the best lag over none, without the priors.
+    misfit_rad
+        What the model leaves that is no noise: it lasts for a stroke, or readings scatter less.
     position_rad, lag_rad, modelled_rad, curve_rad
         At the bins: the load's angle, motor less load without all but the lag, the lag as
         modelled, and the transmission error.
@@ -204,6 +223,7 @@ class Transmission:
     probability_of_play: float
     log_odds: float
     counted: float
+    misfit_rad: float
     noise: Noise
     position_rad: FloatArray
     lag_rad: FloatArray
@@ -221,10 +241,9 @@ class Design:
     """H at the bins with the prior standard deviations of β.
 
     ``curve`` are the columns of the transmission error, whose size is a parameter of the noise.
-    The load's angle in them is as modelled, x − s.
     """
 
-    def __init__(self, paths: Paths, *, stated: bool) -> None:
+    def __init__(self, paths: Paths, *, stated: bool, first_slope: float) -> None:
         self.motor_rad = paths.binned(paths.motor_rad)
         self.load_rad = paths.binned(paths.load_rad)
         self.time_s = paths.binned(paths.time_s)
@@ -249,58 +268,69 @@ class Design:
         if self.travel_rad > motor_turn:
             phase = 2.0 * np.pi / motor_turn * self.motor_rad
             counted = range(1, MOTOR_ORDERS + 1)
-            self.motor_part = [wave(n * phase) for wave in (np.cos, np.sin) for n in counted]
+            motor = [wave(n * phase) for wave in (np.cos, np.sin) for n in counted]
             names += [f"motor {n} {part}" for part in ("cos", "sin") for n in counted]
             sd += [1.0 / n for _ in range(2) for n in counted]
         else:
-            self.motor_part = []
-        self.plain, self.names, self.sd = plain, tuple(names), np.array(sd)
+            motor = []
+        self.plain, self.names, self.sd = len(plain), tuple(names), np.array(sd)
+        between = np.zeros((self.time_s.size, len(names) - len(plain) - len(motor)))
+        self.base = np.column_stack([*plain, between, *motor])
+        self._follow(self.base, self.motor_rad)
         self.curve = slice(first, len(names))
-        self.alike: FloatArray | None = None
         self.centre = np.zeros(len(names))
-        # The stated ratio, and channels of one clock.
-        self.centre[1], self.centre[2] = 1.0, paths.skew_s
+        # The first ratio, wherever the motion is scaled to since, and channels of one clock.
+        self.centre[1], self.centre[2] = first_slope / paths.slope, paths.skew_s
+        self.sd[1] *= abs(self.centre[1])
 
     def columns(self, lag: FloatArray) -> FloatArray:
         """H, shape (bins, k), where the load lags the motor by ``lag``."""
-        angle = self.motor_rad - lag
-        if float(np.abs(lag).max()) < ALIKE_RAD:
-            if self.alike is None:
-                self.alike = self._whole(self.motor_rad)
-            columns = self.alike.copy()
-            columns[:, 1] = angle
-            return columns
-        return self._whole(angle)
+        return self.beside(lag)[:, :-1]
 
-    def _whole(self, angle: FloatArray) -> FloatArray:
+    def beside(self, lag: FloatArray) -> FloatArray:
+        """H, and beside it what β about its centre has to explain, shape (bins, k + 1)."""
+        both = np.empty((lag.size, len(self.names) + 1))
+        both[:, :-1] = self.base
+        both[:, 1] = self.motor_rad - lag
+        both[:, -1] = self.load_rad - both[:, 1:3] @ self.centre[1:3]
+        if float(np.abs(lag).max()) > ALIKE_RAD:
+            self._follow(both, both[:, 1])
+        return both
+
+    def _follow(self, base: FloatArray, angle: FloatArray) -> None:
+        """Take the transmission error at this angle of the load, in place.
+
+        Powers of one wave: not at the load's own reading, which is what H has to explain.
+        """
         if self.turns:
             phase, orders = angle, LOAD_ORDERS
         else:
             phase = np.pi * (angle - angle.min()) / max(float(np.ptp(angle)), 1e-300)
             orders = CURVE_ORDERS
-        base, power = np.exp(1j * phase), np.ones(angle.size, dtype=complex)
-        powers = []
-        for _ in range(orders):
-            power = power * base
-            powers.append(power)
-        waves = [power.real for power in powers]
-        if self.turns:
-            waves += [power.imag for power in powers]
-        else:
-            waves = [wave(n * angle) for wave in (np.cos, np.sin) for n in ENCODER_ORDERS] + waves
-        return np.stack([self.plain[0], angle, *self.plain[2:], *waves, *self.motor_part], axis=1)
+        wave, power = np.exp(1j * phase), np.ones(angle.size, dtype=complex)
+        column = self.plain
+        if not self.turns:
+            for wave_of in (np.cos, np.sin):
+                for n in ENCODER_ORDERS:
+                    base[:, column] = wave_of(n * angle)
+                    column += 1
+        for n in range(orders):
+            power = power * wave
+            base[:, column + n] = power.real
+            if self.turns:
+                base[:, column + orders + n] = power.imag
 
     def slopes(self, columns: FloatArray) -> FloatArray:
         """Slope over the angle of what each column of H is of the angle, shape (k,)."""
         angle = columns[:, 1] - columns[:, 1].mean()
         slopes = np.asarray(angle @ columns / (angle @ angle))
-        slopes[[0, *range(2, len(self.plain))]] = 0.0
+        slopes[[0, *range(2, self.plain)]] = 0.0
         return slopes
 
     def precision(self, noise: Noise) -> FloatArray:
         """Of the prior of β."""
         sd = self.sd.copy()
-        sd[self.curve] *= noise.curve_rad
+        sd[self.curve] *= min(noise.curve_rad, STEEPEST * self.travel_rad)
         return sd**-2.0
 
 
@@ -339,10 +369,9 @@ class Model:
         self.paths, self.design, self.courses = paths, design, list(courses)
         self.step_s = np.diff(design.time_s)
         self.reading = paths.reading_variance()
-        self.counted = 1.0
-        self.floor_rad = max(0.2 * paths.load_step_rad, 1e-8)
         self.seen = design.motor_rad - design.load_rad
         self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
+        self.counted = 1.0
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
 
     def see(self, cell: Cell) -> None:
@@ -359,45 +388,63 @@ class Model:
             return np.zeros(self.paths.motor_rad.size)
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
-        motion = path.motor_rad, path.speed, path.time_s
-        return np.asarray(load_lag(*motion, half_rad, how.drag, start, how.weight))
+        motion = path.fine_motor_rad, path.fine_speed, path.fine_time_s
+        return np.asarray(load_lag(*motion, half_rad, how.drag, start, how.weight))[:: path.every]
 
-    def cell(self, course: int, half_rad: float, noise: Noise, misfit_rad: float = 0.0) -> Cell:
-        """The evidence there, and β.
+    def cell(self, course: int, half_rad: float, noise: Noise, final: Final | None = None) -> Cell:
+        """The evidence there, and β; ``final`` where cells are compared.
 
         A misfit that is the same at all bins counts once: as white noise √bins times as large.
         """
-        design, change = self.design, 0
+        design, change, like = self.design, 0, half_rad if final is None else final.half_rad
         if self.courses[course].free:
             spread = float(np.hypot(noise.white_rad, noise.drift_rad))
-            if half_rad < VISIBLE * spread:
+            if like < VISIBLE * spread:
                 return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
-            margin = min(3.0 * spread, 0.2 * half_rad)
-            inside = np.abs(self.seen) < half_rad - margin
+            margin = min(3.0 * spread, 0.2 * like)
+            inside = np.abs(self.seen) < like - margin
             lag = np.where(inside, self.seen, half_rad * np.sign(self.seen))
-            loose = np.where(inside, (ANYWHERE * half_rad) ** 2, 0.0)
+            loose = np.where(inside, (ANYWHERE * like) ** 2, 0.0)
             change = int(np.count_nonzero(np.diff(inside)))
         else:
             lag = self.paths.binned(self.lag(course, half_rad))
             # In the gap, and nowhere without one.
-            loose = (LOOSE * np.maximum(half_rad - np.abs(lag), 0.0)) ** 2
-        white = noise.white_rad**2 + lag.size * misfit_rad**2 + loose + self.reading
-        columns = design.columns(lag)
-        left = design.load_rad - columns @ design.centre
-        both = np.concatenate([columns, left[:, None]], axis=1)
+            share = 1.0 - np.abs(lag) / half_rad if half_rad else np.zeros(lag.size)
+            loose = (LOOSE * like * np.maximum(share, 0.0)) ** 2
+        white = noise.white_rad**2 + loose + self.reading
+        if final is not None:
+            white += lag.size * final.misfit_rad**2
+        both = design.beside(lag)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
-        columns, seen = both[:, :-1], both[:, -1]
         precision = design.precision(noise)
-        inner = columns.T @ columns
+        products = both.T @ both
+        inner, towards = products[:-1, :-1].copy(), products[:-1, -1]
         inner.flat[:: precision.size + 1] += precision
-        factor = cho_factor(inner, lower=True)
-        towards = columns.T @ seen
-        beta = cho_solve(factor, towards)
-        square = float(seen @ seen) - float(towards @ beta)
+        factor = cho_factor(inner, lower=True, overwrite_a=True, check_finite=False)
+        beta = cho_solve(factor, towards, check_finite=False)
+        square = float(products[-1, -1]) - float(towards @ beta)
         diagonal = np.diag(factor[0])
         beta = beta + design.centre
         log += -0.5 * square - float(np.log(diagonal).sum()) + 0.5 * float(np.log(precision).sum())
         return Cell(course, half_rad, log, beta, np.asarray(factor[0]), lag)
+
+    def place(self, cell: Cell) -> FloatArray | None:
+        """Where a course that was placed is: ln h, ln of the drag, and both parts of a weight."""
+        how = self.courses[cell.course]
+        if how.free or not np.isfinite(how.drag) or how.drag <= 0.0 or cell.half_rad <= 0.0:
+            return None
+        way = [how.weight.real, how.weight.imag] if how.weight else []
+        return np.array([np.log(cell.half_rad), np.log(how.drag), *way])
+
+    def misfit(self, noise: Noise) -> float:
+        """What lasts for a stroke, and white noise beyond twice that of readings, rad."""
+        readings = max(self.paths.scatter_variance(), float(np.median(self.reading)))
+        beyond = max(noise.white_rad**2 - 2.0 * readings, 0.0)
+        return float(np.sqrt(noise.drift_rad**2 + beyond))
+
+    def again(self, noise: Noise) -> Noise:
+        """Noise of which each repetition counts once."""
+        return replace(noise, white_rad=noise.white_rad * np.sqrt(self.counted))
 
     def residual(self, cell: Cell) -> FloatArray:
         """e at the bins, rad."""
@@ -435,14 +482,15 @@ class Model:
         left = self.residual(self.cell(course, half_rad, first))
         jumps = 1.05 * float(np.median(np.abs(np.diff(left))))
         spread = 1.5 * float(np.median(np.abs(left)))
-        noise = Noise(max(jumps, self.floor_rad), max(spread, 1e-8), first.drift_s, first.curve_rad)
+        noise = Noise(max(jumps, LEAST_RAD), max(spread, LEAST_RAD), first.drift_s, first.curve_rad)
         return noise, self.cell(course, half_rad, noise)
 
-    def fitted(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
+    def fitted(
+        self, course: int, half_rad: float, first: Noise, evaluations: int = 240
+    ) -> tuple[Noise, Cell]:
         """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
-        floor = self.floor_rad
         span = float(self.design.time_s[-1] - self.design.time_s[0])
-        low = np.log([floor, 1e-8, 2.0 * float(np.min(self.step_s)), 1e-6])
+        low = np.log([LEAST_RAD, LEAST_RAD, 2.0 * float(np.min(self.step_s)), 1e-6])
         high = np.log([1.0, 1.0, span, MOST_CURVE_RAD])
         guess, _there = self.profiled(course, half_rad, first)
         starts = [np.clip(np.log(astuple(each)), low, high) for each in (guess, first)]
@@ -461,7 +509,7 @@ class Model:
         steps = np.diag([*np.where(start[:4] < high - 1.0, 0.7, -0.7), 0.2])
         simplex = np.vstack([start, start + steps])[: 6 if half_rad else 5]
         if half_rad:
-            found = _lowest(cost, simplex, 240)
+            found = _lowest(cost, simplex, evaluations)
         else:
             found = np.append(_lowest(lambda p: cost(np.append(p, 0.0)), simplex[:, :4], 160), 0.0)
         return Noise(*np.exp(np.clip(found[:4], low, high))), at(found)
@@ -562,24 +610,30 @@ def fit_transmission(
     """Fit one recording; ``ratio`` is the stated one, motor over load."""
     told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
+    first = slope
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
-    weighed = False
+    settled, placed = False, None
     for made in range(8):
         told(made, 10)
-        model, friction, weight = _model(channels, slope, skew, stated)
-        free, best = model.fitted(*_searched(model, noise, 0))
-        free, best = _coasting(model, free, best)
-        if weighed:
+        model, friction, weight = _model(channels, slope, skew, stated, first)
+        free, best = model.fitted(*_searched(model, noise, 0), 240 if settled else 80)
+        # All places at first and once skew and ratio are settled, else from the last.
+        if placed is not None:
+            free, best = _placed(model, free, best, [placed], 0.1 * (1.0 - STAYS))
+        if made == 0 or settled:
+            free, best = _coasting(model, free, best)
+        if settled:
             free, best = _with_weight(model, free, best)
+        placed = model.place(best)
         names = model.design.names
         scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
         moved = abs(late) > LINEAR * model.paths.period_s
         moved &= abs(skew + late) < LONGEST_SKEW_S
         scaled = not stated and abs(scale - 1.0) > 5e-3
         if not moved and not scaled:
-            if weighed:
+            if settled:
                 break
-            weighed = True
+            settled = True
             continue
         skew += float(late) if moved else 0.0
         slope *= float(scale) if scaled else 1.0
@@ -595,12 +649,17 @@ def fit_transmission(
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
-    cells = _refined(model, best, [noise, free])
-    return _drawn(model, cells, free, friction, weight, np.random.default_rng(seed))
+    odds = (best.log_evidence - model.cell(0, 0.0, free).log_evidence) / model.counted
+    lists = [
+        _refined(model, best, [model.again(noise), model.again(free)], final)
+        for final in (None, Final(model.misfit(free), best.half_rad))
+    ]
+    generator = np.random.default_rng(seed)
+    return _drawn(model, best, lists, odds, free, friction, weight, generator)
 
 
 def _model(
-    channels: Channels, slope: float, skew: float, stated: bool
+    channels: Channels, slope: float, skew: float, stated: bool, first: float
 ) -> tuple[Model, float | None, float]:
     """The model, the friction that a torque shows, and how often the load's weight is above it."""
     paths = scaled_paths(channels, slope, skew)
@@ -612,7 +671,7 @@ def _model(
     drags = np.array(COASTING) * paths.typical_acceleration
     courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
     courses = [Course(np.inf, STAYS), *courses, Course(0.0, 0.2 * rest, free=True)]
-    return Model(paths, Design(paths, stated=stated), courses), friction, weight
+    return Model(paths, Design(paths, stated=stated, first_slope=first), courses), friction, weight
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
@@ -694,14 +753,17 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
 
 
-def _refined(model: Model, best: Cell, noises: Sequence[Noise]) -> list[Cell]:
+def _refined(
+    model: Model, best: Cell, noises: Sequence[Noise], final: Final | None = None
+) -> list[Cell]:
     """Cells over courses and a grid of h, finer where they hold much of the probability."""
     halves = _halves(model, 1e-6, PER_DECADE)
     wanted = [(course, float(half)) for course in range(len(model.courses)) for half in halves]
-    cells = [best]
+    wanted.append((best.course, best.half_rad))
+    cells: list[Cell] = []
     for _ in range(11):
         for place in wanted:
-            here = [model.cell(*place, noise) for noise in noises]
+            here = [model.cell(*place, noise, final) for noise in noises]
             cells.append(max(here, key=lambda cell: cell.log_evidence))
         cells.sort(key=lambda cell: (cell.course, cell.half_rad))
         masses = _log_masses(cells, np.zeros(len(cells)), model)
@@ -720,7 +782,7 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     ``prior``: log density over ln h at each cell.
     """
     weights = np.log([model.courses[c.course].prior for c in cells])
-    log = np.array([c.log_evidence for c in cells]) / model.counted + prior + weights
+    log = np.array([c.log_evidence for c in cells]) + prior + weights
     width = np.diff(np.log([c.half_rad for c in cells]))
     same = np.diff([c.course for c in cells]) == 0
     with np.errstate(divide="ignore"):
@@ -728,66 +790,90 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Densities over ln h at cells: without play, and with it by what is wound up (cells, held)."""
+
+    half_rad: FloatArray
+    held_rad: FloatArray
+    bare: FloatArray
+    of_gap: FloatArray
+
+    @classmethod
+    def at(cls, cells: Sequence[Cell], part: float, spread: float) -> Prior:
+        """``part`` of h is wound up by the torque, with its standard deviation."""
+        held = np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
+        half = np.array([c.half_rad for c in cells])
+        low, high = PLAY_RAD
+        # A smooth histogram of ln w/2.
+        logs = np.log(held)
+        breadth = 0.1 + 0.2 * float(np.std(logs))
+        bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
+        bare /= breadth * np.sqrt(2.0 * np.pi)
+        gap = half[:, None] - held
+        inside = (gap > low) & (gap < high)
+        of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
+        of_gap *= np.exp(-0.5 * ((held / half[:, None] - part) / spread) ** 2)
+        bare *= np.exp(-0.5 * (max(1.0 - part, 0.0) / spread) ** 2)
+        return cls(half, held, NO_PLAY * bare, (1.0 - NO_PLAY) / np.log(high / low) * of_gap)
+
+    def logs(self) -> tuple[FloatArray, FloatArray]:
+        """Logarithms without and with play, shapes (cells,)."""
+        with np.errstate(divide="ignore"):
+            return np.log(self.bare), np.log(self.of_gap.mean(axis=1))
+
+
 def _drawn(
     model: Model,
-    cells: Sequence[Cell],
+    best: Cell,
+    lists: Sequence[Sequence[Cell]],
+    log_odds: float,
     noise: Noise,
     friction: float | None,
     weight: float,
     generator: np.random.Generator,
 ) -> Transmission:
-    best = max(cells, key=lambda c: c.log_evidence)
+    """Draws by two lists of cells: whether there is play, and how large it is."""
     names = model.design.names
     count = int(np.prod(DRAWS))
-    held = np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
-    half = np.array([c.half_rad for c in cells])
-    low, high = PLAY_RAD
-    # Densities over ln h without play, and with it, by a smooth histogram of ln w/2.
-    logs = np.log(held)
-    breadth = 0.1 + 0.2 * float(np.std(logs))
-    bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
-    bare /= breadth * np.sqrt(2.0 * np.pi)
-    gap = half[:, None] - held
-    inside = (gap > low) & (gap < high)
-    of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
     part, spread, handed_nm = of_windup(model, best)
-    if handed_nm is not None:
-        of_gap *= np.exp(-0.5 * ((held / half[:, None] - part) / spread) ** 2)
-        bare *= np.exp(-0.5 * (max(1.0 - part, 0.0) / spread) ** 2)
-    with_play = of_gap.mean(axis=1) / np.log(high / low)
-    density = NO_PLAY * bare + (1.0 - NO_PLAY) * with_play
-    with np.errstate(divide="ignore"):
-        prior = np.log(density)
-    masses = _log_masses(cells, prior, model)
-    probability = np.exp(masses - logsumexp(masses))
-    interval = generator.choice(probability.size, size=count, p=probability)
+    by_noise, cells = lists
+    whether = [
+        logsumexp(_log_masses(by_noise, log, model))
+        for log in Prior.at(by_noise, part, spread).logs()
+    ]
+    probability = float(np.exp(whether[1] - np.logaddexp(*whether)))
+    plays = generator.uniform(size=count) < probability
+    prior = Prior.at(cells, part, spread)
+    half, held = prior.half_rad, prior.held_rad
+    interval = np.zeros(count, dtype=np.int64)
+    for mine, log in zip((~plays, plays), prior.logs(), strict=True):
+        masses = _log_masses(cells, log, model)
+        weights = np.exp(masses - logsumexp(masses))
+        interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
     share = generator.uniform(size=count)
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
     nearest = interval + (share > 0.5)
-    plays = generator.uniform(size=count) < (
-        (1.0 - NO_PLAY) * with_play[nearest] / np.maximum(density[nearest], 1e-300)
-    )
     delta = np.zeros(count)
     for cell in np.unique(nearest[plays]):
         mine = plays & (nearest == cell)
-        each = of_gap[cell] / of_gap[cell].sum()
-        chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each)]
-        delta[mine] = np.clip(lost[mine] - chosen, low, high)
+        each = prior.of_gap[cell]
+        if not each.any():
+            continue
+        chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each / each.sum())]
+        delta[mine] = np.clip(lost[mine] - chosen, *PLAY_RAD)
     # What repeats, what lasts and what the model leaves out of the lag do not average out.
     beta = np.empty((count, len(names)))
-    again = replace(noise, white_rad=noise.white_rad * np.sqrt(model.counted))
+    again = model.again(noise)
     for cell in np.unique(nearest):
         mine = np.flatnonzero(nearest == cell)
-        misfit = float(np.hypot(MODEL * half[cell], noise.drift_rad))
-        at = model.cell(cells[cell].course, half[cell], again, misfit)
+        final = Final(float(np.hypot(MODEL * half[cell], model.misfit(noise))), half[cell])
+        at = model.cell(cells[cell].course, half[cell], again, final)
         normal = generator.standard_normal((len(names), mine.size))
         moved = solve_triangular(at.root, normal, lower=True, trans=1)
         beta[mine] = (at.beta[:, None] + moved).T
     # s is scaled as the load follows the motor: a ratio and a transmission error can be exchanged
     # over a part of a turn, not the slope that both make. No model of a gap is better than MODEL.
-    # A misfit that lasts for a stroke moves the flank by as much, and does so again at every
-    # reversal where the load coasts or bounces: it does not average out. Where it is as large as
-    # the lag, there may be no play.
     paths, design = model.paths, model.design
     mode = cells[int(np.argmax(np.bincount(nearest)))]
     columns = design.columns(mode.lag)
@@ -797,15 +883,13 @@ def _drawn(
     halves = (float(np.median(parts[0])), float(np.median(parts[1])))
     scale = beta @ design.slopes(columns) * np.exp(MODEL * generator.standard_normal(count))
     # Both halves of a recording are two measurements: they scatter by as much as they differ.
-    lasts = np.hypot(noise.drift_rad, (halves[1] - halves[0]) / np.sqrt(2.0))
-    moved = lasts * generator.standard_normal(count)
+    moved = (halves[1] - halves[0]) / np.sqrt(2.0) * generator.standard_normal(count)
     lost = np.maximum(lost * scale + moved, 0.0)
     delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
-    plays = delta > 0.0
     # Friction that winds the joint up may follow the speed in any way, and is then like a skew.
+    goes = [how.weight != 0.0 or how.free for how in model.courses]
     usual_speed = float(np.std(paths.binned(paths.speed)))
     by_speed_s = (lost - delta) / usual_speed * generator.standard_normal(count)
-    goes = [how.weight != 0.0 or how.free for how in model.courses]
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
     curves = beta[:, design.curve] @ columns[thin][:, design.curve].T
     draws = {
@@ -830,14 +914,14 @@ def _drawn(
         for side, order in pairs
     }
     curve = columns[:, design.curve] @ mode.beta[design.curve]
-    none = model.cell(0, 0.0, noise).log_evidence
     return Transmission(
         paths,
         {name: values.reshape(DRAWS) for name, values in draws.items()},
         harmonics,
-        float(np.mean(plays)),
-        (best.log_evidence - none) / model.counted,
+        float(np.mean(delta > 0.0)),
+        log_odds,
         model.counted,
+        model.misfit(noise),
         noise,
         design.load_rad,
         seen,
