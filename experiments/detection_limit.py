@@ -38,7 +38,7 @@ from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_direc
 from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, upper_bound
 from bayesbl.measurement.motion_verdict import EXCLUDED_SHARE
 from bayesbl.probabilities import normal_isf
-from bayesbl.recording.types import MOTOR_CURRENT, FloatArray, Recording
+from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def figure(table: Sequence[Mapping[str, Any]], cases: Mapping[str, xr.Dataset]) 
     return drawn
 
 
-def _holds(below: FloatArray) -> FloatArray:
+def _holds(below: FloatArray) -> BoolArray:
     return np.abs(below - 0.5) < 0.5 * LEVEL
 
 

@@ -191,12 +191,13 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
     loop_is_stated = any(effect_named(name).enters == "loop" for name in present)
     for effect in EFFECTS:
         if effect.name in present:
-            values = present[effect.name].complete()
+            own = present[effect.name]
+            values = own.complete()
             for item in effect.amplitudes:
-                size = max(abs(values[item.name]), _stated_sd(present[effect.name], item.name))
+                size = max(abs(values[item.name]), _stated_sd(own, item.name))
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
-            if effect.name == "sampled_control" and "delay_periods" not in effect.parameters:
+            if own.name == "sampled_control" and "delay_periods" not in own.parameters:
                 yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0)
         elif effect.always_in and not (effect.enters == "loop" and loop_is_stated):
             item = effect.amplitudes[0]

@@ -866,12 +866,12 @@ def _drawn(
     beta = np.empty((count, len(names)))
     again = model.again(noise)
     for cell in np.unique(nearest):
-        mine = np.flatnonzero(nearest == cell)
+        there = np.flatnonzero(nearest == cell)
         final = Final(float(np.hypot(MODEL * half[cell], model.misfit(noise))), half[cell])
         at = model.cell(cells[cell].course, half[cell], again, final)
-        normal = generator.standard_normal((len(names), mine.size))
+        normal = generator.standard_normal((len(names), there.size))
         moved = solve_triangular(at.root, normal, lower=True, trans=1)
-        beta[mine] = (at.beta[:, None] + moved).T
+        beta[there] = (at.beta[:, None] + moved).T
     # s is scaled as the load follows the motor: a ratio and a transmission error can be exchanged
     # over a part of a turn, not the slope that both make. No model of a gap is better than MODEL.
     paths, design = model.paths, model.design
