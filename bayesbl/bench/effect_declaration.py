@@ -55,7 +55,7 @@ class EffectParameter:
     meaning: str
     _: KW_ONLY
     role: Role
-    low: float
+    low: float = 0.0
     high: float
     typical: float
     neutral: float = 0.0
@@ -87,7 +87,7 @@ class Amplitude(EffectParameter):
 
     _: KW_ONLY
     role: Role = "amplitude"
-    repeats: Repeats
+    repeats: Repeats = "always"
     not_negative: bool = False
     smaller_than: float | None = None
     sought_from: float | None = None
@@ -289,8 +289,8 @@ class Effect:
     equation: str
     parameters: tuple[Amplitude | Shape, ...]
     enters: Enters
-    depends_on: tuple[Dependence, ...]
     data: str
+    depends_on: tuple[Dependence, ...] = ()
     reference: str = ""
     torque: RigidLaw | None = None
     position: RigidLaw | None = None

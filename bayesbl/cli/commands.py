@@ -65,15 +65,10 @@ BaseConfig = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    _option(
-        "--out",
-        "FOLDER",
-        "Output folder. [default: results/NAME, or results/COMMAND_NAME]",
-    ),
+    _option("--out", "FOLDER", "Output folder. [default: results/NAME, or results/COMMAND_NAME]"),
 ]
 Seed = Annotated[
-    int | None,
-    _option("--seed", "N", "Seed of all random numbers. [default: 1]", _whole_number),
+    int | None, _option("--seed", "N", "Seed of all random numbers. [default: 1]", _whole_number)
 ]
 Workers = Annotated[
     int | None,
@@ -166,10 +161,7 @@ Before = Annotated[
 Dates = Annotated[
     list[date] | None,
     _option(
-        "--date",
-        "DATE",
-        "When a recording was taken; once per recording, in the same order.",
-        _day,
+        "--date", "DATE", "When a recording was taken; once per recording, in the same order.", _day
     ),
 ]
 GearRatio = Annotated[
@@ -181,10 +173,10 @@ Level = Annotated[
 ]
 RangeRad = Annotated[
     tuple[float, float] | None,
-    typer.Option(
+    _option(
         "--range-rad",
-        metavar="LOW HIGH",
-        help="Load angles that a planned motion may reach, in rad; 0 hangs straight down. "
+        "LOW HIGH",
+        "Load angles that a planned motion may reach, in rad; 0 hangs straight down. "
         "[default: -0.5 0.5]",
     ),
 ]
@@ -283,15 +275,10 @@ def init_command(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            metavar="FILE",
-            help="The file to write. [default: RECORDING.toml, or diagnose.toml]",
-        ),
+        _option("--out", "FILE", "The file to write. [default: RECORDING.toml, or diagnose.toml]"),
     ] = None,
     joint: Annotated[
-        str | None,
-        typer.Option("--joint", metavar="NAME", help="Which one, where a file holds several."),
+        str | None, _option("--joint", "NAME", "Which one, where a file holds several.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
@@ -673,10 +660,10 @@ def effects_command(
 
 DataSheet = Annotated[
     Path | None,
-    typer.Option(
+    _option(
         "--bench",
-        metavar="FILE",
-        help="Data sheet of the joint: a bench file with tolerances (`bayesbl init --bench`).",
+        "FILE",
+        "Data sheet of the joint: a bench file with tolerances (`bayesbl init --bench`).",
     ),
 ]
 

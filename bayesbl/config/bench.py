@@ -558,23 +558,14 @@ class BenchFile(Section):
     @model_validator(mode="after")
     def _parts_are_stated_once(self) -> Self:
         named = {effect.name for effect in self.effects}
-        for table, effect in (
-            ("belt", "belt"),
-            ("arm", "arm"),
-            ("base", "base"),
-            ("gap", "gap_variation"),
-        ):
+        for table in ("belt", "arm", "base", "gap"):
+            effect = "gap_variation" if table == "gap" else table
             if getattr(self, table) is not None and effect in named:
                 refuse(
                     "A part of the joint is stated twice.",
                     found=f"[{table}] and the effect {effect}",
                     expected="one of them",
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _filter_is_stated_once(self) -> Self:
-        named = {effect.name for effect in self.effects}
         if self.measurement.speed_filter_s > 0.0 and AVERAGING.name in named:
             refuse(
                 "The averaging of the speed is stated twice.",

@@ -122,14 +122,10 @@ def _resolve_row(row: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
     """Text that names a file beside the configuration becomes its full path."""
     return {
         key: str(resolve(value, info))
-        if key != "name" and isinstance(value, str) and _names_file(value, info)
+        if key != "name" and isinstance(value, str) and os.path.isfile(resolve(value, info))
         else value
         for key, value in row.items()
     }
-
-
-def _names_file(text: str, info: ValidationInfo) -> bool:
-    return os.path.isfile(resolve(text, info))
 
 
 class StudyConfig(RunConfig):

@@ -454,17 +454,14 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
 
 
 def _ringing_alone_table(parts: Sequence[tuple[str, SnapshotSummary]]) -> Table:
-    named = [text("Snapshot")] if any(name for name, _ in parts) else []
     kind = words.short_kind(parts[0][1]["parameters"]["amplitude_rpm"])
-    columns = (*named, numbers("Ringing A\n(rpm)"), numbers(f"{kind}\n(rpm)"), text("Outcome"))
     rows = []
-    for name, part in parts:
-        found = part["amplitude_rpm"]
-        cells = ["–", "–"]
+    for _, part in parts:
+        found, cells = part["amplitude_rpm"], ["–", "–"]
         if found is not None:
             cells = [number(found["median"], 1), words.bounds(found, places=1)]
-        rows.append([*([name] if named else []), *cells, part["diagnostics"]["outcome"]])
-    return table(columns, rows)
+        rows.append([*cells, part["diagnostics"]["outcome"]])
+    return play.snapshot_table(parts, ("Ringing A\n(rpm)", f"{kind}\n(rpm)"), rows)
 
 
 def cards(summary: MeasuredSummary) -> Iterator[Card]:

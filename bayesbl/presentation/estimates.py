@@ -22,15 +22,8 @@ BOUND_EXPLAINED = (
 )
 
 CHECK_EXPLAINED = (
-    "Power of the difference between recording and simulation that repeats every rotation, over "
-    "the power expected from noise; the probability that noise alone gives as much."
-)
-
-
-CHECK_OF_MOTION = (
-    "Power of the difference between recording and simulation that repeats every cycle, or is slow "
-    "where the motion does not repeat, over the power expected from noise; the probability that "
-    "noise alone gives as much."
+    "Power of the difference between recording and simulation that repeats every {}, over the "
+    "power expected from noise; the probability that noise alone gives as much."
 )
 
 
@@ -148,7 +141,8 @@ def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     yield _unknown_table(part)
     yield Sentence(BOUND_EXPLAINED, "aside")
     yield _check_table(part)
-    yield Sentence(CHECK_OF_MOTION if "motion" in part else CHECK_EXPLAINED, "aside")
+    turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
+    yield Sentence(CHECK_EXPLAINED.format(turn), "aside")
     lines = {
         "Noise": joint_noise(part),
         "Sampling": words.sampling(part),

@@ -49,19 +49,26 @@ def ramp_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Tab
     """A row per snapshot; ``places``: decimals of the gap in mrad."""
     at = f"±{words.significant(parts[0][1]['lost_motion_torque_nm'])} N m"
     titles = (f"Lost motion\n{at}\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)")
-    return _snapshot_table(parts, titles, [_ramp_cells(part, places) for _, part in parts])
+    return _gap_table(parts, titles, [_ramp_cells(part, places) for _, part in parts])
 
 
-def _snapshot_table(
+def _gap_table(
     parts: Sequence[tuple[str, SnapshotSummary]],
     titles: Sequence[str],
     cells: Iterable[Iterable[str]],
 ) -> Table:
-    """A row per snapshot, named in a comparison: the gap, quantities of ``titles``, the outcome."""
-    named = [text("Snapshot")] if any(name for name, _ in parts) else []
     kind = words.short_kind(parts[0][1]["lost_motion_rad"])
-    gap = ("Gap δ\n(mrad)", f"{kind}\n(mrad)")
-    columns = (*named, *map(numbers, (*gap, *titles)), text("Outcome"))
+    return snapshot_table(parts, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles), cells)
+
+
+def snapshot_table(
+    parts: Sequence[tuple[str, SnapshotSummary]],
+    titles: Sequence[str],
+    cells: Iterable[Iterable[str]],
+) -> Table:
+    """A row per snapshot, named in a comparison: quantities of ``titles``, the outcome."""
+    named = [text("Snapshot")] if any(name for name, _ in parts) else []
+    columns = (*named, *map(numbers, titles), text("Outcome"))
     rows = zip(parts, cells, strict=True)
     return table(columns, ([*([name] if named else []), *row] for (name, _), row in rows))
 
@@ -147,7 +154,7 @@ def is_by_two_encoders(summary: MeasuredSummary) -> bool:
 def encoder_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
     """A row per snapshot; ``places``: decimals of the gap in mrad."""
     titles = ("Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio")
-    return _snapshot_table(parts, titles, [_encoder_cells(part, places) for _, part in parts])
+    return _gap_table(parts, titles, [_encoder_cells(part, places) for _, part in parts])
 
 
 def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:

@@ -47,7 +47,6 @@ EFFECT = Effect(
             low=1e-4,
             high=4e-3,
             typical=4e-4,
-            repeats="always",
             not_negative=True,
         ),
     ),

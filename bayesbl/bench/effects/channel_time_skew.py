@@ -23,7 +23,6 @@ def _skew(name: str, typical: float) -> Amplitude:
         low=-0.01,
         high=0.01,
         typical=typical,
-        repeats="always",
     )
 
 
@@ -38,7 +37,6 @@ EFFECT = Effect(
         _skew("current_s", typical=-1.5e-3),
     ),
     enters="measurement",
-    depends_on=(),
     data="channels whose pulses do not start together",
     torque=RigidLaw(signal=_NOTHING, amplitude="current_s", usual=0.2),
     position=RigidLaw(signal=_NOTHING, amplitude="position_s", usual=0.2),

@@ -20,16 +20,13 @@ EFFECT = Effect(
             "time_s",
             "s",
             "time constant T",
-            low=0.0,
             high=0.01,
             typical=1e-3,
-            repeats="always",
             not_negative=True,
             sought_from=2e-4,  # shorter ones hardly show and cost the simulator tiny steps
         ),
     ),
     enters="loop",
-    depends_on=(),
     data="ringing less damped; current behind speed",
     always_in=True,
     in_nominal=True,  # as late as the drive compensates

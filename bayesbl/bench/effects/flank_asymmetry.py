@@ -23,7 +23,6 @@ EFFECT = Effect(
             low=-0.6,
             high=0.6,
             typical=0.05,
-            repeats="always",
             smaller_than=1.0,
         ),
     ),

@@ -22,7 +22,6 @@ EFFECT = Effect(
             low=-0.01,
             high=0.01,
             typical=5e-4,
-            repeats="always",
         ),
     ),
     enters="motor",

@@ -34,15 +34,7 @@ EFFECT = Effect(
     sentence="Motor friction that changes during the recording as the joint warms up.",
     equation="J_m dω_m/dt: − (T₀ + r t) sign ω_m",
     parameters=(
-        Amplitude(
-            "torque_nm",
-            "N m",
-            "friction at the start T₀",
-            low=-2.0,
-            high=2.0,
-            typical=0.1,
-            repeats="always",
-        ),
+        Amplitude("torque_nm", "N m", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1),
         Amplitude(
             "rate_nm_per_s",
             "N m/s",

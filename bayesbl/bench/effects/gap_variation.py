@@ -18,7 +18,6 @@ def _share(name: str, meaning: str, typical: float) -> Amplitude:
         low=-0.5,
         high=0.5,
         typical=typical,
-        repeats="always",
         smaller_than=1.0,
     )
 

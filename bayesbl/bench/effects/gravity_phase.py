@@ -37,13 +37,7 @@ EFFECT = Effect(
     equation="J_l dω_l/dt: − m_c cos θ_l",
     parameters=(
         Amplitude(
-            "torque_nm",
-            "N m",
-            "torque at θ_l = 0, m_c",
-            low=-200.0,
-            high=200.0,
-            typical=30.0,
-            repeats="always",
+            "torque_nm", "N m", "torque at θ_l = 0, m_c", low=-200.0, high=200.0, typical=30.0
         ),
     ),
     enters="load",

@@ -17,14 +17,7 @@ EFFECT = Effect(
     equation="J_l dω_l/dt: − T_c sign ω_l",
     parameters=(
         Amplitude(
-            "torque_nm",
-            "N m",
-            "friction torque T_c",
-            low=0.0,
-            high=200.0,
-            typical=15.0,
-            repeats="always",
-            not_negative=True,
+            "torque_nm", "N m", "friction torque T_c", high=200.0, typical=15.0, not_negative=True
         ),
     ),
     enters="load",

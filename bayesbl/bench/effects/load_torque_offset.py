@@ -24,11 +24,9 @@ EFFECT = Effect(
             low=-200.0,
             high=200.0,
             typical=15.0,
-            repeats="always",
         ),
     ),
     enters="load",
-    depends_on=(),
     data="pulses shift alike in both directions",
     load_torque=lambda motion, bench, given: given["torque_nm"] * np.ones_like(motion.speed),
 )

@@ -18,14 +18,7 @@ EFFECT = Effect(
     equation="J_m dω_m/dt: − T_c sign ω_m",
     parameters=(
         Amplitude(
-            "torque_nm",
-            "N m",
-            "friction torque T_c",
-            low=0.0,
-            high=2.0,
-            typical=0.2,
-            repeats="always",
-            not_negative=True,
+            "torque_nm", "N m", "friction torque T_c", high=2.0, typical=0.2, not_negative=True
         ),
     ),
     enters="motor",

@@ -39,10 +39,8 @@ EFFECT = Effect(
             "torque_nm",
             "N m",
             "extra torque at standstill T_s",
-            low=0.0,
             high=2.0,
             typical=0.3,
-            repeats="always",
             not_negative=True,
         ),
         Shape(

@@ -18,17 +18,10 @@ EFFECT = Effect(
     equation="J_m dω_m/dt: − T",
     parameters=(
         Amplitude(
-            "torque_nm",
-            "N m",
-            "torque against forward rotation T",
-            low=-2.0,
-            high=2.0,
-            typical=0.2,
-            repeats="always",
+            "torque_nm", "N m", "torque against forward rotation T", low=-2.0, high=2.0, typical=0.2
         ),
     ),
     enters="motor",
-    depends_on=(),
     data="constant current offset of the same sign in both directions",
     torque=RigidLaw(
         signal=lambda motion, bench, given: given["torque_nm"] * np.ones_like(motion.speed),

@@ -24,10 +24,8 @@ EFFECT = Effect(
             "period_s",
             "s",
             "period T of the speed controller",
-            low=0.0,
             high=4e-3,
             typical=1e-3,
-            repeats="always",
             not_negative=True,
             sought_from=1e-4,  # at the usual noise shorter ones do not show, and cost time
         ),
@@ -35,7 +33,6 @@ EFFECT = Effect(
             "delay_periods",
             "",
             "computing and dead time d in periods",
-            low=0.0,
             high=128.0,  # 8 ms of a bus at 62.5 µs, the shortest period of a drive
             typical=1.0,
             neutral=1.0,
@@ -46,6 +43,5 @@ EFFECT = Effect(
         ),
     ),
     enters="loop",
-    depends_on=(),
     data="ringing less damped; current behind speed; steps if slower than the recorder",
 )

@@ -49,15 +49,7 @@ EFFECT = Effect(
     ),
     equation="τ_s + T z, dz/dt = (Δω/θ_p)(1 − z sign Δω), also inside the gap",
     parameters=(
-        Amplitude(
-            "torque_nm",
-            "N m",
-            "friction torque T",
-            low=0.0,
-            high=200.0,
-            typical=20.0,
-            repeats="always",
-        ),
+        Amplitude("torque_nm", "N m", "friction torque T", high=200.0, typical=20.0),
         Shape(
             "angle_rad",
             "rad",

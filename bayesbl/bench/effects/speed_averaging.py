@@ -20,16 +20,13 @@ EFFECT = Effect(
             "time_s",
             "s",
             "time T that the speed is averaged over",
-            low=0.0,
             high=0.02,
             typical=4e-3,
-            repeats="always",
             not_negative=True,
             sought_from=2e-4,  # shorter ones do not show
         ),
     ),
     enters="measurement",
-    depends_on=(),
     data="ringing lower in the speed than in the current, and later",
     in_bench_file="If the drive smooths the speed that it records, say so in the bench file: "
     "speed_filter_s under [measurement]; if the speed is the differentiated encoder, "

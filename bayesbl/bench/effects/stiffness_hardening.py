@@ -15,15 +15,7 @@ EFFECT = Effect(
     sentence="The shaft stiffens as it is wound up.",
     equation="τ_s + k₃ e³, e the compression beyond the gap",
     parameters=(
-        Amplitude(
-            "stiffness_nm_per_rad3",
-            "N m/rad³",
-            "k₃",
-            low=-1e9,
-            high=1e10,
-            typical=1e9,
-            repeats="always",
-        ),
+        Amplitude("stiffness_nm_per_rad3", "N m/rad³", "k₃", low=-1e9, high=1e10, typical=1e9),
     ),
     enters="shaft",
     depends_on=("twist",),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -28,8 +28,7 @@ _BLOCK_IN = 2.5
 _BINS = 700
 
 
-@dataclass(frozen=True, slots=True)
-class _Signal:
+class _Signal(NamedTuple):
     """What is drawn of one snapshot, each of shape (n,), s and rpm."""
 
     time: FloatArray
@@ -39,18 +38,13 @@ class _Signal:
     high: FloatArray
     residual: FloatArray
 
-    @classmethod
-    def of(cls, snapshot: Snapshot) -> _Signal:
-        time, speed = snapshot.time_s, snapshot.channel("motor_speed_rpm")
-        names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
-        # By the time's length: a sample that was left out has no residual, like the padding.
-        curves = (snapshot.groups["predictive"][n].values[: time.size] for n in names)
-        return cls(time, speed, *curves)
 
-    def within(self, begin_s: float, end_s: float) -> _Signal:
-        inside = (self.time >= begin_s) & (self.time <= end_s)
-        parts = (self.time, self.speed, self.model, self.low, self.high, self.residual)
-        return _Signal(*(part[inside] for part in parts))
+def _signal(snapshot: Snapshot) -> _Signal:
+    time, speed = snapshot.time_s, snapshot.channel("motor_speed_rpm")
+    names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
+    # By the time's length: a sample that was left out has no residual, like the padding.
+    curves = (snapshot.groups["predictive"][n].values[: time.size] for n in names)
+    return _Signal(time, speed, *curves)
 
 
 @stored_figure(
@@ -69,7 +63,7 @@ def signal(tree: xr.DataTree) -> Figure:
         )
         upper = figure.add_subplot(inner[0, 0])
         lower = figure.add_subplot(inner[1, 0], sharex=upper)
-        data = _Signal.of(snapshot)
+        data = _signal(snapshot)
         _draw_whole(upper, lower, data)
         heads.append(upper)
         titles.append(f"{snapshot.name}: whole recording")
@@ -77,7 +71,8 @@ def signal(tree: xr.DataTree) -> Figure:
             begin, end = pulse_window(snapshot, positive)
             top = figure.add_subplot(inner[0, column], sharey=upper)
             bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
-            _draw_part(top, bottom, data.within(begin, end))
+            inside = (data.time >= begin) & (data.time <= end)
+            _draw_part(top, bottom, _Signal(*(part[inside] for part in data)))
             for edge in impact_window(snapshot, positive):
                 for axes in (top, bottom):
                     axes.axvline(edge, color=style.NEUTRAL, linewidth=0.6, linestyle=":")

@@ -145,6 +145,7 @@ def _pictures(tree: xr.DataTree, stored: Path | None, draw: Draw) -> list[Pictur
     """The stored figures, and fresh ones of those that a run leaves out."""
     files = {path.stem: path for path in stored.glob("*.png")} if stored else {}
     known = figures_of(tree)
+    names = texts(tree.attrs.get("recordings")) if tree.attrs.get("kind") == "compare" else []
     shown = {f.name for f in (figure_of(stem, known) for stem in files) if f is not None}
     with tempfile.TemporaryDirectory() as folder:
         if not files or {figure.name for figure in known} - shown:
@@ -159,12 +160,8 @@ def _pictures(tree: xr.DataTree, stored: Path | None, draw: Draw) -> list[Pictur
                 int.from_bytes(data[16:20]),  # in the head of every PNG
                 (figure := figure_of(stem, known)) is not None and figure.for_specialists,
             )
-            for stem in reading_order(files, known, _snapshot_names(tree))
+            for stem in reading_order(files, known, names)
         ]
-
-
-def _snapshot_names(tree: xr.DataTree) -> list[str]:
-    return texts(tree.attrs.get("recordings")) if tree.attrs.get("kind") == "compare" else []
 
 
 def _address(data: bytes, kind: str) -> str:

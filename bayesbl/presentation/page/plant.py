@@ -178,7 +178,7 @@ def write_pages(folder: Path) -> list[Path]:
     for row in recordings:
         of_joint[str(row["joint"])].append(row)
     names = {str(row["joint"]) for row in joints}
-    level = _level(summary)
+    level = f"{100.0 * summary['level']:g} %"
     index = environment.get_template("plant.html").render(
         level=level,
         script=script,
@@ -225,7 +225,9 @@ def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
 
 
 def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
-    own = {key: value for key, value in row.items() if key not in _columns() and value is not None}
+    from bayesbl.fleet.plant_tables import JOINT_COLUMNS
+
+    own = {key: v for key, v in row.items() if key not in JOINT_COLUMNS and v is not None}
     return {
         "name": row["joint"],
         "gearbox": row["gearbox"],
@@ -245,12 +247,6 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
             for one in reversed(recordings)
         ],
     }
-
-
-def _columns() -> set[str]:
-    from bayesbl.fleet.plant_tables import JOINT_COLUMNS
-
-    return set(JOINT_COLUMNS)
 
 
 def _headline(row: Row, summary: Row) -> str:
@@ -346,10 +342,6 @@ def _state(row: Row, summary: Row) -> str:
         notes = ["not shown to grow"] * unsure + [f"wears {unlike}"] * bool(unlike)
         return ", ".join(["measured", *notes, *[f"{left} left out"] * bool(left)])
     return "no rate" if row["delta_rad_median"] is not None else "no gap"
-
-
-def _level(summary: Row) -> str:
-    return f"{100.0 * summary['level']:g} %"
 
 
 def _given(recordings: Sequence[Row]) -> list[Row]:
