@@ -224,7 +224,7 @@ def test_orders_stand_out_whatever_their_score(tmp_path: Path) -> None:
     used = loop_setting(asked).used
     first, *_ = find_orders(used, 3, 0.01)
     assert first.order == 6.0
-    assert np.all(lines_of(used, [6.0]).size > 0.0)
+    assert np.all(lines_of(used, [6.0]).power > 0.0)
 
 
 def test_what_does_not_suit_is_refused(tmp_path: Path) -> None:

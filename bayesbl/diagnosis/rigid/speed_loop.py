@@ -25,12 +25,11 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter
-from scipy.optimize import least_squares, minimize_scalar
-from scipy.special import gammaln, logsumexp
+from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER
+from bayesbl.bench.effect_declaration import HIGHEST_ORDER
 from bayesbl.diagnosis.comparison import Piece, bounded_least_squares
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
@@ -45,7 +44,7 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals
 from bayesbl.diagnosis.residuals.analysis import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
-from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES
+from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, strongest
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
 from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, piece_of, refused, wanted
 from bayesbl.errors import ConfigError, RecordingError
@@ -123,9 +122,6 @@ FINER = 4
 
 LEVEL_ORDERS = 40
 """Resolved orders over which the noise around a line is taken, by its median."""
-
-RESOLVED_CYCLES = 2.0
-"""By which an order must differ from a stronger one in a piece that is to show it."""
 
 WHOLE = 4.0
 """Standard deviations within which an order is a whole one."""
@@ -236,6 +232,14 @@ class Turning:
         whole = replace(self, piece=replace(self.piece, excluded=None))
         return whole.waves(shown) @ found
 
+    def rest(self, orders: Sequence[float]) -> OrderedRest:
+        """What waves of these orders leave."""
+        piece, (_, left) = self.piece, self.fit(orders)
+        speed = np.full(left.size, abs(self.speed_rad_per_s))
+        time, angle = piece.kept(piece.time_s), piece.kept(self.angle)
+        cutoff = WIDEST / piece.period_s
+        return OrderedRest(piece.name, time, angle, speed, left, cutoff, False, piece.period_s)
+
     def spectrum(self, left: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Orders, |Σ x exp(−i n θ)|², and what noise makes of it around; evenly over the angle."""
         way = np.maximum.accumulate(np.abs(self.piece.kept(self.angle) - self.angle[0]))
@@ -247,101 +251,24 @@ class Turning:
         return orders, power, np.asarray(level)
 
 
-@dataclass(frozen=True, slots=True)
-class OrderLine:
-    """An order that stands out.
-
-    Attributes
-    ----------
-    sd
-        Of the order.
-    score, trials
-        χ² over the recordings that show it, and how many orders were looked at.
-    """
-
-    order: float
-    sd: float
-    score: float
-    trials: float
-
-
-def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> list[OrderLine]:
+def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> list[Peak]:
     """Orders that stand out of the noise of all pieces together, strongest first.
 
-    The rate of false alarms is that of the whole list: half of what is left goes to each order.
+    The rate of false alarms is that of the whole list: half of what is left goes to each order. A
+    whole order within the errors is the whole one, unless every order is near one.
     """
-    found: list[OrderLine] = []
-    top = max(item.highest_order for item in turning)
-    turns = max(item.turns for item in turning)
-    grid = np.arange(LOWEST_ORDER, top, 1.0 / (FINER * turns))
-    trials = max(1.0, (top - LOWEST_ORDER) * turns)
-    while len(found) < most and grid.size:
-        score, pieces = np.zeros(grid.size), np.zeros(grid.size)
-        levels = []
-        for item in turning:
-            _, left = item.fit([line.order for line in found])
-            orders, power, level = item.spectrum(left)
-            seen = (grid < item.highest_order) & (grid * item.turns >= FEWEST_CYCLES)
-            for line in found:  # what a piece does not resolve belongs to the stronger line
-                seen &= np.abs(grid - line.order) * item.turns >= RESOLVED_CYCLES
-            score += np.where(seen, np.interp(grid, orders, 2.0 * power / level), 0.0)
-            pieces += seen
-            levels.append((item, left, orders, level))
-        rarity = _log_rarity(score, pieces)
-        k = int(np.argmin(rarity))
-        rise = trials * math.sqrt(max(1.0, 0.5 * float(score[k])))  # Baluev 2008
-        if rarity[k] + math.log(rise) > math.log(false_alarm * 0.5 ** (len(found) + 1)):
+    found: list[Peak] = []
+
+    def rests() -> list[OrderedRest]:
+        return [item.rest([peak.order for peak in found]) for item in turning]
+
+    for peak in strongest(rests, False, highest=HIGHEST_ORDER, coloured=True):
+        bound = math.log(false_alarm) - (len(found) + 1) * math.log(2.0)
+        if len(found) == most or peak.log_chance > bound:
             break
-        order, sd = _refined(float(grid[k]), 1.0 / turns, levels)
-        found.append(OrderLine(order, sd, float(score[k]), rise))
+        whole = peak.behind < WHOLE**2 and peak.order > 0.5 and WHOLE * peak.sd < 0.5
+        found.append(replace(peak, order=float(round(peak.order))) if whole else peak)
     return found
-
-
-def _log_rarity(score: FloatArray, pieces: FloatArray) -> FloatArray:
-    """Logarithm of the probability of a larger χ² with 2 degrees of freedom for each piece.
-
-    exp(−x/2) Σ_{j<m} (x/2)ʲ/j!, in logarithms: scores of a thousand are usual.
-    """
-    j = np.arange(max(1, int(pieces.max())))[:, None]
-    half = np.maximum(0.5 * score, 1e-12)
-    terms = np.where(j < np.maximum(pieces, 1), j * np.log(half) - gammaln(j + 1.0), -np.inf)
-    return np.asarray(logsumexp(terms, axis=0) - half)
-
-
-def _refined(
-    order: float,
-    width: float,
-    levels: Sequence[tuple[Turning, FloatArray, FloatArray, FloatArray]],
-) -> tuple[float, float]:
-    """The order of the highest score nearby, and its standard deviation by the curvature.
-
-    A whole order within the errors is the whole one, unless every order is near one.
-    """
-    parts = [
-        (item.piece.kept(item.angle), left, float(np.interp(order, orders, level)))
-        for item, left, orders, level in levels
-        if item.shows(order)
-    ]
-
-    def misfit(value: float) -> float:
-        return -sum(float(abs(np.vdot(np.exp(1j * value * a), x))) ** 2 / v for a, x, v in parts)
-
-    best = float(
-        minimize_scalar(
-            misfit,
-            bounds=(order - width, order + width),
-            method="bounded",
-            options={"xatol": 1e-4 * width},
-        ).x
-    )
-    step = 0.1 * width
-    bend = (misfit(best + step) - 2.0 * misfit(best) + misfit(best - step)) / step**2
-    # The logarithm of the likelihood is the score over the level: its second derivative.
-    sd = 1.0 / math.sqrt(bend) if bend > 0.0 else width
-    whole = round(best)
-    # By the likelihood itself: of a weak line it has several peaks, and a bend of each.
-    near = 2.0 * (misfit(float(whole)) - misfit(best)) < WHOLE**2
-    return (float(whole) if near and whole > 0 and WHOLE * sd < 0.5 else best), sd
 
 
 def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatArray:
@@ -949,7 +876,7 @@ class _Answer:
 
     task: Task
     setting: Setting
-    found: list[OrderLine]
+    found: list[Peak]
     true_angle: bool = False
 
     def diagnosis(self) -> Diagnosis:
