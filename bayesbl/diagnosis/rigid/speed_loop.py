@@ -24,9 +24,7 @@ from typing import Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
-from scipy.stats import chi2
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER
@@ -44,7 +42,7 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals
 from bayesbl.diagnosis.residuals.analysis import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
-from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, strongest
+from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, spectrum_of, strongest
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
 from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, piece_of, refused, wanted
 from bayesbl.errors import ConfigError, RecordingError
@@ -116,12 +114,6 @@ def mechanics(values: Values, frequency: FloatArray) -> ComplexArray:
     inertia += values["load_inertia_kg_m2"] / values["gear_ratio"] ** 2
     return np.asarray(inertia * 1j * frequency + values[FRICTION])
 
-
-FINER = 4
-"""Steps of a spectrum in one resolved order."""
-
-LEVEL_ORDERS = 40
-"""Resolved orders over which the noise around a line is taken, by its median."""
 
 WHOLE = 4.0
 """Standard deviations within which an order is a whole one."""
@@ -232,23 +224,12 @@ class Turning:
         whole = replace(self, piece=replace(self.piece, excluded=None))
         return whole.waves(shown) @ found
 
-    def rest(self, orders: Sequence[float]) -> OrderedRest:
-        """What waves of these orders leave."""
-        piece, (_, left) = self.piece, self.fit(orders)
-        speed = np.full(left.size, abs(self.speed_rad_per_s))
+    def rest(self, left: FloatArray) -> OrderedRest:
+        """What lines leave, (k,), to be searched for orders."""
+        piece, speed = self.piece, np.full(left.size, abs(self.speed_rad_per_s))
         time, angle = piece.kept(piece.time_s), piece.kept(self.angle)
         cutoff = WIDEST / piece.period_s
         return OrderedRest(piece.name, time, angle, speed, left, cutoff, False, piece.period_s)
-
-    def spectrum(self, left: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Orders, |Σ x exp(−i n θ)|², and what noise makes of it around; evenly over the angle."""
-        way = np.maximum.accumulate(np.abs(self.piece.kept(self.angle) - self.angle[0]))
-        grid = np.linspace(way[0], way[-1], left.size)
-        power = np.abs(np.fft.rfft(np.interp(grid, way, left), FINER * left.size)) ** 2
-        orders = np.arange(power.size) / (FINER * self.turns)
-        size = min(FINER * LEVEL_ORDERS, power.size)
-        level = median_filter(power, size) / (chi2.median(2) / 2.0)
-        return orders, power, np.asarray(level)
 
 
 def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> list[Peak]:
@@ -260,7 +241,8 @@ def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> li
     found: list[Peak] = []
 
     def rests() -> list[OrderedRest]:
-        return [item.rest([peak.order for peak in found]) for item in turning]
+        orders = [peak.order for peak in found]
+        return [item.rest(item.fit(orders)[1]) for item in turning]
 
     for peak in strongest(rests, False, highest=HIGHEST_ORDER, coloured=True):
         bound = math.log(false_alarm) - (len(found) + 1) * math.log(2.0)
@@ -269,12 +251,6 @@ def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> li
         whole = peak.behind < WHOLE**2 and peak.order > 0.5 and WHOLE * peak.sd < 0.5
         found.append(replace(peak, order=float(round(peak.order))) if whole else peak)
     return found
-
-
-def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatArray:
-    """Standard deviation of the real part of the line at each order, shape (m,)."""
-    grid, _, level = item.spectrum(left)
-    return np.asarray(np.sqrt(2.0 * np.interp(orders, grid, level)) / left.size)
 
 
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
@@ -664,18 +640,6 @@ class LoopSearch:
         sizes = fit.sizes_with(changes, parts)
         return fit.in_full(changes, frozenset(beside), sizes, self.share)
 
-    def likeliest(self, label: str) -> int:
-        """The term of a hypothesis that is most probable."""
-        places = [k for k, h in enumerate(self.hypotheses) if h.label == label]
-        sets = self.posterior.sets.items()
-        return max(places, key=lambda k: sum(p for terms, p in sets if k in terms))
-
-    def probability(self, labels: Iterable[str]) -> float:
-        """That one of them is there."""
-        own, posterior = set(labels), self.posterior
-        held = (p for terms, p in posterior.sets.items() if own & posterior.labels(terms))
-        return min(1.0, sum(held))
-
     @property
     def sure(self) -> list[list[Hypothesis]]:
         """Hypotheses that are there almost surely, alone or one of several; first what the most
@@ -684,7 +648,7 @@ class LoopSearch:
         labels = sorted(
             dict.fromkeys(h.label for h in self.hypotheses), key=lambda n: n not in best
         )
-        every = {n: self.hypotheses[self.likeliest(n)] for n in labels}
+        every = {n: self.hypotheses[self.posterior.likeliest(n)] for n in labels}
         sets = [*((label,) for label in self.posterior.named), *self.posterior.confounded]
         found = [[h for n, h in every.items() if n in own and h.part != BOTH] for own in sets]
         return [members for members in found if members]
@@ -891,7 +855,7 @@ class _Answer:
             told = self._told(search, notes)
             periodic = [m[0].lines for m in search.sure if m[0].name == TIME]
             firsts = [members[0] for members in told]
-            laws = [search.likeliest(h.label) for h in firsts]
+            laws = [search.posterior.likeliest(h.label) for h in firsts]
             parts = [h.place for h in firsts]
             laws += [
                 k
@@ -910,7 +874,7 @@ class _Answer:
                     size = fit.logarithm(first.name)
                     errors.append(ParameterError(first.name, value, tolerance, size, rivals))
                 else:
-                    chance = search.probability(h.label for h in (first, *others))
+                    chance = search.posterior.probability(h.label for h in (first, *others))
                     effects.append(self._effect(fit, first, chance, rivals))
         remaining = []
         for group in periodic:
@@ -1059,8 +1023,14 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
     powers, variances = [], []
     for item in turning:
         found, left = item.fit(orders)
-        variances.append(noise_sd(item, orders, left) ** 2)
-        powers.append(np.abs(found) ** 2 - 2.0 * variances[-1])
+        spectrum = spectrum_of([item.rest(left)], False, highest=HIGHEST_ORDER, coloured=True)
+        (noise,) = spectrum.powers.values()
+        variance = np.full(len(orders), math.nan)
+        if np.any(noise > 0.0):
+            level = np.interp(orders, spectrum.orders[noise > 0.0], noise[noise > 0.0])
+            variance = 4.0 * level / left.size
+        variances.append(variance)
+        powers.append(np.abs(found) ** 2 - 2.0 * variance)
     speeds = np.array([item.speed_rad_per_s for item in turning])
     lasting = np.array([item.turns / item.turns_per_s for item in turning])
     return Lines(tuple(orders), speeds, np.array(powers), np.array(variances), lasting)
