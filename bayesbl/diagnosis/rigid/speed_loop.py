@@ -18,13 +18,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
+from scipy.special import logsumexp
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER
@@ -46,12 +47,14 @@ from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, spe
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
 from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, piece_of, refused, wanted
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT
 from bayesbl.model_search.linear import (
     DiscrepancyGroup,
     Linearised,
     MisfitBand,
     Priors,
     Term,
+    confounded,
     search,
 )
 from bayesbl.progress import StageProgress
@@ -279,6 +282,9 @@ LINE_LAW = 0.5
 LAW_SHARE = 0.1
 """Usual share of its own power that a line is off its law by: no loop is quite as its equation."""
 
+MOST_LAWS, MOST_LOOPS = 3, 4
+"""Sets of laws that are fitted in full, and of loops beside each, besides one change alone."""
+
 MOST_BESIDE = 3
 """Changes of the loop beside the laws of the lines."""
 
@@ -358,11 +364,13 @@ class LoopFit:
     changes
         Of the loop: logarithm of a parameter's factor, or what is added to an effect.
     beside
-        Those of them that are hypotheses: without a prior.
+        Those of them that are hypotheses.
     sizes
         Coefficients of :func:`law_powers`, (m, 3); 0 where the law lacks a part.
     deviations
         Standard deviations, of changes by name and of sizes by place and part.
+    log_evidence
+        Of the loop (Laplace), but for what is the same for all loops with lines of these laws.
     """
 
     lines: Lines
@@ -372,6 +380,7 @@ class LoopFit:
     beside: frozenset[str]
     sizes: FloatArray
     deviations: Mapping[object, float] = field(default_factory=dict)
+    log_evidence: float = 0.0
 
     @property
     def values(self) -> dict[str, float]:
@@ -442,11 +451,22 @@ class LoopFit:
         return Estimate(math.log(self.values[name]), self.deviations[name], logarithmic=True)
 
     def in_full(
-        self, changes: Mapping[str, float], beside: frozenset[str], sizes: FloatArray, share: float
+        self,
+        changes: Mapping[str, float],
+        usual: Mapping[str, float],
+        sizes: FloatArray,
+        share: float,
     ) -> LoopFit:
-        """Changes and all sizes that are not 0, fitted from here; lines off their laws by a share.
+        """Changes and all sizes that are not 0, fitted from here.
 
-        Shapes as :attr:`sizes`.
+        Parameters
+        ----------
+        usual
+            Standard deviation beforehand of changes that are hypotheses.
+        sizes
+            As :attr:`sizes`.
+        share
+            Of its power that a line is off its law by.
         """
         lines, names = self.lines, list(changes)
         every = [(k, part) for k, row in enumerate(sizes) for part in np.flatnonzero(row).tolist()]
@@ -454,11 +474,9 @@ class LoopFit:
         units = np.concatenate([np.ones(len(names)), np.abs(sizes[places])])
         for i, name in enumerate(names):
             units[i] = abs(changes[name]) if name in LOOP_EFFECTS else 1.0
-        power = np.where(sizes.any(axis=1), self.power(changes, sizes), 0.0)
-        sd = np.hypot(lines.sd(power), share * power)
+        sd = np.hypot(lines.sd(self.expected), share * self.expected)
         kept = lines.shown & sizes.any(axis=1)
-        held = [i for i, name in enumerate(names) if name not in beside]
-        sds = np.array([self.priors[names[i]] for i in held])
+        beside, sds = frozenset(usual), np.array([{**self.priors, **usual}[n] for n in names])
 
         def unpacked(x: FloatArray) -> tuple[dict[str, float], FloatArray]:
             own = np.zeros_like(sizes)
@@ -467,7 +485,7 @@ class LoopFit:
 
         def misfit(x: FloatArray) -> FloatArray:
             left = (lines.power - self.power(*unpacked(x))) / sd
-            return np.concatenate([x[held] / sds, left[kept]])
+            return np.concatenate([(x * units)[: len(names)] / sds, left[kept]])
 
         start = np.concatenate([[changes[n] for n in names], sizes[places]]) / units
         signed = [name not in LOOP_EFFECTS for name in names] + [part == BOTH for _, part in every]
@@ -480,7 +498,12 @@ class LoopFit:
         keys: list[object] = [*names, *every]
         deviations = dict(zip(keys, spread.tolist(), strict=True))
         changes, sizes = unpacked(found.x)
-        return replace(self, changes=changes, beside=beside, sizes=sizes, deviations=deviations)
+        fit = replace(self, changes=changes, beside=beside, sizes=sizes, deviations=deviations)
+        volume = float(np.linalg.slogdet(covariance)[1]) + 2.0 * float(np.log(units).sum())
+        evidence = 0.5 * volume - float(found.cost) - float(np.log(sds).sum())
+        evidence += math.log(2.0) * len(beside & LOOP_EFFECTS.keys())
+        evidence += math.log(EXPECTED_HYPOTHESES / (len(LOOP_EFFECTS) + len(SCALES))) * len(beside)
+        return replace(fit, log_evidence=evidence)
 
 
 def first_fit(lines: Lines, believed: Values, priors: Mapping[str, float]) -> LoopFit:
@@ -511,6 +534,15 @@ class Hypothesis:
     def label(self) -> str:
         """The same of all terms of one hypothesis."""
         return self.name if self.place is None else f"{self.name}, {self.place}"
+
+
+@dataclass(frozen=True, slots=True)
+class FittedSet:
+    """Labels of hypotheses that are there together, their probability, and their fit in full."""
+
+    labels: frozenset[str]
+    probability: float
+    fit: LoopFit
 
 
 class LoopSearch:
@@ -597,17 +629,22 @@ class LoopSearch:
                 Hypothesis(TIME, group[0][1], lines=tuple(group)), self._rows(power), True
             )
 
+    def _usual(self, name: str) -> float:
+        """Size of a change of the loop."""
+        gain = self.fit.believed[GAINS[0]]
+        if name == FRICTION:
+            return WRONG * gain
+        inertia = float(mechanics(self.fit.believed, np.ones(1))[0].imag)
+        return LAG * inertia / gain if name in LOOP_EFFECTS else WRONG
+
     def _of_loop(self) -> Iterator[Term]:
         """Secants, so that all that the fit has makes its own prediction."""
         fit, base = self.fit, self.fit.without
-        crossover = fit.believed[GAINS[0]] / float(mechanics(fit.believed, np.ones(1))[0].imag)
         for name in (*LOOP_EFFECTS, *SCALES):
             effect = name in LOOP_EFFECTS
             if (effect and name not in self._candidates) or not (effect or fit.believed[name]):
                 continue
-            usual = WRONG if not effect else LAG / crossover
-            if name == FRICTION:
-                usual = WRONG * fit.believed[GAINS[0]]
+            usual = self._usual(name)
             if name in fit.beside:
                 changed = {**base, name: fit.changes[name]}
                 secants = [(fit.changes[name], self._best(changed) - self._best(base))]
@@ -638,18 +675,64 @@ class LoopSearch:
             if hypothesis.place is not None and hypothesis.name != TIME:
                 parts[hypothesis.place].append(hypothesis.part)
         sizes = fit.sizes_with(changes, parts)
-        return fit.in_full(changes, frozenset(beside), sizes, self.share)
+        usual = {name: self._usual(name) for name in beside}
+        return fit.in_full(changes, usual, sizes, self.share)
 
-    @property
+    @cached_property
+    def sets(self) -> list[FittedSet]:
+        """The likely laws of lines, each with the likely loops, fitted in full, the best first.
+
+        Of the same laws the fits say which loop it is: far from its fit a linearisation does not.
+        """
+        every: dict[frozenset[str], tuple[int, ...]] = {}
+        loops, held = list[int](), dict[frozenset[str], float]()
+        for h in dict.fromkeys(h.label for h in self.hypotheses if h.place is None):
+            loops.append(self.posterior.likeliest(h))
+        of_loop = {self.hypotheses[k].label for k in loops}
+        for terms, p in self.posterior.sets.items():
+            labels = self.posterior.labels(terms)
+            every.setdefault(labels, terms)
+            held[labels - of_loop] = held.get(labels - of_loop, 0.0) + p
+        found = []
+        for lines, p in sorted(held.items(), key=lambda item: -item[1])[:MOST_LAWS]:
+            own = [terms for labels, terms in every.items() if labels - of_loop == lines]
+            laws = tuple(k for k in own[0] if self.hypotheses[k].label not in of_loop)
+            tried = [laws, *((*laws, k) for k in loops), *own[:MOST_LOOPS]]
+            fits = {self.posterior.labels(terms): self.fitted(terms) for terms in tried}
+            total = float(logsumexp([fit.log_evidence for fit in fits.values()]))
+            for labels, fit in fits.items():
+                found.append(FittedSet(labels, p * math.exp(fit.log_evidence - total), fit))
+        return sorted(found, key=lambda one: -one.probability)
+
+    def probability(self, labels: Iterable[str]) -> float:
+        """That one of them is there."""
+        held = sum(one.probability for one in self.sets if one.labels & set(labels))
+        return held / sum(one.probability for one in self.sets)
+
+    def size(self, place: int, part: int) -> Estimate:
+        """A torque in N m, or an angle in rad, over the loops that are told."""
+        told = {h.name for members in self.sure for h in members if h.place is None}
+        every = [x for x in self.sets if x.fit.sizes[place, part] and x.fit.beside <= told]
+        weight = np.array([one.probability for one in every])
+        value, sd = np.transpose(
+            [(e.value, e.sd) for e in (one.fit.size(place, part) for one in every)]
+        )
+        mean = float(weight @ value / weight.sum())
+        variance = float(weight @ (sd**2 + (value - mean) ** 2) / weight.sum())
+        return Estimate(mean, math.sqrt(variance))
+
+    @cached_property
     def sure(self) -> list[list[Hypothesis]]:
         """Hypotheses that are there almost surely, alone or one of several; first what the most
         probable set has."""
-        best = self.posterior.labels(next(iter(self.posterior.sets)))
-        labels = sorted(
-            dict.fromkeys(h.label for h in self.hypotheses), key=lambda n: n not in best
-        )
+        best = self.sets[0].labels
+        labels = list(dict.fromkeys(h.label for h in self.hypotheses))
+        labels.sort(key=lambda label: label not in best)
+        named = [label for label in labels if self.probability([label]) >= NAMED_AT]
+        total = sum(one.probability for one in self.sets)
+        shared = confounded([(one.labels, one.probability / total) for one in self.sets], named)
         every = {n: self.hypotheses[self.posterior.likeliest(n)] for n in labels}
-        sets = [*((label,) for label in self.posterior.named), *self.posterior.confounded]
+        sets = [*([label] for label in named), *shared]
         found = [[h for n, h in every.items() if n in own and h.part != BOTH] for own in sets]
         return [members for members in found if members]
 
@@ -661,12 +744,11 @@ def searched(
     found = LoopSearch(first_fit(lines, believed, priors), candidates)
     known: list[frozenset[str]] = []
     for _ in range(ROUNDS):
-        terms = next(iter(found.posterior.sets))
-        labels = found.posterior.labels(terms)
-        found = LoopSearch(found.fitted(terms), candidates)
-        if labels in known:
+        best = found.sets[0]
+        found = LoopSearch(best.fit, candidates)
+        if best.labels in known:
             break
-        known.append(labels)
+        known.append(best.labels)
     return found
 
 
@@ -866,16 +948,15 @@ class _Answer:
             if (again := self._by_true_angle(fit)) is not None:
                 return again.diagnosis()
             unnamed -= {h.place for h in firsts if h.place is not None}
-            for first, *others in told:
-                rivals = tuple(dict.fromkeys(h.name for h in others))
+            for first, *rivals in told:
                 if first.name in SCALES:
                     believed = self.task.bench.parameters[first.name]
                     value, tolerance = believed.value, believed.tolerance
                     size = fit.logarithm(first.name)
-                    errors.append(ParameterError(first.name, value, tolerance, size, rivals))
+                    others = tuple(h.name for h in rivals)
+                    errors.append(ParameterError(first.name, value, tolerance, size, others))
                 else:
-                    chance = search.posterior.probability(h.label for h in (first, *others))
-                    effects.append(self._effect(fit, first, chance, rivals))
+                    effects.append(self._effect(search, fit, first, rivals))
         remaining = []
         for group in periodic:
             remaining.append(self._unexplained(lines, group))
@@ -944,20 +1025,22 @@ class _Answer:
         return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
 
     def _effect(
-        self, fit: LoopFit, first: Hypothesis, chance: float, rivals: tuple[str, ...]
+        self, search: LoopSearch, fit: LoopFit, first: Hypothesis, rivals: Sequence[Hypothesis]
     ) -> NamedEffect:
         name, place = first.name, first.place
         if place is None:
             size = Estimate(fit.values[name], fit.deviations[name])
             parameters = {LOOP_EFFECTS[name]: size}
         else:
-            size, line = fit.size(place, first.part), self.found[place]
+            size, line = search.size(place, first.part), self.found[place]
             parameters = {"angle_rad": size}
             if first.part == TORQUE:
                 held = line.order == round(line.order)
                 order = Estimate(line.order, math.nan if held else line.sd)
                 parameters = {"torque_nm": size, "order": order}
-        return NamedEffect(name, parameters, chance, abs(size.value) / size.sd, rivals)
+        chance = search.probability(h.label for h in (first, *rivals))
+        others = tuple(dict.fromkeys(h.name for h in rivals))
+        return NamedEffect(name, parameters, chance, abs(size.value) / size.sd, others)
 
     def _unexplained(self, lines: Lines, group: Sequence[tuple[int, int]]) -> Unexplained:
         """A line without a law, or with one that the catalogue does not have; or one in time."""
