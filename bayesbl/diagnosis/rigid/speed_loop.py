@@ -745,10 +745,10 @@ def searched(
     known: list[frozenset[str]] = []
     for _ in range(ROUNDS):
         best = found.sets[0]
-        found = LoopSearch(best.fit, candidates)
         if best.labels in known:
             break
         known.append(best.labels)
+        found = LoopSearch(best.fit, candidates)
     return found
 
 
