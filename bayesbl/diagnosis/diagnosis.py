@@ -6,7 +6,6 @@ summarised and drawn depends on what one holds, never on the method that made it
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -233,8 +232,3 @@ def verdict_of(*, effects: bool, parameters: bool, remains: bool) -> Verdict:
     if parameters:
         return "parameter_error"
     return "unexplained" if remains else "nothing_missing"
-
-
-def probability_of(log_odds: float) -> float:
-    """From the logarithm of the odds."""
-    return 1.0 / (1.0 + math.exp(-min(700.0, max(-700.0, log_odds))))

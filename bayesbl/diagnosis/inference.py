@@ -401,7 +401,7 @@ class Inference:
         count alike: where a bench is worst is a part of what it has to predict.
         """
         view, free = self.posterior.linearised, math.inf
-        chosen = [self.likeliest(label) for label in labels]
+        chosen = [self.posterior.likeliest(label) for label in labels]
         anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.nuisance_names]
         blocks: list[tuple[FloatArray, float | Sequence[float], float]] = [
             (view.jacobian, anyway, -free)
@@ -432,7 +432,7 @@ class Inference:
     def of_projection(self, fitted: Coefficients, label: str) -> dict[str, float]:
         """Linear parameters of a candidate."""
         candidate = self.labels[label]
-        size = fitted.sizes[self.likeliest(label)]
+        size = fitted.sizes[self.posterior.likeliest(label)]
         if not candidate.is_wave:
             return dict(zip(candidate.parameters, size.tolist(), strict=True))
         pairs = size.reshape(-1, 2)
@@ -443,15 +443,9 @@ class Inference:
 
     def is_none(self, fitted: Coefficients, label: str) -> bool:
         """Whether a candidate whose sign is known would rather have the other one."""
-        place = self.likeliest(label)
+        place = self.posterior.likeliest(label)
         size, unit = fitted.sizes[place], self.terms[place].unit
         return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
-
-    def likeliest(self, label: str) -> int:
-        """The term of a candidate that is most probable."""
-        places = [k for k, placed in enumerate(self.terms) if placed.candidate.label == label]
-        sizes = self.posterior.sizes
-        return max(places, key=lambda k: sizes[k][0].sum() if k in sizes else 0.0)
 
     def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
         """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
@@ -506,10 +500,8 @@ class Inference:
 
     def probability(self, names: Sequence[str]) -> float:
         """That one of some candidates is there, by their labels or their effects' names."""
-        labels = {n for n, c in self.labels.items() if {n, c.name} & set(names)}
-        posterior = self.posterior
-        held = (p for terms, p in posterior.sets.items() if labels & posterior.labels(terms))
-        return min(1.0, sum(held))
+        own = set(names)
+        return self.posterior.probability(n for n, c in self.labels.items() if {n, c.name} & own)
 
     def presence(self, group: int) -> float:
         """Probability that a group of the discrepancy is there."""

@@ -64,6 +64,3 @@ from offsets of any size."""
 LEARNED_SHARE = 0.01
 """Of the excess chi-square that a discrepancy must hold to be told: less than a hundredth of what
 the names explain is the form of their laws."""
-
-INDISTINGUISHABLE_Z = 5.0
-"""|z| between two best fits below which the recordings do not tell them apart."""

@@ -655,6 +655,17 @@ class ModelPosterior:
         """Hypotheses of at least the stated probability."""
         return tuple(label for label, p in self.inclusion.items() if p >= NAMED_AT)
 
+    def probability(self, labels: Iterable[str]) -> float:
+        """That one of some hypotheses is there."""
+        own = set(labels)
+        return min(1.0, sum(p for terms, p in self.sets.items() if own & self.labels(terms)))
+
+    def likeliest(self, label: str) -> int:
+        """The term of a hypothesis that is most probable."""
+        places = [k for k, t in enumerate(self.linearised.terms) if t.hypothesis == label]
+        sets = self.sets.items()
+        return max(places, key=lambda k: sum(p for terms, p in sets if k in terms))
+
     @cached_property
     def confounded(self) -> tuple[tuple[str, ...], ...]:
         """Smallest sets of hypotheses, none named, one of which is there almost surely."""

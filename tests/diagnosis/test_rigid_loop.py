@@ -16,12 +16,19 @@ from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.rigid.orders import OrderedRest, strongest
 from bayesbl.diagnosis.rigid.speed_loop import (
+    ANGLE,
+    CANDIDATES,
     METHOD,
+    TORQUE,
+    Lines,
     find_orders,
+    law_powers,
     lines_of,
     loop_setting,
     loop_values,
+    searched,
     speed_of_torque,
     torque_of_angle,
 )
@@ -198,17 +205,7 @@ def test_a_ripple_at_crawling_speed_has_no_harmonics_of_its_own_making(tmp_path:
 
 
 def test_an_error_of_the_angle_is_a_torque_that_grows_with_the_square_of_the_speed() -> None:
-    values = {
-        "gear_ratio": 1.0,
-        "motor_inertia_kg_m2": 2e-3,
-        "load_inertia_kg_m2": 0.0,
-        "speed_gain_nm_s_per_rad": 0.15,
-        "integral_gain_nm_per_rad": 4.0,
-        "position_gain_per_s": 0.0,
-        "motor_viscous_friction": 0.0,
-        "current_loop_lag": 0.0,
-        "speed_sensor_lag": 0.0,
-    }
+    values = VALUES | {"current_loop_lag": 0.0}
     frequency = np.array([1.0, 10.0, 1e6])
     assert np.allclose(torque_of_angle(values, frequency), 2e-3 * frequency**2)
     # Slow torques are held by the integral, fast ones by the inertia alone.
@@ -224,7 +221,7 @@ def test_orders_stand_out_whatever_their_score(tmp_path: Path) -> None:
     used = loop_setting(asked).used
     first, *_ = find_orders(used, 3, 0.01)
     assert first.order == 6.0
-    assert np.all(lines_of(used, [6.0]).size > 0.0)
+    assert np.all(lines_of(used, [6.0]).power > 0.0)
 
 
 def test_what_does_not_suit_is_refused(tmp_path: Path) -> None:
@@ -281,3 +278,51 @@ def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, c
     assert [e["parameters"] for e in same["effects"]] == [
         e["parameters"] for e in stored["effects"]
     ]
+
+
+VALUES = {
+    "gear_ratio": 1.0,
+    "motor_inertia_kg_m2": 2e-3,
+    "load_inertia_kg_m2": 0.0,
+    "speed_gain_nm_s_per_rad": 0.15,
+    "integral_gain_nm_per_rad": 4.0,
+    "position_gain_per_s": 0.0,
+    "motor_viscous_friction": 0.0,
+    "current_loop_lag": 1e-3,
+    "speed_sensor_lag": 0.0,
+}
+
+
+def test_the_power_of_a_line_is_that_of_a_torque_and_an_error_of_the_angle_together() -> None:
+    speeds, order, torque, angle, phase = np.array([-60.0, 20.0, 100.0]), 3.0, 0.05, 2e-3, 0.8
+    frequency = order * speeds
+    driving = torque + angle * np.exp(1j * phase) * torque_of_angle(VALUES, frequency)
+    power = np.abs(speed_of_torque(VALUES, frequency) * driving) ** 2
+    sizes = torque**2, angle**2, torque * angle * math.cos(phase)
+    assert law_powers(VALUES, [order], speeds)[:, 0] @ sizes == pytest.approx(power, rel=1e-9)
+
+
+def test_recordings_of_one_speed_leave_both_laws_of_a_line_open() -> None:
+    """A torque and an error of the angle that give the same powers have the same probability."""
+    for speeds, apart in (([80.0, -80.0, 80.0], False), ([20.0, 80.0, -160.0], True)):
+        power = law_powers(VALUES, [6.0], np.array(speeds))[..., 0] * 0.05**2
+        noise = np.full(power.shape, 1e-3 * power.min())
+        lines = Lines((6.0,), np.array(speeds), power, noise, np.full(3, 5.0))
+        (members,) = searched(lines, VALUES, {}, CANDIDATES).sure
+        assert {h.part for h in members} == ({TORQUE} if apart else {TORQUE, ANGLE})
+
+
+def test_noise_alone_stands_out_as_rarely_as_it_is_said_to() -> None:
+    """Of 60 at a rate of 0.1, more than 12 come by chance once in a hundred."""
+    rng, alarms = np.random.default_rng(4), 0
+    for _ in range(60):
+        pieces = [
+            OrderedRest(
+                str(k), t, speed * t, np.full(t.size, speed), rng.standard_normal(t.size), 200.0,
+                False, 2e-3,
+            )
+            for k, (speed, t) in enumerate((s, np.arange(2000) * 2e-3) for s in (15.0, 40.0, 90.0))
+        ]  # fmt: skip
+        peak = next(strongest(lambda rests=pieces: rests, False, highest=64.0, coloured=True))
+        alarms += peak.log_chance < math.log(0.1)
+    assert alarms <= 12

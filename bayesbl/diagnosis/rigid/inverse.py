@@ -643,7 +643,7 @@ class InverseView:
             if mine and inference.posterior.inclusion[label] > 0.5:
                 sd = inference.values(label)[shape].sd
                 return line.finer(
-                    inference.terms[inference.likeliest(label)].look.shapes[shape], sd
+                    inference.terms[inference.posterior.likeliest(label)].look.shapes[shape], sd
                 )
         return line
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize_scalar
+from scipy.special import gammaln, logsumexp
 from scipy.stats import chi2
 
 from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
@@ -30,7 +31,7 @@ SLOW_SHARE = 0.1
 
 STEPS_PER_CYCLE = 5.0
 _MOST_ORDERS = 100_000
-_LEVEL_CYCLES = 20.0
+_LEVEL_CYCLES = 40.0
 """Resolved cycles over which the noise of an order is taken: wide beside a line, not the range."""
 
 _OVERSAMPLING = 8
@@ -96,7 +97,8 @@ class OrderSpectrum:
     orders, scores
         Shape (m,), evenly spaced; empty if the motor does not turn far enough.
     powers
-        Half of what noise makes of |Σ r exp(i n θ)|² in a sample, of each owner, shape (m,).
+        Half of what noise makes of |Σ r exp(i n θ)|² in a sample, of each owner, shape (m,); 0
+        where it does not show the order.
     independent
         Number of orders that are independent of one another.
     """
@@ -106,17 +108,18 @@ class OrderSpectrum:
     powers: dict[Owner, FloatArray]
     independent: float
 
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom of a score."""
-        return 2 * len(self.powers)
+    def log_chance(self) -> FloatArray:
+        """ln of the probability of as large a score anywhere, if nothing is there, shape (m,).
 
-    def trials(self, score: float) -> float:
-        """How much likelier a score is somewhere than at one order (Baluev 2008).
-
-        W √(χ²/2), W the independent orders: between them the score can rise a little further.
+        W √(χ²/2) times that of one order, W the independent orders: between them the score can rise
+        a little further (Baluev 2008). Of 2 m degrees of freedom that is exp(−x/2) Σ (x/2)ʲ/j!,
+        j < m, in logarithms, as scores of a thousand are usual.
         """
-        return self.independent * math.sqrt(max(1.0, 0.5 * score))
+        owners = np.sum([power > 0.0 for power in self.powers.values()], axis=0)
+        j, half = np.arange(len(self.powers))[:, None], np.maximum(0.5 * self.scores, 1e-12)
+        terms = np.where(j < np.maximum(owners, 1), j * np.log(half) - gammaln(j + 1.0), -np.inf)
+        rise = self.independent * np.sqrt(np.maximum(1.0, half))
+        return np.asarray(logsumexp(terms, axis=0) - half + np.log(rise))
 
 
 def turns_of(rests: Sequence[OrderedRest], shared: bool) -> float:
@@ -127,7 +130,9 @@ def turns_of(rests: Sequence[OrderedRest], shared: bool) -> float:
     return max(last - first for first, last in ends) / (2.0 * math.pi)
 
 
-def order_range(rests: Sequence[OrderedRest], turns: float) -> tuple[float, float]:
+def order_range(
+    rests: Sequence[OrderedRest], turns: float, highest: float = math.inf
+) -> tuple[float, float]:
     """Orders that recordings can show, from their motion: in any unit of the angle the same.
 
     From three cycles on the way to two samples a cycle, of the time and of the position.
@@ -138,7 +143,9 @@ def order_range(rests: Sequence[OrderedRest], turns: float) -> tuple[float, floa
         return math.inf, 0.0
     sampled = math.pi / slow / min(item.period_s for item in rests)
     stepped = [math.pi / item.step_rad for item in rests if item.step_rad > 0.0]
-    return FEWEST_CYCLES / turns, min(sampled, _MOST_ORDERS / STEPS_PER_CYCLE / turns, *stepped)
+    return FEWEST_CYCLES / turns, min(
+        highest, sampled, _MOST_ORDERS / STEPS_PER_CYCLE / turns, *stepped
+    )
 
 
 def owner_of(item: OrderedRest, shared: bool) -> Owner:
@@ -146,10 +153,22 @@ def owner_of(item: OrderedRest, shared: bool) -> Owner:
     return item.above, "" if shared else item.recording
 
 
-def spectrum_of(rests: Sequence[OrderedRest], shared: bool) -> OrderSpectrum:
-    """Every order's score; ``shared``: all recordings have one phase."""
+def spectrum_of(
+    rests: Sequence[OrderedRest], shared: bool, *, highest: float = math.inf, coloured: bool = False
+) -> OrderSpectrum:
+    """Every order's score.
+
+    Parameters
+    ----------
+    shared
+        All recordings have one phase.
+    highest
+        Order that is looked at.
+    coloured
+        Quiet places are the noise's: what surrounds an order alone tells it.
+    """
     turns = turns_of(rests, shared)
-    low, high = order_range(rests, turns)
+    low, high = order_range(rests, turns, highest)
     owners = [owner_of(item, shared) for item in rests]
     if not (high - low) * turns * STEPS_PER_CYCLE >= 2.0:
         nothing = np.array([])
@@ -161,10 +180,13 @@ def spectrum_of(rests: Sequence[OrderedRest], shared: bool) -> OrderSpectrum:
     samples = {owner: np.zeros(orders.size) for owner in owners}
     for owner, item in zip(owners, rests, strict=True):
         found, seen, white = _transform(item, orders)
-        level = median_filter(np.abs(found) ** 2, round(_LEVEL_CYCLES * STEPS_PER_CYCLE))
-        enough = seen >= FEWEST_SAMPLES
+        own, level = turns_of([item], shared), np.zeros(orders.size)
+        enough = (seen >= FEWEST_SAMPLES) & (orders * own >= FEWEST_CYCLES)
+        around = round(_LEVEL_CYCLES / max(step * own, _LEVEL_CYCLES / orders.size))
+        level[enough] = median_filter(np.abs(found[enough]) ** 2, around)
         waves[owner] += np.where(enough, found, 0.0)
-        powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), white), 0.0)
+        least = 0.0 if coloured else white
+        powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), least), 0.0)
         samples[owner] += seen
     scores = np.zeros(orders.size)
     for owner, wave in waves.items():
@@ -259,6 +281,62 @@ def _halved(step: float, size: float) -> float:
     return float(step * 2.0 ** round(math.log2(size / step)))
 
 
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """An order that stands out.
+
+    Attributes
+    ----------
+    sd
+        Of the order.
+    score, log_chance
+        χ², and ln of the probability of as large a one anywhere if nothing is there.
+    behind
+        χ² by which the nearest whole order scores less.
+    spectrum
+        Where it stands out.
+    """
+
+    order: float
+    sd: float
+    score: float
+    log_chance: float
+    behind: float
+    spectrum: OrderSpectrum
+
+    @property
+    def step(self) -> float:
+        """Between orders of the spectrum."""
+        return float(self.spectrum.orders[1] - self.spectrum.orders[0])
+
+
+def strongest(
+    rests: Callable[[], Sequence[OrderedRest]],
+    shared: bool,
+    *,
+    highest: float = math.inf,
+    coloured: bool = False,
+) -> Iterator[Peak]:
+    """Orders that stand out, the clearest first.
+
+    ``rests``: what those that were given leave; the others as :func:`spectrum_of`.
+    """
+    known: list[float] = []
+    while True:
+        left = rests()
+        spectrum = spectrum_of(left, shared, highest=highest, coloured=coloured)
+        if not spectrum.orders.size:
+            return
+        chance = spectrum.log_chance()
+        for order in known:
+            near = np.abs(spectrum.orders - order) <= 2.0 / turns_of(left, shared)
+            chance[near] = math.inf
+        k = int(np.argmin(chance))
+        order, sd, behind = _sharp(left, shared, spectrum, k)
+        known.append(order)
+        yield Peak(order, sd, float(spectrum.scores[k]), float(chance[k]), behind, spectrum)
+
+
 def peaks(
     rests: Sequence[OrderedRest], shared: bool, most: int, *, whole: bool = True
 ) -> list[Line]:
@@ -268,35 +346,26 @@ def peaks(
     ``whole`` ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
     """
     found: list[Line] = []
-    known: list[float] = []
-    while len(found) < most:
-        spectrum = spectrum_of(rests, shared)
-        if not spectrum.orders.size:
+    left = [rests]
+    for peak in strongest(lambda: left[-1], shared):
+        if len(found) == most or peak.log_chance > math.log(CHANCE):
             break
-        step = float(spectrum.orders[1] - spectrum.orders[0])
-        scores = spectrum.scores.copy()
-        for order in known:
-            scores[np.abs(spectrum.orders - order) <= 2.0 * STEPS_PER_CYCLE * step] = 0.0
-        k = int(np.argmax(scores))
-        score = float(scores[k])
-        if spectrum.trials(score) * chi2.sf(score, spectrum.freedom) > CHANCE:
-            break
-        order, sd = _sharp(rests, shared, spectrum, k)
-        known.append(order)
-        nearest = round(order)
-        near = whole and nearest > 0 and abs(order - nearest) < step and sd < WHOLE
+        order, sd, nearest = peak.order, peak.sd, round(peak.order)
+        near = whole and nearest > 0 and abs(order - nearest) < peak.step and sd < WHOLE
         # Of one resolved order the values hold as much as lies within them.
-        share = (0.5 if whole else 1.0) * min(1.0, 5.0 * sd / (STEPS_PER_CYCLE * step))
-        special = 0.5 / max(1.0, float(spectrum.orders[-1])) if near else 0.0
-        found.append(Line.around(order, sd, min(1.0, share / spectrum.independent), special))
-        rests = [_without(item, order) for item in rests]
+        share = (0.5 if whole else 1.0) * min(1.0, 5.0 * sd / (STEPS_PER_CYCLE * peak.step))
+        special = 0.5 / max(1.0, float(peak.spectrum.orders[-1])) if near else 0.0
+        anywhere = min(1.0, share / peak.spectrum.independent)
+        found.append(Line.around(order, sd, anywhere, special))
+        left.append([_without(item, order) for item in left[-1]])
     return found
 
 
 def _sharp(
     rests: Sequence[OrderedRest], shared: bool, spectrum: OrderSpectrum, k: int
-) -> tuple[float, float]:
-    """The order near one of a spectrum that scores most, and its standard deviation.
+) -> tuple[float, float, float]:
+    """The order near one of a spectrum that scores most, its standard deviation, and by what χ² the
+    nearest whole one scores less.
 
     That of a frequency with score χ² over a time T is √6/(π T √χ²) (Rife and Boorstyn 1974).
     """
@@ -316,7 +385,8 @@ def _sharp(
     best = minimize_scalar(lambda at: -score(at), bounds=ends, method="bounded", options=exact)
     sd = math.sqrt(6.0) / math.pi * STEPS_PER_CYCLE * step / math.sqrt(max(1.0, -float(best.fun)))
     sd = _halved(step, min(sd, 0.5 * step))
-    return sd * round(float(best.x) / sd), sd
+    behind = -float(best.fun) - score(float(round(best.x)))
+    return sd * round(float(best.x) / sd), sd, behind
 
 
 def _without(item: OrderedRest, order: float) -> OrderedRest:

@@ -18,19 +18,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Literal
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import median_filter
-from scipy.optimize import least_squares, minimize_scalar
-from scipy.special import gammaln, logsumexp
-from scipy.stats import chi2
+from scipy.optimize import least_squares
+from scipy.special import logsumexp
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import HIGHEST_ORDER, LOWEST_ORDER
-from bayesbl.diagnosis.comparison import Piece
+from bayesbl.bench.effect_declaration import HIGHEST_ORDER
+from bayesbl.diagnosis.comparison import Piece, bounded_least_squares
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
@@ -38,21 +37,29 @@ from bayesbl.diagnosis.diagnosis import (
     OrderSize,
     ParameterError,
     PieceSignals,
-    probability_of,
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
-from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals, parameter_errors
+from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals
 from bayesbl.diagnosis.residuals.analysis import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
-from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES
+from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, spectrum_of, strongest
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
 from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, piece_of, refused, wanted
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.model_search.constants import INDISTINGUISHABLE_Z
+from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT
+from bayesbl.model_search.linear import (
+    DiscrepancyGroup,
+    Linearised,
+    MisfitBand,
+    Priors,
+    Term,
+    confounded,
+    search,
+)
 from bayesbl.progress import StageProgress
-from bayesbl.recording.moving import VARIES, is_one_speed
-from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, ComplexArray, FloatArray
+from bayesbl.recording.moving import is_one_speed
+from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, BoolArray, ComplexArray, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 LOOP_PARAMETERS = (
@@ -110,15 +117,6 @@ def mechanics(values: Values, frequency: FloatArray) -> ComplexArray:
     inertia += values["load_inertia_kg_m2"] / values["gear_ratio"] ** 2
     return np.asarray(inertia * 1j * frequency + values[FRICTION])
 
-
-FINER = 4
-"""Steps of a spectrum in one resolved order."""
-
-LEVEL_ORDERS = 40
-"""Resolved orders over which the noise around a line is taken, by its median."""
-
-RESOLVED_CYCLES = 2.0
-"""By which an order must differ from a stronger one in a piece that is to show it."""
 
 WHOLE = 4.0
 """Standard deviations within which an order is a whole one."""
@@ -229,354 +227,531 @@ class Turning:
         whole = replace(self, piece=replace(self.piece, excluded=None))
         return whole.waves(shown) @ found
 
-    def spectrum(self, left: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Orders, |Σ x exp(−i n θ)|², and what noise makes of it around; evenly over the angle."""
-        way = np.maximum.accumulate(np.abs(self.piece.kept(self.angle) - self.angle[0]))
-        grid = np.linspace(way[0], way[-1], left.size)
-        power = np.abs(np.fft.rfft(np.interp(grid, way, left), FINER * left.size)) ** 2
-        orders = np.arange(power.size) / (FINER * self.turns)
-        size = min(FINER * LEVEL_ORDERS, power.size)
-        level = median_filter(power, size) / (chi2.median(2) / 2.0)
-        return orders, power, np.asarray(level)
+    def rest(self, left: FloatArray) -> OrderedRest:
+        """What lines leave, (k,), to be searched for orders."""
+        piece, speed = self.piece, np.full(left.size, abs(self.speed_rad_per_s))
+        time, angle = piece.kept(piece.time_s), piece.kept(self.angle)
+        cutoff = WIDEST / piece.period_s
+        return OrderedRest(piece.name, time, angle, speed, left, cutoff, False, piece.period_s)
 
 
-@dataclass(frozen=True, slots=True)
-class OrderLine:
-    """An order that stands out.
-
-    Attributes
-    ----------
-    sd
-        Of the order.
-    score, trials
-        χ² over the recordings that show it, and how many orders were looked at.
-    """
-
-    order: float
-    sd: float
-    score: float
-    trials: float
-
-
-def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> list[OrderLine]:
+def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> list[Peak]:
     """Orders that stand out of the noise of all pieces together, strongest first.
 
-    The rate of false alarms is that of the whole list: half of what is left goes to each order.
+    The rate of false alarms is that of the whole list: half of what is left goes to each order. A
+    whole order within the errors is the whole one, unless every order is near one.
     """
-    found: list[OrderLine] = []
-    top = max(item.highest_order for item in turning)
-    turns = max(item.turns for item in turning)
-    grid = np.arange(LOWEST_ORDER, top, 1.0 / (FINER * turns))
-    trials = max(1.0, (top - LOWEST_ORDER) * turns)
-    while len(found) < most and grid.size:
-        score, pieces = np.zeros(grid.size), np.zeros(grid.size)
-        levels = []
-        for item in turning:
-            _, left = item.fit([line.order for line in found])
-            orders, power, level = item.spectrum(left)
-            seen = (grid < item.highest_order) & (grid * item.turns >= FEWEST_CYCLES)
-            for line in found:  # what a piece does not resolve belongs to the stronger line
-                seen &= np.abs(grid - line.order) * item.turns >= RESOLVED_CYCLES
-            score += np.where(seen, np.interp(grid, orders, 2.0 * power / level), 0.0)
-            pieces += seen
-            levels.append((item, left, orders, level))
-        rarity = _log_rarity(score, pieces)
-        k = int(np.argmin(rarity))
-        rise = trials * math.sqrt(max(1.0, 0.5 * float(score[k])))  # Baluev 2008
-        if rarity[k] + math.log(rise) > math.log(false_alarm * 0.5 ** (len(found) + 1)):
+    found: list[Peak] = []
+
+    def rests() -> list[OrderedRest]:
+        orders = [peak.order for peak in found]
+        return [item.rest(item.fit(orders)[1]) for item in turning]
+
+    for peak in strongest(rests, False, highest=HIGHEST_ORDER, coloured=True):
+        bound = math.log(false_alarm) - (len(found) + 1) * math.log(2.0)
+        if len(found) == most or peak.log_chance > bound:
             break
-        order, sd = _refined(float(grid[k]), 1.0 / turns, levels)
-        found.append(OrderLine(order, sd, float(score[k]), rise))
+        whole = peak.behind < WHOLE**2 and peak.order > 0.5 and WHOLE * peak.sd < 0.5
+        found.append(replace(peak, order=float(round(peak.order))) if whole else peak)
     return found
 
 
-def _log_rarity(score: FloatArray, pieces: FloatArray) -> FloatArray:
-    """Logarithm of the probability of a larger χ² with 2 degrees of freedom for each piece.
+RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
+ANGLE_ERROR, BETWEEN, TIME = "error of the angle", "angle between both", "line in time"
+TORQUE, ANGLE, BOTH = range(3)
+"""Columns of :func:`law_powers`."""
 
-    exp(−x/2) Σ_{j<m} (x/2)ʲ/j!, in logarithms: scores of a thousand are usual.
-    """
-    j = np.arange(max(1, int(pieces.max())))[:, None]
-    half = np.maximum(0.5 * score, 1e-12)
-    terms = np.where(j < np.maximum(pieces, 1), j * np.log(half) - gammaln(j + 1.0), -np.inf)
-    return np.asarray(logsumexp(terms, axis=0) - half)
+LAWS = ("none", "torque", "angle", "both")
+GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
+SCALES = ("motor_inertia_kg_m2", *GAINS)
+"""Of the loop, that may be wrong: their ratios show."""
 
+WRONG = 0.3
+"""Usual error of such a value, in its logarithm. Friction is told in shares of the speed gain, as
+to the lines one is the other."""
 
-def _refined(
-    order: float,
-    width: float,
-    levels: Sequence[tuple[Turning, FloatArray, FloatArray, FloatArray]],
-) -> tuple[float, float]:
-    """The order of the highest score nearby, and its standard deviation by the curvature.
+LAG = 0.3
+"""Usual lag, in radians where the gain of the open loop is one: about K_p/J."""
 
-    A whole order within the errors is the whole one, unless every order is near one.
-    """
-    parts = [
-        (item.piece.kept(item.angle), left, float(np.interp(order, orders, level)))
-        for item, left, orders, level in levels
-        if item.shows(order)
-    ]
+STARTS = (0.1, 0.3, 1.0, 3.0)
+"""In usual sizes: a small lag may raise what a larger one lowers."""
 
-    def misfit(value: float) -> float:
-        return -sum(float(abs(np.vdot(np.exp(1j * value * a), x))) ** 2 / v for a, x, v in parts)
+LINE_LAW = 0.5
+"""Probability beforehand that a line which is there is of a torque, or of an error of the angle."""
 
-    best = float(
-        minimize_scalar(
-            misfit,
-            bounds=(order - width, order + width),
-            method="bounded",
-            options={"xatol": 1e-4 * width},
-        ).x
-    )
-    step = 0.1 * width
-    bend = (misfit(best + step) - 2.0 * misfit(best) + misfit(best - step)) / step**2
-    # The logarithm of the likelihood is the score over the level: its second derivative.
-    sd = 1.0 / math.sqrt(bend) if bend > 0.0 else width
-    whole = round(best)
-    # By the likelihood itself: of a weak line it has several peaks, and a bend of each.
-    near = 2.0 * (misfit(float(whole)) - misfit(best)) < WHOLE**2
-    return (float(whole) if near and whole > 0 and WHOLE * sd < 0.5 else best), sd
+LAW_SHARE = 0.1
+"""Usual share of its own power that a line is off its law by: no loop is quite as its equation."""
 
+MOST_LAWS, MOST_LOOPS = 3, 4
+"""Sets of laws that are fitted in full, and of loops beside each, besides one change alone."""
 
-def noise_sd(item: Turning, orders: Sequence[float], left: FloatArray) -> FloatArray:
-    """Standard deviation of the real part of the line at each order, shape (m,)."""
-    grid, _, level = item.spectrum(left)
-    return np.asarray(np.sqrt(2.0 * np.interp(orders, grid, level)) / left.size)
+MOST_BESIDE = 3
+"""Changes of the loop beside the laws of the lines."""
 
-
-Law = Literal["torque", "angle", "both"]
-
-FEWEST_FOR_BOTH = 4
-"""Speeds at which two sizes and the angle between them still leave something to be wrong."""
-
-STARTS = (0.1, 1.0, 10.0)
-"""Of what is added to the loop, in sizes that would count: a small lag may raise what a larger one
-lowers."""
-
-EXPLAINED = 0.5
-"""Largest share of a line's power that its law may leave at speeds that it was not fitted to."""
+ROUNDS = 4
+"""Of search and fit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lines:
     """Lines of recordings, each at one speed.
 
-    ``size``, ``sd``: of the m orders in the r recordings, shape (r, m), rpm, NaN where not shown;
-    ``speeds``: mean speed of each recording, rad/s, shape (r,).
+    ``power``: |c|² of the m orders in the r recordings less what noise adds, shape (r, m), rpm²,
+    NaN where not shown; ``noise``: variance of the real part of c, (r, m); ``speeds``: mean speed
+    of each recording, rad/s, shape (r,); ``lasting_s``: of each, (r,).
     """
 
     orders: tuple[float, ...]
     speeds: FloatArray
-    size: FloatArray
-    sd: FloatArray
+    power: FloatArray
+    noise: FloatArray
+    lasting_s: FloatArray
+
+    @property
+    def shown(self) -> BoolArray:
+        """Which are, (r, m)."""
+        return np.isfinite(self.power)
+
+    @property
+    def measured(self) -> FloatArray:
+        """The same with 0 where not shown."""
+        return np.nan_to_num(self.power)
+
+    def in_time(self) -> list[list[tuple[int, int]]]:
+        """Recording and order of lines that have one frequency, each where it is strongest."""
+        signal = np.where(self.shown, self.measured / self.noise, -np.inf)
+        at = np.argmax(signal, axis=0).tolist()
+        hertz = np.asarray(self.orders) * np.abs(self.speeds[at]) / (2.0 * math.pi)
+        left, groups = list(range(len(at))), []
+        while left:
+            alike = [left.pop(0)]
+            for k in list(left):
+                lasting = min(self.lasting_s[at[alike[0]]], self.lasting_s[at[k]])
+                apart = abs(hertz[k] - hertz[alike[0]]) * lasting
+                if apart < 1.0 and at[k] not in [at[j] for j in alike]:
+                    alike.append(k)
+                    left.remove(k)
+            if len(alike) > 1:
+                groups.append([(at[k], k) for k in alike])
+        return groups
+
+    def sd(self, power: FloatArray) -> FloatArray:
+        """Standard deviation of a measured power where this is the true one, (r, m)."""
+        return np.asarray(2.0 * np.sqrt(self.noise * (np.maximum(power, 0.0) + self.noise)))
 
 
-@dataclass(frozen=True, slots=True)
-class Free:
-    """What of the loop is fitted.
+def law_powers(values: Values, orders: Sequence[float], speeds: FloatArray) -> FloatArray:
+    """Power of a line by what makes it, rpm², shape (r, m, 3).
 
-    ``priors``: parameter to the sd of its logarithm; infinite where it has none. ``added``: effect
-    to a size that would count, in its own unit.
+    |G (a + Z ε exp(iφ))|² is linear in a² (of a torque), ε² (of an error of the angle) and
+    a ε cos φ (where both are there): |G|², |G Z|² and 2 |G|² Re Z. Z is real but for friction.
     """
-
-    priors: Mapping[str, float] = field(default_factory=dict)
-    added: Mapping[str, float] = field(default_factory=dict)
+    frequency = np.multiply.outer(speeds, np.asarray(orders, dtype=float))
+    gain = np.abs(speed_of_torque(values, frequency)) ** 2
+    angle = torque_of_angle(values, frequency)
+    return np.stack([gain, gain * np.abs(angle) ** 2, 2.0 * gain * angle.real], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
-class LawFit:
-    """Least squares of laws to lines.
+class LoopFit:
+    """Laws of lines, and the loop that they are of.
 
     Attributes
     ----------
-    lines, laws, believed, free
-        What was fitted: lines, order's place to its law, the loop as the bench has it, and what of
-        that is free.
-    values
-        Of the loop, as fitted.
+    lines, believed, priors
+        What is fitted, the loop as the bench has it, and what of that is free: standard deviations
+        of logarithms.
+    changes
+        Of the loop: logarithm of a parameter's factor, or what is added to an effect.
+    beside
+        Those of them that are hypotheses.
     sizes
-        Order's place to its torque, N m, its angle, rad, and the phase between them.
-    scatter, freedom
-        Of the lines around their laws, in noise, 1 where noise explains it; and the number of those
-        beyond what is fitted.
+        Coefficients of :func:`law_powers`, (m, 3); 0 where the law lacks a part.
     deviations
-        Standard deviations: of a logarithm for a parameter, else in its unit; for an order under
-        ``(place, "torque")`` and ``(place, "angle")``.
-    cost
-        χ² with what the priors add.
+        Standard deviations, of changes by name and of sizes by place and part.
+    log_evidence
+        Of the loop (Laplace), but for what is the same for all loops with lines of these laws.
     """
 
     lines: Lines
-    laws: Mapping[int, Law]
     believed: Values
-    free: Free
-    values: Values
-    sizes: Mapping[int, tuple[float, float, float]]
-    scatter: float
-    freedom: int
-    deviations: Mapping[object, float]
-    cost: float
+    priors: Mapping[str, float]
+    changes: Mapping[str, float]
+    beside: frozenset[str]
+    sizes: FloatArray
+    deviations: Mapping[object, float] = field(default_factory=dict)
+    log_evidence: float = 0.0
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Of the loop."""
+        return self.changed(self.changes)
+
+    @property
+    def without(self) -> dict[str, float]:
+        """Changes without those that are hypotheses."""
+        return {n: 0.0 if n in self.beside else change for n, change in self.changes.items()}
+
+    @property
+    def parts(self) -> list[list[int]]:
+        """Of every order's law."""
+        return [np.flatnonzero(row).tolist() for row in self.sizes]
+
+    def changed(self, changes: Mapping[str, float]) -> dict[str, float]:
+        """The loop with these changes."""
+        return {
+            name: value + changes.get(name, 0.0)
+            if name in LOOP_EFFECTS
+            else value * math.exp(changes.get(name, 0.0))
+            for name, value in self.believed.items()
+        }
+
+    def power(self, changes: Mapping[str, float], sizes: FloatArray | None = None) -> FloatArray:
+        """Of every line, rpm², (r, m); with sizes of its own, or others."""
+        laws = law_powers(self.changed(changes), self.lines.orders, self.lines.speeds)
+        return np.asarray(np.einsum("rmk,mk->rm", laws, self.sizes if sizes is None else sizes))
+
+    @property
+    def expected(self) -> FloatArray:
+        """Power by the laws, as measured where there is none, (r, m)."""
+        power = np.where(self.sizes.any(axis=1), self.power(self.changes), self.lines.measured)
+        return np.asarray(np.maximum(power, 0.0))
+
+    def sizes_with(
+        self, changes: Mapping[str, float], parts: Sequence[Sequence[int]]
+    ) -> FloatArray:
+        """Sizes of these parts that fit best with the loop so changed, none below 0, (m, 3)."""
+        lines = self.lines
+        laws = law_powers(self.changed(changes), lines.orders, lines.speeds)
+        weight, sizes = 1.0 / lines.sd(self.expected), np.zeros((len(lines.orders), 3))
+        for k, chosen in enumerate(parts):
+            shown = lines.shown[:, k]
+            rows = (laws[shown, k].T * weight[shown, k]).T[:, chosen]
+            low = np.where(np.asarray(chosen) == BOTH, -np.inf, 0.0)
+            sizes[k, chosen] = bounded_least_squares(rows, (lines.power * weight)[shown, k], low)
+        return sizes
 
     def predicted(self, place: int, speeds: FloatArray) -> FloatArray:
         """Size of a line at these speeds, rpm, shape (r,)."""
-        return line_size(self.values, self.lines.orders[place], speeds, *self.sizes[place])
+        laws = law_powers(self.values, self.lines.orders[place : place + 1], speeds)[:, 0]
+        return np.asarray(np.sqrt(np.maximum(laws @ self.sizes[place], 0.0)))
 
-    def again(self, laws: Mapping[int, Law], free: Free | None = None) -> LawFit:
-        """Fitted with other laws of some orders, and with as much of the loop free if not said."""
-        return fit_laws(self.lines, {**self.laws, **laws}, self.believed, free or self.free)
+    def law(self, place: int) -> str:
+        """That a line follows."""
+        torque, angle, _ = (self.sizes[place] != 0.0).tolist()
+        return LAWS[int(torque) + 2 * int(angle)]
 
+    def size(self, place: int, part: int) -> Estimate:
+        """A torque in N m, or an angle in rad."""
+        size = math.sqrt(max(float(self.sizes[place, part]), np.finfo(float).tiny))
+        return Estimate(size, 0.5 * self.deviations[place, part] / size)
 
-def line_size(
-    values: Values,
-    order: float,
-    speeds: FloatArray,
-    torque: float,
-    angle: float,
-    phase: float,
-) -> FloatArray:
-    """|G (a exp(iφ) + Z ε)| of a torque a, N m, and an error of the angle ε, rad; rpm."""
-    frequency = order * speeds
-    driving = torque * np.exp(1j * phase) + angle * torque_of_angle(values, frequency)
-    return np.asarray(np.abs(speed_of_torque(values, frequency) * driving))
+    def logarithm(self, name: str) -> Estimate:
+        """Of a parameter's value."""
+        return Estimate(math.log(self.values[name]), self.deviations[name], logarithmic=True)
 
+    def in_full(
+        self,
+        changes: Mapping[str, float],
+        usual: Mapping[str, float],
+        sizes: FloatArray,
+        share: float,
+    ) -> LoopFit:
+        """Changes and all sizes that are not 0, fitted from here.
 
-def fit_laws(lines: Lines, laws: Mapping[int, Law], believed: Values, free: Free) -> LawFit:
-    """Fit sizes, and what of the loop is free."""
-    loops = [*free.priors, *free.added]
-    keys = [
-        (place, part)
-        for place, law in laws.items()
-        for part in (("torque", "angle", "phase") if law == "both" else (law,))
-    ]
-    every = np.ones(lines.speeds.size, bool)
-    one: dict[str, tuple[float, float, float]] = {"torque": (1, 0, 0), "angle": (0, 1, 0)}
-    first = {
-        (place, part): _alone(lines, believed, place, one[part], every) if part in one else 1.0
-        for place, part in keys
-    }
+        Parameters
+        ----------
+        usual
+            Standard deviation beforehand of changes that are hypotheses.
+        sizes
+            As :attr:`sizes`.
+        share
+            Of its power that a line is off its law by.
+        """
+        lines, names = self.lines, list(changes)
+        every = [(k, part) for k, row in enumerate(sizes) for part in np.flatnonzero(row).tolist()]
+        places = tuple(np.array(every, dtype=int).reshape(-1, 2).T)
+        units = np.concatenate([np.ones(len(names)), np.abs(sizes[places])])
+        for i, name in enumerate(names):
+            units[i] = abs(changes[name]) if name in LOOP_EFFECTS else 1.0
+        sd = np.hypot(lines.sd(self.expected), share * self.expected)
+        kept = lines.shown & sizes.any(axis=1)
+        beside, sds = frozenset(usual), np.array([{**self.priors, **usual}[n] for n in names])
 
-    def unpacked(x: FloatArray) -> tuple[dict[str, float], dict[int, tuple[float, float, float]]]:
-        values = dict(believed)
-        for name, value in zip(loops, x, strict=False):
-            if name in free.added:
-                values[name] += float(value) * free.added[name]
-            else:
-                values[name] *= math.exp(float(value))
-        parts = {key: float(v) * first[key] for key, v in zip(keys, x[len(loops) :], strict=True)}
+        def unpacked(x: FloatArray) -> tuple[dict[str, float], FloatArray]:
+            own = np.zeros_like(sizes)
+            own[places] = (x * units)[len(names) :]
+            return dict(zip(names, (x * units).tolist(), strict=False)), own
 
-        def size(place: int, part: str) -> float:
-            return parts.get((place, part), 0.0)
+        def misfit(x: FloatArray) -> FloatArray:
+            left = (lines.power - self.power(*unpacked(x))) / sd
+            return np.concatenate([(x * units)[: len(names)] / sds, left[kept]])
 
-        return values, {
-            place: (size(place, "torque"), size(place, "angle"), size(place, "phase"))
-            for place in laws
-        }
-
-    shown = {place: np.isfinite(lines.size[:, place]) for place in laws}
-    priors = np.array([free.priors.get(name, math.inf) for name in loops])
-
-    def misfit(x: FloatArray) -> FloatArray:
-        values, sizes = unpacked(x)
-        parts = [x[: len(loops)] / priors]
-        for place, seen in shown.items():
-            made = line_size(values, lines.orders[place], lines.speeds[seen], *sizes[place])
-            parts.append((lines.size[seen, place] - made) / lines.sd[seen, place])
-        return np.concatenate(parts)
-
-    low = np.array([*(0.0 if name in free.added else -3.0 for name in loops), *[-8.0] * len(keys)])
-    high = np.array([*(50.0 if name in free.added else 3.0 for name in loops), *[1e4] * len(keys)])
-    found = min(
-        (
-            least_squares(
-                misfit,
-                np.array([*(size * (n in free.added) for n in loops), *np.ones(len(keys))]),
-                bounds=(low, high),
-                x_scale="jac",
-            )
-            for size in (STARTS if free.added else STARTS[:1])
-        ),
-        key=lambda trial: float(trial.cost),
-    )
-    values, sizes = unpacked(found.x)
-    rows = sum(int(seen.sum()) for seen in shown.values())
-    chi_squared = float(np.sum(found.fun[len(loops) :] ** 2))
-    freedom = rows - len(keys) - int(np.count_nonzero(np.isinf(priors)))
-    # Lines scatter around their laws by more than noise where the laws are not quite right.
-    scatter = math.sqrt(max(1.0, chi_squared / max(1, freedom)))
-    jacobian = found.jac.copy()
-    jacobian[len(loops) :] /= scatter
-    spread = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)))
-    scale = [free.added.get(name, 1.0) for name in loops] + [abs(first[key]) for key in keys]
-    names: list[object] = [*loops, *keys]
-    deviations = dict(zip(names, (spread * scale).tolist(), strict=True))
-    cost = 2.0 * float(found.cost)
-    return LawFit(lines, laws, believed, free, values, sizes, scatter, freedom, deviations, cost)
+        start = np.concatenate([[changes[n] for n in names], sizes[places]]) / units
+        signed = [name not in LOOP_EFFECTS for name in names] + [part == BOTH for _, part in every]
+        low = np.where(signed, -np.inf, 0.0)
+        if not start.size:
+            return replace(self, changes={}, beside=beside, sizes=sizes, deviations={})
+        found = least_squares(misfit, np.maximum(start, low), bounds=(low, np.inf), x_scale="jac")
+        covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
+        spread = np.sqrt(np.diag(covariance)) * units
+        keys: list[object] = [*names, *every]
+        deviations = dict(zip(keys, spread.tolist(), strict=True))
+        changes, sizes = unpacked(found.x)
+        fit = replace(self, changes=changes, beside=beside, sizes=sizes, deviations=deviations)
+        volume = float(np.linalg.slogdet(covariance)[1]) + 2.0 * float(np.log(units).sum())
+        evidence = 0.5 * volume - float(found.cost) - float(np.log(sds).sum())
+        evidence += math.log(2.0) * len(beside & LOOP_EFFECTS.keys())
+        evidence += math.log(EXPECTED_HYPOTHESES / (len(LOOP_EFFECTS) + len(SCALES))) * len(beside)
+        return replace(fit, log_evidence=evidence)
 
 
-def _alone(
-    lines: Lines,
-    values: Values,
-    place: int,
-    unit: tuple[float, float, float],
-    chosen: FloatArray,
-) -> float:
-    """The size of one law for one order, from the recordings chosen."""
-    seen = np.isfinite(lines.size[:, place]) & chosen
-    made = line_size(values, lines.orders[place], lines.speeds[seen], *unit)
-    weight = lines.sd[seen, place] ** -2
-    return float(np.sum(weight * made * lines.size[seen, place]) / np.sum(weight * made**2))
+def first_fit(lines: Lines, believed: Values, priors: Mapping[str, float]) -> LoopFit:
+    """The loop as believed, each line by that one law which fits it better."""
+    nothing, m = dict.fromkeys(priors, 0.0), len(lines.orders)
+    fit = LoopFit(lines, believed, priors, nothing, frozenset(), np.zeros((m, 3)))
+    sizes = np.stack([fit.sizes_with(nothing, [[part]] * m) for part in (TORQUE, ANGLE)])
+    left = [(lines.power - fit.power(nothing, own)) / lines.sd(lines.measured) for own in sizes]
+    better = np.argmin(np.nansum(np.square(left), axis=1), axis=0)
+    return replace(fit, sizes=sizes[better, np.arange(m)])
 
 
-def chosen_laws(lines: Lines, single: Sequence[Law], believed: Values, free: Free) -> LawFit:
-    """The law of each order that fits all lines best together."""
-    laws: dict[int, Law] = dict.fromkeys(range(len(lines.orders)), single[0])
-    best = fit_laws(lines, laws, believed, free)
-    for _ in range(3):
-        before = dict(best.laws)
-        for place in before:
-            for law in single:
-                best = min(best, best.again({place: law}), key=lambda fit: fit.cost)
-        if best.laws == before:
-            break
-    return best
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """What a term stands for: a part of a line's law, or a change of the loop.
 
-
-def with_both(fit: LawFit, place: int) -> LawFit:
-    """A fit in which one order's line is of a torque and an angle, if it must be; else of one."""
-    best = min(fit.again({place: "torque"}), fit.again({place: "angle"}), key=lambda f: f.cost)
-    if np.unique(np.round(fit.lines.speeds)).size < FEWEST_FOR_BOTH:
-        return best
-    both = fit.again({place: "both"})
-    return both if z_between(both, best) >= INDISTINGUISHABLE_Z else best
-
-
-def generalises(fit: LawFit, place: int) -> bool:
-    """Whether an order's law predicts its line at each speed from the others.
-
-    Of at least two speeds; of two laws together the ratio is kept.
+    ``size``: of the change that its column is a secant to. ``lines``: recording and order of those
+    of a line in time.
     """
-    lines, sizes = fit.lines, fit.lines.size[:, place]
-    speeds = np.round(lines.speeds / (1e-2 * np.abs(lines.speeds).max()))
-    seen = np.isfinite(sizes)
-    left = whole = 0.0
-    for speed in np.unique(speeds[seen]):
-        others = (speeds != speed) & seen
-        if not others.any():
-            return False
-        here = (speeds == speed) & seen
-        scale = _alone(lines, fit.values, place, fit.sizes[place], others)
-        made = scale * fit.predicted(place, lines.speeds[here])
-        left += float(np.sum((sizes[here] - made) ** 2))
-        whole += float(np.sum(sizes[here] ** 2))
-    return left < EXPLAINED * whole
+
+    name: str
+    place: int | None = None
+    part: int = TORQUE
+    size: float = 0.0
+    lines: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The same of all terms of one hypothesis."""
+        return self.name if self.place is None else f"{self.name}, {self.place}"
 
 
-def z_between(first: LawFit, other: LawFit) -> float:
-    """How far the first fits better, in standard deviations of what is left around it."""
-    return math.sqrt(max(0.0, other.cost - first.cost)) / first.scatter
+@dataclass(frozen=True, slots=True)
+class FittedSet:
+    """Labels of hypotheses that are there together, their probability, and their fit in full."""
+
+    labels: frozenset[str]
+    probability: float
+    fit: LoopFit
 
 
-RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
-GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
+class LoopSearch:
+    """The model search around a fit: powers of lines, by order and recording."""
+
+    def __init__(self, fit: LoopFit, candidates: Sequence[str]) -> None:
+        self.fit, self._candidates = fit, (*candidates, ANGLE_ERROR, BETWEEN)
+        self._sd = fit.lines.sd(fit.expected)
+        self.hypotheses: list[Hypothesis] = []
+        terms = [*self._of_lines(), *self._of_loop()]
+        prediction = self._rows(fit.expected)
+        ends = np.cumsum([0, *fit.lines.shown.sum(axis=0)]).tolist()
+        bands = [
+            MisfitBand(f"order {order:.5g}", slice(*rows), rows[1] - rows[0])
+            for order, rows in zip(fit.lines.orders, pairwise(ends), strict=True)
+        ]
+        usual = LAW_SHARE * math.sqrt(float(np.mean(prediction**2)))
+        changes = np.array([fit.without[name] for name in fit.priors])
+        precision = np.array(list(fit.priors.values())) ** -2.0
+        linearised = Linearised(
+            self._rows(fit.lines.measured),
+            np.reshape([self._slope(name) for name in fit.priors], (-1, prediction.size)).T,
+            np.diag(precision),
+            -precision * changes,
+            terms,
+            np.diag(prediction),
+            [DiscrepancyGroup("share of its law", slice(0, prediction.size), usual)],
+            bands,
+        )
+        laws = {h.label: LINE_LAW for h in self.hypotheses if h.place is not None}
+        most = len(fit.lines.orders) + MOST_BESIDE
+        self.posterior = search(linearised, Priors(probability=laws), most)
+        self.share = self.posterior.discrepancy_sd(0)
+
+    def _rows(self, power: FloatArray) -> FloatArray:
+        """Powers (r, m) in units of their noise, order by order, those that show, (n,)."""
+        return np.asarray((power / self._sd).T[self.fit.lines.shown.T])
+
+    def _slope(self, name: str) -> FloatArray:
+        fit, step = self.fit, 1e-4
+        moved = {**fit.changes, name: fit.changes[name] + step}
+        return self._rows(self._best(moved) - self._best(fit.changes)) / step
+
+    def _best(self, changes: Mapping[str, float]) -> FloatArray:
+        """Powers with such a loop by the same laws, of the sizes that fit best then, (r, m).
+
+        What is the same at all speeds is a size, so that no change of the loop makes lines.
+        """
+        return self.fit.power(changes, self.fit.sizes_with(changes, self.fit.parts))
+
+    def _term(
+        self, hypothesis: Hypothesis, column: FloatArray, positive: bool, **more: Any
+    ) -> Term:
+        self.hypotheses.append(hypothesis)
+        return Term(hypothesis.label, column[:, None], positive, **more)
+
+    def _of_lines(self) -> Iterator[Term]:
+        lines = self.fit.lines
+        laws = law_powers(self.fit.changed(self.fit.without), lines.orders, lines.speeds)
+        for k, order in enumerate(lines.orders):
+            names = {TORQUE: RIPPLE, ANGLE: ANGLE_ERROR}
+            if order == 1.0:
+                names |= {ANGLE: ECCENTRICITY, BOTH: BETWEEN}
+            own = [Hypothesis(n, k, p) for p, n in names.items() if n in self._candidates]
+            for hypothesis in own:
+                power = np.zeros_like(lines.measured)
+                power[:, k] = np.abs(laws[:, k, hypothesis.part])
+                power *= np.linalg.norm(lines.measured[:, k]) / np.linalg.norm(power)
+                others = frozenset(h.label for h in own if h is not hypothesis)
+                both = hypothesis.part == BOTH
+                yield self._term(
+                    hypothesis,
+                    self._rows(power),
+                    not both,
+                    excludes=others if order != 1.0 else frozenset(),
+                    requires=others if both else frozenset(),
+                )
+        for group in lines.in_time():
+            rows = tuple(np.transpose(group))
+            power = np.zeros_like(lines.measured)
+            power[rows] = laws[(*rows, TORQUE)]
+            power *= np.linalg.norm(lines.measured[rows]) / np.linalg.norm(power)
+            yield self._term(
+                Hypothesis(TIME, group[0][1], lines=tuple(group)), self._rows(power), True
+            )
+
+    def _usual(self, name: str) -> float:
+        """Size of a change of the loop."""
+        gain = self.fit.believed[GAINS[0]]
+        if name == FRICTION:
+            return WRONG * gain
+        inertia = float(mechanics(self.fit.believed, np.ones(1))[0].imag)
+        return LAG * inertia / gain if name in LOOP_EFFECTS else WRONG
+
+    def _of_loop(self) -> Iterator[Term]:
+        """Secants, so that all that the fit has makes its own prediction."""
+        fit, base = self.fit, self.fit.without
+        for name in (*LOOP_EFFECTS, *SCALES):
+            effect = name in LOOP_EFFECTS
+            if (effect and name not in self._candidates) or not (effect or fit.believed[name]):
+                continue
+            usual = self._usual(name)
+            if name in fit.beside:
+                changed = {**base, name: fit.changes[name]}
+                secants = [(fit.changes[name], self._best(changed) - self._best(base))]
+                base = changed
+            else:
+                # In place of what the fit has as well as beside it.
+                origins = [fit.without, fit.changes] if fit.beside else [fit.changes]
+                secants = []
+                for size in (usual * start for start in (STARTS if effect else (1.0, -1.0))):
+                    for origin in origins:
+                        changed = {**origin, name: origin.get(name, 0.0) + size}
+                        secants.append((size, self._best(changed) - self._best(origin)))
+            for size, secant in secants:
+                column = self._rows(secant) * (usual / size)
+                hypothesis = Hypothesis(name, size=size)
+                yield self._term(hypothesis, column, effect, prior_weight=1.0 / len(secants))
+
+    def fitted(self, terms: Iterable[int]) -> LoopFit:
+        """These terms, fitted in full."""
+        fit, chosen = self.fit, [self.hypotheses[k] for k in terms]
+        beside = {h.name: h.size for h in chosen if h.place is None}
+        changes = dict.fromkeys(fit.priors, 0.0)
+        changes |= {n: c for n, c in fit.changes.items() if n in fit.priors}
+        for name, size in beside.items():
+            changes[name] = size if name in fit.beside else changes.get(name, 0.0) + size
+        parts: list[list[int]] = [[] for _ in fit.lines.orders]
+        for hypothesis in chosen:
+            if hypothesis.place is not None and hypothesis.name != TIME:
+                parts[hypothesis.place].append(hypothesis.part)
+        sizes = fit.sizes_with(changes, parts)
+        usual = {name: self._usual(name) for name in beside}
+        return fit.in_full(changes, usual, sizes, self.share)
+
+    @cached_property
+    def sets(self) -> list[FittedSet]:
+        """The likely laws of lines, each with the likely loops, fitted in full, the best first.
+
+        Of the same laws the fits say which loop it is: far from its fit a linearisation does not.
+        """
+        every: dict[frozenset[str], tuple[int, ...]] = {}
+        loops, held = list[int](), dict[frozenset[str], float]()
+        for h in dict.fromkeys(h.label for h in self.hypotheses if h.place is None):
+            loops.append(self.posterior.likeliest(h))
+        of_loop = {self.hypotheses[k].label for k in loops}
+        for terms, p in self.posterior.sets.items():
+            labels = self.posterior.labels(terms)
+            every.setdefault(labels, terms)
+            held[labels - of_loop] = held.get(labels - of_loop, 0.0) + p
+        found = []
+        for lines, p in sorted(held.items(), key=lambda item: -item[1])[:MOST_LAWS]:
+            own = [terms for labels, terms in every.items() if labels - of_loop == lines]
+            laws = tuple(k for k in own[0] if self.hypotheses[k].label not in of_loop)
+            tried = [laws, *((*laws, k) for k in loops), *own[:MOST_LOOPS]]
+            fits = {self.posterior.labels(terms): self.fitted(terms) for terms in tried}
+            total = float(logsumexp([fit.log_evidence for fit in fits.values()]))
+            for labels, fit in fits.items():
+                found.append(FittedSet(labels, p * math.exp(fit.log_evidence - total), fit))
+        return sorted(found, key=lambda one: -one.probability)
+
+    def probability(self, labels: Iterable[str]) -> float:
+        """That one of them is there."""
+        held = sum(one.probability for one in self.sets if one.labels & set(labels))
+        return held / sum(one.probability for one in self.sets)
+
+    def size(self, place: int, part: int) -> Estimate:
+        """A torque in N m, or an angle in rad, over the loops that are told."""
+        told = {h.name for members in self.sure for h in members if h.place is None}
+        every = [x for x in self.sets if x.fit.sizes[place, part] and x.fit.beside <= told]
+        weight = np.array([one.probability for one in every])
+        value, sd = np.transpose(
+            [(e.value, e.sd) for e in (one.fit.size(place, part) for one in every)]
+        )
+        mean = float(weight @ value / weight.sum())
+        variance = float(weight @ (sd**2 + (value - mean) ** 2) / weight.sum())
+        return Estimate(mean, math.sqrt(variance))
+
+    @cached_property
+    def sure(self) -> list[list[Hypothesis]]:
+        """Hypotheses that are there almost surely, alone or one of several; first what the most
+        probable set has."""
+        best = self.sets[0].labels
+        labels = list(dict.fromkeys(h.label for h in self.hypotheses))
+        labels.sort(key=lambda label: label not in best)
+        named = [label for label in labels if self.probability([label]) >= NAMED_AT]
+        total = sum(one.probability for one in self.sets)
+        shared = confounded([(one.labels, one.probability / total) for one in self.sets], named)
+        every = {n: self.hypotheses[self.posterior.likeliest(n)] for n in labels}
+        sets = [*([label] for label in named), *shared]
+        found = [[h for n, h in every.items() if n in own and h.part != BOTH] for own in sets]
+        return [members for members in found if members]
+
+
+def searched(
+    lines: Lines, believed: Values, priors: Mapping[str, float], candidates: Sequence[str]
+) -> LoopSearch:
+    """Around the fit of the most probable set."""
+    found = LoopSearch(first_fit(lines, believed, priors), candidates)
+    known: list[frozenset[str]] = []
+    for _ in range(ROUNDS):
+        best = found.sets[0]
+        if best.labels in known:
+            break
+        known.append(best.labels)
+        found = LoopSearch(best.fit, candidates)
+    return found
+
+
 CANDIDATES = (RIPPLE, ECCENTRICITY, *LOOP_EFFECTS)
 CONSTANT = ("motor_coulomb_friction", "load_coulomb_friction", "load_viscous_friction")
 """Effects of a bench that are no line at one speed, or are known to the loop."""
@@ -593,11 +768,11 @@ HIDDEN = (
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Pieces, what of the loop is free, what may be named, and notes."""
+    """Pieces, the loop, what of it is free (sd of logarithms), what may be named, and notes."""
 
     turning: tuple[Turning, ...]
     values: dict[str, float]
-    free: Free
+    priors: Mapping[str, float]
     candidates: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -687,7 +862,7 @@ def loop_setting(task: Task) -> Setting:
     priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
     names = wanted(config, bench, dict.fromkeys(CANDIDATES))
     notes = (*notes_of(recordings), HIDDEN, *_soft_shaft(values))
-    return Setting(tuple(turning), values, Free(priors), names, notes)
+    return Setting(tuple(turning), values, priors, names, notes)
 
 
 def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
@@ -702,14 +877,16 @@ def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
         )
 
 
-LAWS: Mapping[Law, str] = {"torque": RIPPLE, "angle": ECCENTRICITY}
-
 MOST_LINES = 12
 """Looked at: what is beyond them is weaker."""
 
-ONE_SPEED = (
-    "All recordings are at one speed: a torque that repeats and an error of the encoder look the "
-    "same. A recording at another speed separates them."
+ALIKE = (
+    "At order {order:.5g} these recordings do not tell a torque that repeats from an error of the "
+    "encoder. A recording at another speed tells them apart."
+)
+GROWS = (
+    "The line at order {order:.5g} grows with the speed as an error of the encoder's angle of "
+    "{size_mrad:.2g} mrad does, not as a torque."
 )
 
 
@@ -739,83 +916,107 @@ class RigidLoop:
 METHOD = RigidLoop()
 
 
-@dataclass(frozen=True, slots=True)
-class _Added:
-    """What the loop must have besides: an effect or a wrong parameter, and what looks the same."""
-
-    name: str
-    rivals: tuple[str, ...]
-    z: float
-
-
 @dataclass(slots=True)
 class _Answer:
     """From orders to the answer."""
 
     task: Task
     setting: Setting
-    found: list[OrderLine]
+    found: list[Peak]
     true_angle: bool = False
 
     def diagnosis(self) -> Diagnosis:
         """Name what follows a law, describe the rest."""
-        setting = self.setting
+        setting, notes = self.setting, list(self.setting.notes)
+        effects, errors = list[NamedEffect](), list[ParameterError]()
+        periodic = list[Sequence[tuple[int, int]]]()
+        fit, unnamed = None, set(range(len(self.found)))
         lines = lines_of(setting.used, [line.order for line in self.found])
-        laws = [law for law, name in LAWS.items() if name in setting.candidates]
-        notes = list(setting.notes)
-        fit: LawFit | None = None
-        added: list[_Added] = []
-        if self.found and laws and _one_speed(lines.speeds):
-            notes.append(ONE_SPEED)
-        elif self.found and laws:
-            first = [k for k, line in enumerate(self.found) if line.order == 1.0 and len(laws) > 1]
-            fit = chosen_laws(lines, laws, setting.values, setting.free)
-            for place in first:
-                fit = with_both(fit, place)
-            # What follows no law must not bend the loop of what does.
-            kept = {k: law for k, law in fit.laws.items() if generalises(fit, k)}
-            fit = replace(fit, laws=kept).again({}) if kept else None
-            if fit is not None:
-                fit, added = self._with_loop(fit)
-                for place in set(first) & fit.laws.keys():
-                    fit = with_both(fit, place)
-                most = self.task.config.candidates.max_effects or MOST_EFFECTS
-                fit = _strongest(fit, max(0, most - len(added)))
-        if fit is not None and (again := self._by_true_angle(fit)) is not None:
-            return again.diagnosis()
-        named, remaining = self._named(lines, fit, notes)
-        effects, errors = self._of_loop(fit, added)
-        effects = (*named, *effects)
+        if self.found:
+            search = searched(lines, setting.values, setting.priors, setting.candidates)
+            told = self._told(search, notes)
+            periodic = [m[0].lines for m in search.sure if m[0].name == TIME]
+            firsts = [members[0] for members in told]
+            laws = [search.posterior.likeliest(h.label) for h in firsts]
+            parts = [h.place for h in firsts]
+            laws += [
+                k
+                for k, h in enumerate(search.hypotheses)
+                if h.part == BOTH and parts.count(h.place) == 2
+            ]
+            fit = search.fitted(laws)
+            if (again := self._by_true_angle(fit)) is not None:
+                return again.diagnosis()
+            unnamed -= {h.place for h in firsts if h.place is not None}
+            for first, *rivals in told:
+                if first.name in SCALES:
+                    believed = self.task.bench.parameters[first.name]
+                    value, tolerance = believed.value, believed.tolerance
+                    size = fit.logarithm(first.name)
+                    others = tuple(h.name for h in rivals)
+                    errors.append(ParameterError(first.name, value, tolerance, size, others))
+                else:
+                    effects.append(self._effect(search, fit, first, rivals))
+        remaining = []
+        for group in periodic:
+            remaining.append(self._unexplained(lines, group))
+            unnamed -= {k for _, k in group}
+        remaining += [self._unexplained(lines, [(-1, k)]) for k in sorted(unnamed)]
         table, signals = self._compared(fit)
         return Diagnosis(
             verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
-            effects,
-            errors,
+            tuple(effects),
+            tuple(errors),
             tuple(remaining),
             table,
             tuple(notes),
-            bench_parameters=_fitted(fit, setting.free.priors) if fit else {},
+            bench_parameters={n: fit.logarithm(n) for n in setting.priors} if fit else {},
             signals=signals,
             order_sizes=tuple(self._sizes(fit)),
         )
 
-    def _by_true_angle(self, fit: LawFit) -> _Answer | None:
+    def _told(self, search: LoopSearch, notes: list[str]) -> list[list[Hypothesis]]:
+        """Sets that are named, the loop's last and the largest line first; no error of the angle
+        but at order 1 is."""
+        told = list[list[Hypothesis]]()
+        for members in search.sure:
+            place = members[0].place
+            if members[0].name == TIME:
+                continue
+            if place is None or all(h.name != ANGLE_ERROR for h in members):
+                told.append(members)
+            elif len(members) == 1:
+                size = 1e3 * search.fit.size(place, ANGLE).value
+                notes.append(GROWS.format(order=self.found[place].order, size_mrad=size))
+            else:
+                notes.append(ALIKE.format(order=self.found[place].order))
+        power = np.nanmax(search.fit.lines.power, axis=0)
+        loop = [members for members in told if members[0].place is None]
+        laws = [members for members in told if members[0].place is not None]
+        laws.sort(key=lambda members: -power[members[0].place])
+        most = self.task.config.candidates.max_effects or MOST_EFFECTS
+        return laws[: max(0, most - len(loop))] + loop
+
+    def _by_true_angle(self, fit: LoopFit) -> _Answer | None:
         """The same over the angle without the encoder's error, once it is named beside torques.
 
         Over the measured angle a torque of order n has sidebands of n ε/2 of its size.
         """
-        first = [k for k in fit.laws if fit.laws[k] != "torque" and self.found[k].order == 1.0]
-        if self.true_angle or not first or len(fit.laws) == 1:
+        laws = [k for k, parts in enumerate(fit.parts) if parts]
+        first = [k for k in laws if self.found[k].order == 1.0 and fit.sizes[k, ANGLE]]
+        if self.true_angle or not first or len(laws) == 1:
             return None
+        torque, angle, between = fit.sizes[first[0]]
+        ratio = between / max(torque * angle, 1e-300) ** 0.5
+        phase = math.acos(min(1.0, max(-1.0, ratio)))
 
         def without_error(item: Turning) -> Turning:
             (line,), _ = item.fit([1.0])
             if not np.isfinite(line):
                 return item
-            torque, angle, phase = fit.sizes[first[0]]
-            like = angle * torque_of_angle(fit.values, np.full(1, item.speed_rad_per_s))[0]
-            turn = line / (torque * np.exp(1j * phase) + like)
-            error = angle * np.real(turn / abs(turn) * np.exp(1j * item.angle))
+            like = math.sqrt(angle) * torque_of_angle(fit.values, np.full(1, item.speed_rad_per_s))
+            turn = line / (math.sqrt(torque) * np.exp(1j * phase) + like[0])
+            error = math.sqrt(angle) * np.real(turn / abs(turn) * np.exp(1j * item.angle))
             return replace(item, angle=item.angle - error, made={})
 
         turning = tuple(map(without_error, self.setting.turning))
@@ -823,228 +1024,96 @@ class _Answer:
         alarm = self.task.config.candidates.false_alarm
         return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
 
-    def _with_loop(self, fit: LawFit) -> tuple[LawFit, list[_Added]]:
-        """The fit with what else the loop must have free, and that."""
-        effects = [name for name in LOOP_EFFECTS if name in self.setting.candidates]
-        wrong = [name for name in ("motor_inertia_kg_m2", *GAINS) if self.setting.values[name]]
-        found: list[_Added] = []
-        fastest = float(np.abs(fit.lines.speeds).max()) * max(fit.lines.orders)
-        units = {
-            name: self.setting.values[GAINS[0]] if "friction" in name else 1.0 / fastest
-            for name in effects
-        }
-        while True:
-            trials, free = {}, fit.free
-            for name in [*effects, *wrong]:
-                if name in free.added or name in free.priors:
-                    continue
-                if name in units:
-                    more = replace(free, added={**free.added, name: units[name]})
-                else:
-                    more = replace(free, priors={**free.priors, name: math.inf})
-                made = fit.again({}, more)
-                if made.freedom > 0:
-                    trials[name] = made
-            gains = {name: z_between(made, fit) for name, made in trials.items()}
-            good = [name for name in trials if gains[name] >= INDISTINGUISHABLE_Z]
-            if not good:
-                return fit, found
-            top = trials[max(good, key=lambda name: gains[name])]
-            first, *rivals = [
-                name for name in good if z_between(top, trials[name]) < INDISTINGUISHABLE_Z
-            ]
-            found.append(_Added(first, tuple(rivals), gains[first]))
-            fit = trials[first]
-            if not set(wrong) - fit.free.priors.keys():
-                return fit, found  # only ratios of inertia and gains show
-
-    def _named(
-        self, lines: Lines, fit: LawFit | None, notes: list[str]
-    ) -> tuple[list[NamedEffect], list[Unexplained]]:
-        """Orders whose law is sure, largest line first, and the others."""
-        named, remaining = list[tuple[float, NamedEffect]](), list[Unexplained]()
-        for place, line in enumerate(self.found):
-            law = None if fit is None else fit.laws.get(place)
-            power = float(np.nanmax(lines.size[:, place]))
-            if fit is None or law is None:
-                remaining.append(self._unexplained(lines, place))
-                continue
-            first = line.order == 1.0
-            rivals = self._rivals(fit, place)
-            if law == "angle" and not (first or rivals):
-                angle = fit.sizes[place][1]
-                notes.append(
-                    f"The line at order {line.order:.5g} grows with the speed as an error of the "
-                    f"encoder's angle of {1e3 * angle:.2g} mrad does, not as a torque."
-                )
-            if (law == "angle" or rivals) and not first:
-                remaining.append(self._unexplained(lines, place))
-                continue
-            parts: tuple[Law, ...] = ("torque", "angle") if law == "both" else (law,)
-            for part in parts:
-                named.append((power, self._effect(fit, place, line, part, rivals)))
-        named.sort(key=lambda pair: -pair[0])
-        return [effect for _, effect in named], _periodic_in_time(remaining, self.setting.used)
-
     def _effect(
-        self, fit: LawFit, place: int, line: OrderLine, part: Law, rivals: tuple[str, ...]
+        self, search: LoopSearch, fit: LoopFit, first: Hypothesis, rivals: Sequence[Hypothesis]
     ) -> NamedEffect:
-        torque, angle, _ = fit.sizes[place]
-        sd = fit.deviations[(place, part)]
-        z = abs(torque if part == "torque" else angle) / sd
-        held = line.order == round(line.order)
-        if part == "torque":
-            order = Estimate(line.order, math.nan if held else line.sd)
-            parameters = {"torque_nm": Estimate(abs(torque), sd), "order": order}
+        name, place = first.name, first.place
+        if place is None:
+            size = Estimate(fit.values[name], fit.deviations[name])
+            parameters = {LOOP_EFFECTS[name]: size}
         else:
-            parameters = {"angle_rad": Estimate(abs(angle), sd)}
-        name = LAWS[part]
-        evidence = 0.5 * min(z**2, line.score) - math.log(line.trials)
-        return NamedEffect(name, parameters, probability_of(evidence), z, rivals)
+            size, line = search.size(place, first.part), self.found[place]
+            parameters = {"angle_rad": size}
+            if first.part == TORQUE:
+                held = line.order == round(line.order)
+                order = Estimate(line.order, math.nan if held else line.sd)
+                parameters = {"torque_nm": size, "order": order}
+        chance = search.probability(h.label for h in (first, *rivals))
+        others = tuple(dict.fromkeys(h.name for h in rivals))
+        return NamedEffect(name, parameters, chance, abs(size.value) / size.sd, others)
 
-    def _rivals(self, fit: LawFit, place: int) -> tuple[str, ...]:
-        """The other law, if it fits as well."""
-        law = fit.laws[place]
-        if law == "both":
-            return ()
-        other: Law = "angle" if law == "torque" else "torque"
-        name = LAWS[other]
-        if name not in self.setting.candidates:
-            return ()
-        made = fit.again({place: other}, self.setting.free)
-        return (name,) if z_between(fit, made) < INDISTINGUISHABLE_Z else ()
-
-    def _unexplained(self, lines: Lines, place: int) -> Unexplained:
-        """A line without a law, or with one that the catalogue does not have."""
-        line, sizes = self.found[place], lines.size[:, place]
-        strongest = np.argsort(-np.nan_to_num(sizes))
-        seen = [self.setting.used[i].piece.name for i in strongest if sizes[i] > 0.0]
-        top = float(np.nanmax(sizes))
+    def _unexplained(self, lines: Lines, group: Sequence[tuple[int, int]]) -> Unexplained:
+        """A line without a law, or with one that the catalogue does not have; or one in time."""
+        place = group[0][1]
+        sizes = np.sqrt(lines.measured[:, place].clip(0.0))
+        order, hertz = self.found[place].order, math.nan
+        places = [i for i in np.argsort(-sizes) if sizes[i] > 0.0]
+        if len(group) > 1:
+            hertz = order * abs(float(lines.speeds[places[0]])) / (2.0 * math.pi)
+            places, order = [i for i, _ in group], math.nan
         return Unexplained(
             MOTOR_SPEED,
-            "motor angle",
-            top,
+            "motor angle" if len(group) == 1 else "time",
+            max(math.sqrt(max(0.0, float(np.nanmax(lines.power[:, k])))) for _, k in group),
             "rpm",
-            line.order,
-            line.order,
-            math.nan,
-            tuple(seen),
-            line.score,
+            order,
+            order,
+            hertz,
+            tuple(self.setting.used[i].piece.name for i in places),
+            self.found[place].score,
         )
 
-    def _of_loop(
-        self, fit: LawFit | None, added: Sequence[_Added]
-    ) -> tuple[tuple[NamedEffect, ...], tuple[ParameterError, ...]]:
-        effects, errors = list[NamedEffect](), list[ParameterError]()
-        if fit is None:
-            return (), ()
-        for item in added:
-            name, rivals = item.name, item.rivals
-            if name in LOOP_EFFECTS:
-                value = Estimate(fit.values[name], fit.deviations[name])
-                parameters = {LOOP_EFFECTS[name]: value}
-                chance = probability_of(0.5 * item.z**2)
-                effects.append(NamedEffect(name, parameters, chance, item.z, rivals))
-            else:
-                believed = self.task.bench.parameters[name]
-                estimate = _fitted(fit, [name])[name]
-                errors.append(
-                    ParameterError(name, believed.value, believed.tolerance, estimate, rivals)
-                )
-        errors += parameter_errors(self.task.bench, _fitted(fit, self.setting.free.priors))
-        return tuple(effects), tuple(errors)
-
-    def _sizes(self, fit: LawFit | None) -> Iterator[OrderSize]:
+    def _sizes(self, fit: LoopFit | None) -> Iterator[OrderSize]:
         """Every line as the torque that would make it."""
         values = self.setting.values if fit is None else fit.values
         for item in self.setting.every:
             lines = lines_of([item], [line.order for line in self.found])
             for place, line in enumerate(self.found):
-                if not math.isfinite(lines.size[0, place]):
+                if not lines.shown[0, place]:
                     continue
-                law = None if fit is None else fit.laws.get(place)
-                one = float(line_size(values, line.order, lines.speeds, 1.0, 0.0, 0.0)[0])
+                law = LAWS[0] if fit is None else fit.law(place)
+                one = math.sqrt(law_powers(values, [line.order], lines.speeds)[0, 0, TORQUE])
                 made = math.nan
-                if fit is not None and law is not None:
+                if fit is not None and law != LAWS[0]:
                     made = float(fit.predicted(place, lines.speeds)[0]) / one
                 yield OrderSize(
                     line.order,
-                    law or "none",
+                    law,
                     item.piece.name,
                     item.piece.use,
                     float(lines.speeds[0]) * RPM_PER_RAD_PER_S,
-                    float(lines.size[0, place]) / one,
-                    float(lines.sd[0, place]) / one,
+                    math.sqrt(max(0.0, float(lines.power[0, place]))) / one,
+                    math.sqrt(float(lines.noise[0, place])) / one,
                     made,
                 )
 
-    def _compared(self, fit: LawFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
+    def _compared(self, fit: LoopFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
         """Every piece, with a mean alone and with all laws."""
         every = self.setting.every
         before = [item.predicted((), np.zeros(0)) for item in every]
         after = before
         if fit is not None:
-            orders = [self.found[place].order for place in fit.laws]
+            places = [place for place, parts in enumerate(fit.parts) if parts]
+            orders = [self.found[place].order for place in places]
             speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
-            sizes = np.reshape(
-                [fit.predicted(place, speeds) for place in fit.laws], (-1, len(every))
-            )
+            sizes = np.reshape([fit.predicted(k, speeds) for k in places], (-1, len(every)))
             after = [item.predicted(orders, own) for item, own in zip(every, sizes.T, strict=True)]
         return compared_signals([item.piece for item in every], before, after)
 
 
-def _periodic_in_time(
-    lines: Sequence[Unexplained], turning: Sequence[Turning]
-) -> list[Unexplained]:
-    """Lines at orders that differ but have one frequency, each in another recording, as one."""
-    by_name = {item.piece.name: item for item in turning}
-    left, found = list(lines), list[Unexplained]()
-    while left:
-        first = left.pop(0)
-        alike = [first]
-        for other in list(left):
-            for a, b in ((x, y) for x in first.recordings[:1] for y in other.recordings[:1]):
-                one, two = by_name[a], by_name[b]
-                lasting = min(item.turns / item.turns_per_s for item in (one, two))
-                apart = first.lowest_order * one.turns_per_s - other.lowest_order * two.turns_per_s
-                if a != b and abs(apart) * lasting < 1.0:
-                    alike.append(other)
-                    left.remove(other)
-        if len(alike) > 1:
-            hertz = first.lowest_order * by_name[first.recordings[0]].turns_per_s
-            size = max(line.amplitude for line in alike)
-            names = tuple(line.recordings[0] for line in alike)
-            first = Unexplained(MOTOR_SPEED, "time", size, "rpm", math.nan, math.nan, hertz, names)
-        found.append(first)
-    return found
-
-
 def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
-    """The lines of every piece, their noise, and the speeds; sizes without what noise adds."""
-    sizes, deviations = [], []
+    """The lines of every piece, their noise, and the speeds."""
+    powers, variances = [], []
     for item in turning:
         found, left = item.fit(orders)
-        sd = noise_sd(item, orders, left)
-        sizes.append(np.sqrt(np.maximum(np.abs(found) ** 2 - 2.0 * sd**2, 0.0)))
-        deviations.append(sd)
+        spectrum = spectrum_of([item.rest(left)], False, highest=HIGHEST_ORDER, coloured=True)
+        (noise,) = spectrum.powers.values()
+        variance = np.full(len(orders), math.nan)
+        if np.any(noise > 0.0):
+            level = np.interp(orders, spectrum.orders[noise > 0.0], noise[noise > 0.0])
+            variance = 4.0 * level / left.size
+        variances.append(variance)
+        powers.append(np.abs(found) ** 2 - 2.0 * variance)
     speeds = np.array([item.speed_rad_per_s for item in turning])
-    return Lines(tuple(orders), speeds, np.array(sizes), np.array(deviations))
-
-
-def _strongest(fit: LawFit, most: int) -> LawFit:
-    """The laws of the largest lines; the others are left to be described."""
-    kept = sorted(fit.laws, key=lambda place: -float(np.nanmax(fit.lines.size[:, place])))[:most]
-    return replace(fit, laws={place: fit.laws[place] for place in sorted(kept)})
-
-
-def _one_speed(speeds: FloatArray) -> bool:
-    sizes = np.abs(speeds)
-    return bool(np.ptp(sizes) <= VARIES * sizes.max())
-
-
-def _fitted(fit: LawFit, names: Iterable[str]) -> dict[str, Estimate]:
-    """Loop parameters, lognormal."""
-    return {
-        name: Estimate(math.log(fit.values[name]), fit.deviations[name], logarithmic=True)
-        for name in names
-    }
+    lasting = np.array([item.turns / item.turns_per_s for item in turning])
+    return Lines(tuple(orders), speeds, np.array(powers), np.array(variances), lasting)
