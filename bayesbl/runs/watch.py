@@ -268,7 +268,7 @@ class _Measuring:
         folder = os.open(place, os.O_RDONLY) if os.unlink in os.supports_dir_fd else None
         try:
             at = file if folder is None else name
-            flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
             with open(os.open(at, flags, dir_fd=folder), "rb") as stream:
                 sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
                 now = state_of(os.fstat(stream.fileno()))
