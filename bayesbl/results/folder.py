@@ -241,13 +241,13 @@ def _own(folder: Path) -> set[str]:
         stored = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))["files"]
         files = [name for name in stored if isinstance(name, str)]
     figures = (folder / FIGURES).iterdir() if (folder / FIGURES).is_dir() else ()
-    drawn = {f"{FIGURES}/{file.name}" for file in figures if _holds_its_name(file)}
+    drawn = {
+        f"{FIGURES}/{file.name}"
+        for file in figures
+        if file.is_file() and figure_title(file.stem).encode() in file.read_bytes()
+    }
     files = {name for name in files if not name.startswith(f"{FIGURES}/")} | drawn | _MADE_LATER
     return files | {str(above) for name in files for above in PurePosixPath(name).parents}
-
-
-def _holds_its_name(file: Path) -> bool:
-    return file.is_file() and figure_title(file.stem).encode() in file.read_bytes()
 
 
 def _entries(folder: Path) -> set[str]:
