@@ -262,7 +262,7 @@ class AmplitudeMeasurer(Measurer):
     """The amplitude route with its estimator and where its gap curves come from."""
 
     def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
-        self.config = config
+        super().__init__(config)
         self.estimator = estimator_of(config)
         self.source = curve_source(config, bench)
 

@@ -160,7 +160,7 @@ class DirectMeasurer(Measurer):
     """The direct route with its bench."""
 
     def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
-        self.config = config
+        super().__init__(config)
         self.bench = bench
 
     @property
