@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -54,8 +53,7 @@ def _leave_as_it_is() -> None:
 def _use_temporary_folder() -> None:
     """Point numba to a folder of this user alone: whoever writes a cache decides what is run."""
     try:
-        user = "" if sys.platform == "win32" else f"-{os.getuid()}"
-        folder = Path(tempfile.gettempdir(), f"bayesbl-compiled{user}")
+        folder = Path(tempfile.gettempdir(), f"bayesbl-compiled-{os.getuid()}")
         folder.mkdir(mode=0o700, exist_ok=True)
         if _is_private(folder):
             numba.config.CACHE_DIR = str(folder)
@@ -64,8 +62,6 @@ def _use_temporary_folder() -> None:
 
 
 def _is_private(folder: Path) -> bool:
-    if sys.platform == "win32":
-        return True  # each user has a temporary folder of their own there
     found = folder.lstat()
     private = found.st_uid == os.getuid() and not found.st_mode & 0o077
     return stat.S_ISDIR(found.st_mode) and private

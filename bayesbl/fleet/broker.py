@@ -135,7 +135,7 @@ def read_credentials(file: Path | None) -> Credentials:
         ) from None
     except (ValueError, RecursionError):
         raise ConfigError("This is no TOML.", file=file, expected=expected) from None
-    if sys.platform != "win32" and mode & (stat.S_IRWXG | stat.S_IRWXO):
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError(
             "Others can read these credentials.",
             file=file,

@@ -23,6 +23,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
+from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
@@ -39,29 +40,6 @@ from bayesbl.measurement.measurement import (
     sampling_reasons,
 )
 from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
-from bayesbl.measurement.shared_groups import (
-    ACCEPTANCE,
-    CHAIN,
-    DELTA,
-    DIFFERENCES,
-    DRAW,
-    DRAWS,
-    LOG_LIKELIHOOD,
-    NOISE_DRAWS,
-    NOISE_ORDER,
-    OF_EVERY_ROUTE,
-    POSTERIOR_PREDICTIVE,
-    PRIOR_DRAWS,
-    PRIOR_PREDICTIVE,
-    REPLICATES,
-    SAMPLED_SYMBOLS,
-    common_groups,
-    intervals,
-    log_likelihood_group,
-    noise_posterior,
-    numbered,
-    replicates,
-)
 from bayesbl.measurement.stored import routes_of, stored_answers
 from bayesbl.measurement.summary_types import NoiseSummary
 from bayesbl.noise.rotation_noise import Noise
@@ -138,10 +116,10 @@ POSTERIOR = Group(
             curve_amplitude_rpm? (chain, draw) | rpm
                 | amplitude put through the gap curve: with its scatter over start angles
         """),
-        replace(DELTA, optional=True),
+        replace(shared.DELTA, optional=True),
     ),
-    (CHAIN, DRAW, _TERMS),
-    named=_symbol(*DRAWS),
+    (shared.CHAIN, shared.DRAW, _TERMS),
+    named=_symbol(*shared.DRAWS),
 )
 
 SAMPLE_STATS = Group(
@@ -152,15 +130,22 @@ SAMPLE_STATS = Group(
             outside_curve? (chain, draw) | 1 | amplitude below (-1), inside (0) or above (1)
                 the range of the gap curve
         """),
-        ACCEPTANCE,
+        shared.ACCEPTANCE,
     ),
 )
 
-NOISE_POSTERIOR = noise_posterior(_symbol(*DRAWS), (_BASELINE,), (_TERMS,))
+NOISE_POSTERIOR = shared.noise_posterior(_symbol(*shared.DRAWS), (_BASELINE,), (_TERMS,))
 
-LOG_PRIOR = Group("log_prior", (), (CHAIN, DRAW), named=_symbol(*DRAWS), optional=True)
+LOG_PRIOR = Group(
+    "log_prior", (), (shared.CHAIN, shared.DRAW), named=_symbol(*shared.DRAWS), optional=True
+)
 
-PRIOR = Group("prior", (replace(DELTA, optional=True),), (CHAIN, DRAW), named=_symbol(*DRAWS))
+PRIOR = Group(
+    "prior",
+    (replace(shared.DELTA, optional=True),),
+    (shared.CHAIN, shared.DRAW),
+    named=_symbol(*shared.DRAWS),
+)
 
 PREDICTIVE = Group(
     "predictive",
@@ -225,8 +210,8 @@ NOISE = Group(
             hidden_sd_rpm | rpm | standard deviation of the rounding that repeats every rotation
             bic (candidate_order) | 1 | Bayesian information criterion less its smallest
         """),
-        NOISE_ORDER,
-        DIFFERENCES,
+        shared.NOISE_ORDER,
+        shared.DIFFERENCES,
     ),
 )
 
@@ -248,7 +233,7 @@ SAMPLER_CHECK = Group(
         differs (symbol) | 1 | 1 where the samplers disagree
         evaluations | 1 | posterior evaluations by the nested sampler
     """),
-    (SAMPLED_SYMBOLS,),
+    (shared.SAMPLED_SYMBOLS,),
     optional=True,
 )
 
@@ -256,12 +241,12 @@ GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
     NOISE_POSTERIOR,
-    LOG_LIKELIHOOD,
+    shared.LOG_LIKELIHOOD,
     LOG_PRIOR,
     PRIOR,
-    PRIOR_PREDICTIVE,
-    POSTERIOR_PREDICTIVE,
-    *OF_EVERY_ROUTE,
+    shared.PRIOR_PREDICTIVE,
+    shared.POSTERIOR_PREDICTIVE,
+    *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
     BOX_SEARCH,
@@ -277,7 +262,7 @@ class AmplitudeMeasurer(Measurer):
     """The amplitude route with its estimator and where its gap curves come from."""
 
     def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
-        self.config = config
+        super().__init__(config)
         self.estimator = estimator_of(config)
         self.source = curve_source(config, bench)
 
@@ -293,7 +278,7 @@ class AmplitudeMeasurer(Measurer):
         yield "curve", self.source.describe
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
-            yield "start from", lambda: _earlier_in_words(start_from)
+            yield "start from", lambda: f"{', '.join(read_earlier(start_from))} in {start_from}"
         if self.config.posterior.check_sampler:
             yield "second sampler", _second_sampler
 
@@ -329,7 +314,8 @@ class AmplitudeMeasurer(Measurer):
     def measure(self, task: Task) -> Measurement:
         """Fit every recording and read its gap from its curve, if there is one."""
         curves = self.source.curves(task)
-        fits = run_fits(self._jobs(task, curves), task.config.run.workers, task.progress)
+        of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
+        fits = run_fits(self._jobs(task, of_each), task.config.run.workers, task.progress)
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
@@ -342,7 +328,6 @@ class AmplitudeMeasurer(Measurer):
                 allow_extrapolation=task.config.curve.allow_extrapolation,
                 level=task.config.interval.level,
             )
-        of_each: Sequence[GapCurve | None] = curves or [None] * len(fits)
         entries = task.config.recordings
         check = same_joint(
             [fit.point for fit in fits],
@@ -439,13 +424,13 @@ class AmplitudeMeasurer(Measurer):
         known = None if bench is None else bench.value("gear_ratio")
         return self.config.joint.gear_ratio or known
 
-    def _jobs(self, task: Task, curves: Sequence[GapCurve] | None) -> list[FitJob]:
-        of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
+    def _jobs(self, task: Task, curves: Sequence[GapCurve | None]) -> list[FitJob]:
         start_from = task.config.estimator.search.start_from
         earlier = {} if start_from is None else read_earlier(start_from)
         check = task.config.posterior.check_sampler
         if check:
             require_second_sampler()
+        last = next(reversed([*earlier.values()]), None)
         return [
             FitJob(
                 self.estimator,
@@ -453,21 +438,14 @@ class AmplitudeMeasurer(Measurer):
                 recording,
                 seed,
                 self._gear_ratio(recording),
-                earlier_of(recording.name, earlier) or task.earlier.get(recording.name),
+                earlier.get(recording.name) or last or task.earlier.get(recording.name),
                 check,
                 task.work,
             )
             for recording, seed, curve in zip(
-                task.recordings,
-                task.seeds.recordings,
-                of_each,
-                strict=True,
+                task.recordings, task.seeds.recordings, curves, strict=True
             )
         ]
-
-
-def _earlier_in_words(path: Path) -> str:
-    return f"{', '.join(read_earlier(path))} in {path}"
 
 
 def _second_sampler() -> str:
@@ -490,7 +468,7 @@ def _ringing_change(
 def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, Any]:
     """The contract's keys, and beside them the misfit, the start and the second sampler."""
     point, optimum = fit.point, fit.point.optimum
-    parameters = intervals(posterior, (s for s in SYMBOLS if s in posterior), of)
+    parameters = shared.intervals(posterior, (s for s in SYMBOLS if s in posterior), of)
     found: dict[str, Any] = {
         "amplitude_rpm": parameters[AMPLITUDE],
         "parameters": parameters,
@@ -510,11 +488,8 @@ def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, A
         found["sampler_check"] = {
             "agrees": not check.differing,
             "symbols": {
-                name: {
-                    "difference_sd": check.difference_sd[name],
-                    "width_ratio": check.width_ratio[name],
-                }
-                for name in check.width_ratio
+                name: {"difference_sd": check.difference_sd[name], "width_ratio": ratio}
+                for name, ratio in check.width_ratio.items()
             },
         }
     return found
@@ -597,7 +572,7 @@ def amplitude_groups(
         "posterior": _posterior(fit, gap, draws, baseline),
         "sample_stats": _sample_stats(fit, gap, index),
         **_noise_only(fit, curve, np.random.default_rng(seed)),
-        **common_groups(
+        **shared.common_groups(
             fit.point.recording,
             [MOTOR_SPEED],
             fit.posterior.diagnostics,
@@ -606,14 +581,12 @@ def amplitude_groups(
         ),
         "predictive": _predictive(fit, level),
         "optimum": _optimum(fit),
-        "search_history": _of(SEARCH_HISTORY, fit.point.optimum.history),
+        "search_history": dataset(
+            SEARCH_HISTORY, attributes(SEARCH_HISTORY, fit.point.optimum.history)
+        ),
         "noise": _noise(fit),
-        "misfit": _of(MISFIT, fit.point.misfit),
+        "misfit": dataset(MISFIT, attributes(MISFIT, fit.point.misfit)),
     }
-
-
-def _of(group: Group, source: object) -> xr.Dataset:
-    return dataset(group, attributes(group, source))
 
 
 def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
@@ -627,12 +600,13 @@ def _index(fit: Fit, gap: Gap | None) -> NDArray[np.int64]:
 def _posterior(
     fit: Fit, gap: Gap | None, draws: Mapping[str, FloatArray], baseline: FloatArray
 ) -> xr.Dataset:
-    through = {} if gap is None else attributes(POSTERIOR, gap)
-    through |= {} if gap is None else {"curve_amplitude_rpm": gap.amplitude_rpm}
+    through: dict[str, object] = {}
+    if gap is not None:
+        through = {**attributes(POSTERIOR, gap), "curve_amplitude_rpm": gap.amplitude_rpm}
     return dataset(
         POSTERIOR,
         {**draws, "baseline_rpm": baseline, **through},
-        {**numbered(baseline.shape), "baseline_term": _baseline_terms(fit)},
+        {**shared.numbered(baseline.shape), "baseline_term": _baseline_terms(fit)},
     )
 
 
@@ -665,13 +639,13 @@ def _noise_only(
     ranges = {MEAN: (float(speed.min()), float(speed.max()))}
     ranges |= dict(zip(objective.searched, zip(*bounds(objective), strict=True), strict=True))
     ranges = {name: ranges[name] for name in fit.posterior.draws if name != AMPLITUDE}
-    prior = {name: generator.uniform(*ends, PRIOR_DRAWS) for name, ends in ranges.items()}
+    prior = {name: generator.uniform(*ends, shared.PRIOR_DRAWS) for name, ends in ranges.items()}
     if curve is None:
         highest = 0.5 * float(np.ptp(speed))
-        prior[AMPLITUDE] = generator.uniform(0.0, highest, PRIOR_DRAWS)
+        prior[AMPLITUDE] = generator.uniform(0.0, highest, shared.PRIOR_DRAWS)
     else:
         low, high = np.log(curve.gap_range_rad)
-        log_gap = generator.uniform(low, high, PRIOR_DRAWS)
+        log_gap = generator.uniform(low, high, shared.PRIOR_DRAWS)
         knots = curve.knots_rpm
         prior[AMPLITUDE] = np.exp(np.interp(log_gap, np.log(curve.gap(knots)), np.log(knots)))
 
@@ -683,22 +657,22 @@ def _noise_only(
             return np.asarray(np.log(np.maximum(slope, 0.0) / (high - low)))
 
     terms = fit.posterior.baseline_rpm.shape[-1]
-    few = {name: values[: chains * REPLICATES] for name, values in prior.items()}
-    flat = np.zeros((chains * REPLICATES, terms))
+    few = {name: values[: chains * shared.REPLICATES] for name, values in prior.items()}
+    flat = np.zeros((chains * shared.REPLICATES, terms))
     speeds = {MOTOR_SPEED: predicted(point, few, flat, generator)}
-    shown = prior if curve is None else {**prior, DELTA.name: np.exp(log_gap)}
+    shown = prior if curve is None else {**prior, shared.DELTA.name: np.exp(log_gap)}
     groups = {
         PRIOR.name: dataset(
-            PRIOR, {n: v[None] for n, v in shown.items()}, numbered((1, PRIOR_DRAWS))
+            PRIOR, {n: v[None] for n, v in shown.items()}, shared.numbered((1, shared.PRIOR_DRAWS))
         ),
-        PRIOR_PREDICTIVE.name: replicates(PRIOR_PREDICTIVE, chains, speeds),
+        shared.PRIOR_PREDICTIVE.name: shared.replicates(shared.PRIOR_PREDICTIVE, chains, speeds),
     }
-    found = likelihood_draws(point, of_amplitude, NOISE_DRAWS // chains * chains, generator)
+    found = likelihood_draws(point, of_amplitude, shared.NOISE_DRAWS // chains * chains, generator)
     if found is None:
         return groups
     flat_draws, baseline = found
-    few = {name: values[: chains * REPLICATES] for name, values in flat_draws.items()}
-    speeds = {MOTOR_SPEED: predicted(point, few, baseline[: chains * REPLICATES], generator)}
+    few = {name: values[: chains * shared.REPLICATES] for name, values in flat_draws.items()}
+    speeds = {MOTOR_SPEED: predicted(point, few, baseline[: chains * shared.REPLICATES], generator)}
     draws = {name: values.reshape(chains, -1) for name, values in flat_draws.items()}
     shape = draws[AMPLITUDE].shape
     baseline = baseline.reshape(*shape, -1)
@@ -707,13 +681,19 @@ def _noise_only(
         NOISE_POSTERIOR.name: dataset(
             NOISE_POSTERIOR,
             {**draws, "baseline_rpm": baseline},
-            {**numbered(shape), "baseline_term": _baseline_terms(fit)},
+            {**shared.numbered(shape), "baseline_term": _baseline_terms(fit)},
         ),
-        LOG_LIKELIHOOD.name: log_likelihood_group(log_likelihood(point, draws, baseline)),
+        shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
+            log_likelihood(point, draws, baseline)
+        ),
         LOG_PRIOR.name: dataset(
-            LOG_PRIOR, {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])}, numbered(shape)
+            LOG_PRIOR,
+            {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])},
+            shared.numbered(shape),
         ),
-        POSTERIOR_PREDICTIVE.name: replicates(POSTERIOR_PREDICTIVE, chains, speeds),
+        shared.POSTERIOR_PREDICTIVE.name: shared.replicates(
+            shared.POSTERIOR_PREDICTIVE, chains, speeds
+        ),
     }
 
 
@@ -911,11 +891,6 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
                 steps = done[place].posterior.diagnostics.steps
                 progress(f"Sampling {jobs[place].recording.name}", steps, steps)
     return [done[n] for n in range(len(jobs))]
-
-
-def earlier_of(name: str, optima: Mapping[str, EarlierOptimum]) -> EarlierOptimum | None:
-    """The optimum to start from: that of the same name, else the last one."""
-    return optima.get(name) or next(reversed([*optima.values()]), None)
 
 
 def measured_ringing(fit: Fit) -> MeasuredRinging:

@@ -9,7 +9,7 @@ bench too.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,13 +28,14 @@ FALSE_ALARM = 0.01
 """Of the routes' disagreement, over all snapshots of a run."""
 
 
-@dataclass(frozen=True, slots=True)
 class AutoMeasurer(Measurer):
     """Both routes of one bench."""
 
-    config: SnapshotConfig
-    direct: DirectMeasurer
-    amplitude: AmplitudeMeasurer
+    def __init__(self, config: SnapshotConfig) -> None:
+        super().__init__(config)
+        bench = bench_of(config)
+        self.direct = DirectMeasurer(config, bench)
+        self.amplitude = AmplitudeMeasurer(config, bench)
 
     @property
     def gap_range_rad(self) -> tuple[float, float]:
@@ -189,7 +190,4 @@ def _standard_difference(first: FloatArray, second: FloatArray) -> float:
     return float(first.mean() - second.mean()) / sd
 
 
-def prepare(config: SnapshotConfig) -> AutoMeasurer:
-    """Both routes with one bench."""
-    bench = bench_of(config)
-    return AutoMeasurer(config, DirectMeasurer(config, bench), AmplitudeMeasurer(config, bench))
+prepare = AutoMeasurer

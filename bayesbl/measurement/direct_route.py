@@ -129,21 +129,14 @@ class DirectMatch:
         first, last = (self.posterior.values(GAP, name) for name in (names[0], names[-1]))
         return last - first
 
-    @property
-    def shares_unknowns(self) -> bool:
-        """Whether anything unknown belongs to all recordings."""
-        return any(u.recording is None for u in self.posterior.fit.model.unknowns)
-
     def repeating(self, recording: str) -> list[RepeatingPower]:
         """Entries that noise does not explain and that touch the answer of one recording.
 
         Through shared unknowns a misfit in one recording moves the gap of all.
         """
-        return [
-            entry
-            for entry in standing_out(self.check, FALSE_ALARM)
-            if self.shares_unknowns or entry.recording == recording
-        ]
+        shared_by_all = any(u.recording is None for u in self.posterior.fit.model.unknowns)
+        found = standing_out(self.check, FALSE_ALARM)
+        return [entry for entry in found if shared_by_all or entry.recording == recording]
 
     def model_check(self, recording: str, level: float) -> JointCheck:
         """Whether this recording may be one of the bench as believed.
@@ -167,7 +160,7 @@ class DirectMeasurer(Measurer):
     """The direct route with its bench."""
 
     def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
-        self.config = config
+        super().__init__(config)
         self.bench = bench
 
     @property

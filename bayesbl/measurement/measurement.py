@@ -293,7 +293,8 @@ def upper_bound(delta_rad: FloatArray) -> float:
 class Measurer(ABC):
     """A route with what a configuration gives it; raises where it cannot use that."""
 
-    config: SnapshotConfig
+    def __init__(self, config: SnapshotConfig) -> None:
+        self.config = config
 
     @property
     @abstractmethod

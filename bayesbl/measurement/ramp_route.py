@@ -18,7 +18,6 @@ import numpy as np
 import xarray as xr
 from scipy.special import ndtri, stdtr
 
-from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
@@ -179,9 +178,6 @@ FILE_STARTS = "file_starts"
 class RampMeasurer(Measurer):
     """The route of torque ramps."""
 
-    def __init__(self, config: SnapshotConfig) -> None:
-        self.config = config
-
     @property
     def gap_range_rad(self) -> tuple[float, float]:
         """Nothing is swept or searched: from an encoder's step to a tooth's width."""
@@ -263,9 +259,7 @@ class RampMeasurer(Measurer):
                 self._answered(recording, answer, elsewhere=elsewhere)
                 for recording, answer in zip(task.recordings, answers, strict=True)
             ],
-            same_joint=held_alike(
-                *(Held(a.draws, a.measured) for a in (answers[since], answers[-1]))
-            ),
+            same_joint=held_alike(answers[since], answers[-1]),
         )
 
     def _answer(
@@ -294,10 +288,10 @@ class RampMeasurer(Measurer):
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
         return RampAnswer(
-            files,
-            flanks,
             draws,
             found,
+            files,
+            flanks,
             play.log_density,
             play.diagnostics,
             _budget(flanks, width, scatter, delta),
@@ -675,21 +669,11 @@ GROUPS = (
 
 
 @dataclass(frozen=True, slots=True)
-class RampAnswer:
-    """What one snapshot stores beside its recording.
-
-    Attributes
-    ----------
-    draws
-        Variables of :data:`POSTERIOR`.
-    measured
-        What all but the play was drawn from, by file and cycle.
-    """
+class RampAnswer(Held):
+    """What one snapshot stores beside its recording; ``draws`` of all of :data:`POSTERIOR`."""
 
     files: tuple[Ramps, ...]
     flanks: Flanks
-    draws: Mapping[str, FloatArray]
-    measured: Mapping[str, Sequence[FloatArray]]
     log_density: FloatArray
     diagnostics: Diagnostics
     budget: Mapping[str, float]

@@ -89,16 +89,10 @@ def measure(
 
     Parameters
     ----------
-    work
-        Keeps what is finished, and gives back what an earlier run had finished.
-    say
-        Called with a sentence on what each search started from, if from an earlier optimum.
-    swept
-        Keeps swept benches for this run and others.
+    progress, work, say, swept, earlier
+        As of :class:`bayesbl.measurement.measurement.Task`.
     seeds
         Those of the configuration by default.
-    earlier
-        Optima to start searches from, by recording, where the configuration names no result.
     recordings
         Those of the configuration as this route reads them; read here by default.
 

@@ -12,7 +12,6 @@ import numpy as np
 import xarray as xr
 from scipy.special import ndtri
 
-from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
@@ -131,9 +130,6 @@ OF_PLAY = ("play_rad", "held_windup_rad")
 
 class TwoEncoderMeasurer(Measurer):
     """The route of two encoders."""
-
-    def __init__(self, config: SnapshotConfig) -> None:
-        self.config = config
 
     @property
     def gap_range_rad(self) -> tuple[float, float]:

@@ -33,7 +33,7 @@ from bayesbl.recording.lost_samples import (
 )
 from bayesbl.recording.moving import moves
 from bayesbl.recording.repairs import new_values
-from bayesbl.recording.types import BoolArray, FloatArray, Recording
+from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
 MINIMUM_SAMPLING_HZ = 50.0
@@ -611,9 +611,5 @@ def _samples_at_limit(values: FloatArray) -> int:
     levels, counts = np.unique(values, return_counts=True)
     if levels.size < 11 or counts[-1] <= 5 * counts[-11:-1].max():
         return 0
-    return int(counts[-1]) if _longest_run(values == levels[-1]) >= 5 else 0
-
-
-def _longest_run(flags: BoolArray) -> int:
-    begins, ends = runs(flags)
-    return int((ends - begins).max(initial=0))
+    begins, ends = runs(values == levels[-1])
+    return int(counts[-1]) if (ends - begins).max(initial=0) >= 5 else 0

@@ -42,7 +42,7 @@ def read_input(path: Path) -> bytes:
     kind = _kind(os.stat(path).st_mode)
     if kind:  # not even opened: a socket cannot be, and a pipe may wait for its writer
         raise OSError(errno.EINVAL, f"{kind}, not a file")
-    flags = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
+    flags = os.O_RDONLY | os.O_NONBLOCK
     with open(os.open(path, flags), "rb") as stream:
         status = os.fstat(stream.fileno())
         if stat.S_ISDIR(status.st_mode):

@@ -201,10 +201,8 @@ def _received(stream: IO[bytes]) -> ArrayTable | RecordingError:
 
 def _limit(size: int) -> None:
     """No more data than ``size`` bytes, and an end of its own should the parent have died."""
-    try:
-        import resource
-    except ImportError:  # Windows: what files declare is limited all the same
-        return
+    import resource
+
     for what, most in ((resource.RLIMIT_DATA, size), (resource.RLIMIT_CPU, int(2 * LONGEST_S))):
         _, hard = resource.getrlimit(what)
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)

@@ -11,11 +11,11 @@ a folder of this user that nobody else can write. What is in it is reached throu
 
 from __future__ import annotations
 
+import fcntl
 import os
 import secrets
 import shutil
 import stat
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -25,16 +25,12 @@ from pathlib import Path
 
 from bayesbl.errors import ResultError
 
-if sys.platform != "win32":
-    import fcntl
-
 _STAGING = ".staging"
 _PART = ".part"
 _DEAD_AFTER_S = 3600.0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-_READ = os.O_RDONLY | _NO_LINK | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK | getattr(os, "O_BINARY", 0)
+_READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
 @contextmanager
@@ -102,10 +98,9 @@ def staging(path: Path) -> Iterator[Path]:
             error.filename = str(path)
         raise
     finally:
-        if handle is None or _is_still(folder, handle):
+        if _is_still(folder, handle):
             shutil.rmtree(folder, ignore_errors=True)
-        if handle is not None:
-            os.close(handle)
+        os.close(handle)
 
 
 def clear_away(path: Path) -> None:
@@ -124,21 +119,19 @@ def left_behind(path: Path, suffix: str) -> Iterator[Path]:
         if name.startswith(f".{path.name}.") and name.endswith(suffix):
             folder = path.with_name(name)
             with suppress(OSError, ResultError), _own(folder) as handle:
-                if handle is not None and _lock(handle):
+                if _lock(handle):
                     yield folder
 
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
     """A folder that is locked, where it can be: it is not left behind by a process that ended."""
-    handle = None if sys.platform == "win32" else os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
+    handle = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
     try:
-        if handle is not None:
-            _lock(handle)
+        _lock(handle)
         yield
     finally:
-        if handle is not None:
-            os.close(handle)
+        os.close(handle)
 
 
 def make_readable(folder: Path) -> None:
@@ -146,7 +139,7 @@ def make_readable(folder: Path) -> None:
     mask = os.umask(0)
     os.umask(mask)
     with _own(folder) as handle:
-        os.chmod(folder if handle is None else handle, 0o777 & ~mask)
+        os.chmod(handle, 0o777 & ~mask)
 
 
 @contextmanager
@@ -171,8 +164,7 @@ def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
         with suppress(OSError):
             for empty in (folder, *made):
                 empty.rmdir()  # a run that failed leaves no empty folders
-        if handle is not None:
-            os.close(handle)
+        os.close(handle)
 
 
 def sibling(output: Path, suffix: str) -> Path:
@@ -194,7 +186,7 @@ class PrivateFolder:
     def is_usable(self) -> bool:
         """Whether it is this user's alone, or there is none yet."""
         try:
-            with self._opened():
+            with _own(self.path):
                 return True
         except FileNotFoundError:
             return True
@@ -204,18 +196,18 @@ class PrivateFolder:
     def entries(self) -> dict[str, os.stat_result]:
         """What is in it, by name, none if there is no folder; not what is being written."""
         found = {}
-        with suppress(FileNotFoundError), self._opened() as (at, handle):
-            for name in os.listdir(self.path if handle is None else handle):
+        with suppress(FileNotFoundError), _own(self.path) as handle:
+            for name in os.listdir(handle):
                 with suppress(FileNotFoundError):
                     if not name.endswith(_PART):
-                        found[name] = os.stat(at + name, dir_fd=handle, follow_symlinks=False)
+                        found[name] = os.stat(name, dir_fd=handle, follow_symlinks=False)
         return found
 
     def read(self, name: str) -> bytes:
         """The content of a file; raises ``OSError`` where there is none."""
         with (
-            self._opened() as (at, handle),
-            open(os.open(at + name, _READ, dir_fd=handle), "rb") as stream,
+            _own(self.path) as handle,
+            open(os.open(name, _READ, dir_fd=handle), "rb") as stream,
         ):
             return stream.read()
 
@@ -240,8 +232,8 @@ class PrivateFolder:
                 self.path.mkdir(0o700)
         except OSError as error:
             raise _unwritable(self.path, error) from None
-        with self._opened() as (at, handle):
-            part = f"{at}{secrets.token_hex(8)}{_PART}"
+        with _own(self.path) as handle:
+            part = f"{secrets.token_hex(8)}{_PART}"
             move = os.replace if replace else os.link
             try:
                 with open(os.open(part, _NEW, 0o600, dir_fd=handle), "wb") as stream:
@@ -249,51 +241,44 @@ class PrivateFolder:
                     if durable:
                         stream.flush()
                         os.fsync(stream.fileno())
-                move(part, at + name, src_dir_fd=handle, dst_dir_fd=handle)
+                move(part, name, src_dir_fd=handle, dst_dir_fd=handle)
             except OSError as error:
                 error.filename = str(self.path / name)
                 raise
             finally:
                 with suppress(OSError):
                     os.unlink(part, dir_fd=handle)
-            if durable and handle is not None:
+            if durable:
                 os.fsync(handle)
 
     def delete(self, name: str) -> None:
         """A file, or a folder with all that is in it; what is gone already is no error."""
-        with suppress(FileNotFoundError), self._opened() as (at, handle):
-            if stat.S_ISDIR(os.stat(at + name, dir_fd=handle, follow_symlinks=False).st_mode):
-                shutil.rmtree(at + name, ignore_errors=True, dir_fd=handle)
+        with suppress(FileNotFoundError), _own(self.path) as handle:
+            if stat.S_ISDIR(os.stat(name, dir_fd=handle, follow_symlinks=False).st_mode):
+                shutil.rmtree(name, ignore_errors=True, dir_fd=handle)
             else:
-                os.unlink(at + name, dir_fd=handle)
+                os.unlink(name, dir_fd=handle)
 
     def tidy(self) -> None:
         """Delete what writers that were killed have left: nobody writes for so long."""
-        with suppress(FileNotFoundError), self._opened() as (at, handle):
-            for name in os.listdir(self.path if handle is None else handle):
+        with suppress(FileNotFoundError), _own(self.path) as handle:
+            for name in os.listdir(handle):
                 if name.endswith(_PART):
                     with suppress(OSError):
-                        status = os.stat(at + name, dir_fd=handle, follow_symlinks=False)
+                        status = os.stat(name, dir_fd=handle, follow_symlinks=False)
                         if time.time() - status.st_mtime > _DEAD_AFTER_S:
-                            os.unlink(at + name, dir_fd=handle)
+                            os.unlink(name, dir_fd=handle)
 
     def clear(self, *, last: str = "") -> None:
         """Delete everything, what a killed writer left too, and one file after all others."""
-        with suppress(FileNotFoundError), self._opened() as (_, handle):
-            names = os.listdir(self.path if handle is None else handle)
-            for name in sorted(names, key=lambda name: name == last):
+        with suppress(FileNotFoundError), _own(self.path) as handle:
+            for name in sorted(os.listdir(handle), key=lambda name: name == last):
                 self.delete(name)
-
-    @contextmanager
-    def _opened(self) -> Iterator[tuple[str, int | None]]:
-        """What names in it begin with, and the handle that they are relative to."""
-        with _own(self.path) as handle:
-            yield ("" if handle is not None else f"{self.path}{os.sep}"), handle
 
 
 @contextmanager
-def _own(folder: Path) -> Iterator[int | None]:
-    """An open handle on a folder of this user alone; ``None`` where folders have none.
+def _own(folder: Path) -> Iterator[int]:
+    """An open handle on a folder of this user alone.
 
     Raises
     ------
@@ -306,17 +291,10 @@ def _own(folder: Path) -> Iterator[int | None]:
     try:
         yield handle
     finally:
-        if handle is not None:
-            os.close(handle)
+        os.close(handle)
 
 
-def _open_own(folder: Path) -> int | None:
-    if sys.platform == "win32":
-        if folder.is_symlink() or folder.is_file():
-            raise _not_own(folder)
-        if not folder.exists():
-            raise FileNotFoundError(folder)
-        return None
+def _open_own(folder: Path) -> int:
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -352,8 +330,8 @@ def _not_own(folder: Path) -> ResultError:
     )
 
 
-def _locked(folder: Path, output: Path) -> int | None:
-    """A handle that holds the lock of a folder, which is made; ``None`` where there are none."""
+def _locked(folder: Path, output: Path) -> int:
+    """A handle that holds the lock of a folder, which is made."""
     while True:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
@@ -362,8 +340,6 @@ def _locked(folder: Path, output: Path) -> int | None:
             handle = _open_own(folder)
         except FileNotFoundError:
             continue  # the run that held the lock has removed the folder
-        if handle is None:
-            return None
         locked = _lock(handle)
         if _is_still(folder, handle):
             if locked is not False:
@@ -377,7 +353,7 @@ def _locked(folder: Path, output: Path) -> int | None:
         os.close(handle)
 
 
-def _locked_new(path: Path) -> tuple[Path, int | None]:
+def _locked_new(path: Path) -> tuple[Path, int]:
     """A new folder, locked before another writer of this path takes it for a leftover."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
@@ -385,15 +361,13 @@ def _locked_new(path: Path) -> tuple[Path, int | None]:
             handle = _open_own(folder)
         except FileNotFoundError:
             continue
-        if handle is None or (_lock(handle) is not False and _is_still(folder, handle)):
+        if _lock(handle) is not False and _is_still(folder, handle):
             return folder, handle
         os.close(handle)
 
 
 def _lock(handle: int) -> bool | None:
     """Whether a folder is locked now, not by another process; ``None`` where there are no locks."""
-    if sys.platform == "win32":
-        return None  # folders cannot be locked there: leftovers stay, and do no harm
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -412,8 +386,6 @@ def _is_still(folder: Path, handle: int) -> bool:
 
 def _to_disk(path: Path) -> None:
     """Have the system write what it holds of a file, or the names in a folder."""
-    if sys.platform == "win32" and path.is_dir():
-        return  # folders cannot be opened there
     handle = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
     try:
         os.fsync(handle)

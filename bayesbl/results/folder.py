@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -119,7 +118,6 @@ _WITHOUT_MANIFEST = frozenset({RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, AUGMENTED
 _MADE_LATER = frozenset({MANIFEST_FILE, "report.html", FIGURES})
 
 _REPLACED = ".replaced"
-_BY_PATH = sys.platform == "win32"
 
 
 def is_finished(path: str | Path) -> bool:
@@ -243,13 +241,13 @@ def _own(folder: Path) -> set[str]:
         stored = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))["files"]
         files = [name for name in stored if isinstance(name, str)]
     figures = (folder / FIGURES).iterdir() if (folder / FIGURES).is_dir() else ()
-    drawn = {f"{FIGURES}/{file.name}" for file in figures if _holds_its_name(file)}
+    drawn = {
+        f"{FIGURES}/{file.name}"
+        for file in figures
+        if file.is_file() and figure_title(file.stem).encode() in file.read_bytes()
+    }
     files = {name for name in files if not name.startswith(f"{FIGURES}/")} | drawn | _MADE_LATER
     return files | {str(above) for name in files for above in PurePosixPath(name).parents}
-
-
-def _holds_its_name(file: Path) -> bool:
-    return file.is_file() and figure_title(file.stem).encode() in file.read_bytes()
 
 
 def _entries(folder: Path) -> set[str]:
@@ -267,13 +265,12 @@ def _delete(folder: Path) -> None:
     for name in (SUMMARY_FILE, RESULT_FILE):  # half a result must not pass for one
         with suppress(OSError):
             os.unlink(folder / name)
-    for root, folders, files, *handle in (os.walk if _BY_PATH else os.fwalk)(folder, topdown=False):
-        at, where = (f"{root}{os.sep}", {}) if _BY_PATH else ("", {"dir_fd": handle[0]})
+    for root, folders, files, handle in os.fwalk(folder, topdown=False):
         for remove, names in ((os.unlink, files), (os.rmdir, folders)):
             for name in names:
                 if Path(root, name).relative_to(folder).as_posix() in own - {MANIFEST_FILE}:
                     with suppress(OSError):
-                        remove(at + name, **where)
+                        remove(name, dir_fd=handle)
     for remove, place in ((os.unlink, folder / MANIFEST_FILE), (os.rmdir, folder)):
         with suppress(OSError):
             remove(place)
@@ -294,8 +291,6 @@ def _put_in_place(folder: Path, path: Path) -> None:
         return
     with held(path):
         aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_REPLACED, dir=path.parent))
-        if _BY_PATH:
-            aside.rmdir()
         path.rename(aside)
         try:
             folder.rename(path)

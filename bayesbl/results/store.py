@@ -42,26 +42,6 @@ def seal(path: Path) -> None:
         file.write(_seal_of(file, path.stat().st_size))
 
 
-def has_seal(path: Path) -> bool:
-    """Whether a file ends in a seal, right or wrong."""
-    with open(path, "rb") as file:
-        return len(_end(file)) == _BYTES and _end(file).startswith(_MARK)
-
-
-def is_intact(path: Path) -> bool:
-    """Whether a file ends in the seal of what it holds."""
-    with open(path, "rb") as file:
-        end = _end(file)
-        file.seek(0)
-        return end == _seal_of(file, path.stat().st_size - len(end))
-
-
-def _end(file: BinaryIO) -> bytes:
-    size = file.seek(0, os.SEEK_END)
-    file.seek(max(0, size - _BYTES))
-    return file.read()
-
-
 def _seal_of(file: BinaryIO, size: int) -> bytes:
     """Seal of the next ``size`` bytes."""
     digest = hashlib.sha256()
@@ -189,7 +169,13 @@ def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def _require_intact(file: Path) -> None:
-    if not has_seal(file):
+    with open(file, "rb") as stream:
+        size = max(0, stream.seek(0, os.SEEK_END) - _BYTES)
+        stream.seek(size)
+        end = stream.read()
+        stream.seek(0)
+        is_intact = end == _seal_of(stream, size)
+    if len(end) < _BYTES or not end.startswith(_MARK):
         raise ResultError(
             "This file is not a result as this version of bayesbl wrote it.",
             file=file,
@@ -198,7 +184,7 @@ def _require_intact(file: Path) -> None:
             expected="a result.nc as it was written; to make it again, `bayesbl run config.toml "
             "--force` in its folder",
         )
-    if not is_intact(file):
+    if not is_intact:
         raise ResultError(
             "The result is damaged, or was changed after it was written.",
             file=file,

@@ -339,7 +339,7 @@ def _head(key: str, content: bytes) -> bytes:
 @cache
 def _own_key() -> bytes:
     """Of this user at this machine; empty where none can be kept, as without a home folder."""
-    state = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", "")
+    state = os.environ.get("XDG_STATE_HOME", "")
     try:
         folder = PrivateFolder(
             Path(state if os.path.isabs(state) else Path.home() / ".local/state") / "bayesbl"

@@ -180,15 +180,10 @@ def run(
 
     Parameters
     ----------
-    force
-        Replace a finished result; start over where a run was left unfinished.
-    say
-        Called with sentences: what a study takes over or computes again, what a run goes on from,
-        and what a search starts from.
+    draw, force, progress, say, formats
+        As of :class:`bayesbl.runs.workflow.Options`; formats are ``"png"`` and ``"pdf"``.
     file
         Where the configuration comes from, if from a file.
-    formats
-        Of the figures: ``"png"``, ``"pdf"``, both or none.
 
     Raises
     ------

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Measure; nothing is written but finished work, and curves beside the output folder."""
-    swept = swept_benches(config)
+    swept = WorkStore.shared(config.run.output.parent / STORE)
     if config.estimator.bench is not None and swept.folder is None:
         options.say(
             f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
@@ -28,11 +28,6 @@ def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTr
     return measure(
         config, options.progress, work, options.say, swept, recordings=options.recordings
     )
-
-
-def swept_benches(config: SnapshotConfig) -> WorkStore:
-    """Where swept benches are kept, for all runs with results beside this one's."""
-    return WorkStore.shared(config.run.output.parent / STORE)
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:

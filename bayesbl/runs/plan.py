@@ -88,13 +88,7 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """
     limits, bench = config.limits, bench_from(config.bench)
     require_gap(bench, config.bench)
-    allowed = Strokes(
-        (limits.range_rad[0], limits.range_rad[1]),
-        limits.speed_rpm,
-        limits.acceleration_rpm_per_s,
-        limits.dwell_s,
-        limits.duration_s,
-    )
+    allowed = Strokes(**limits.model_dump())
     motions = ranked_motions(bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers)
     shown = any(motion.flank_changes for motion in motions)
     tree = xr.DataTree.from_dict({MOTIONS.name: _group(motions)})

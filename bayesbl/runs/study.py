@@ -100,11 +100,6 @@ class Study:
         """Unit and long name of the cases' numbers, as far as the study gives them."""
         return getattr(self.module, "COLUMNS", {})
 
-    @property
-    def has_figure(self) -> bool:
-        """Whether the study draws one of its own."""
-        return hasattr(self.module, "figure")
-
     def figure(self, table: Sequence[Table], cases: Mapping[str, xr.Dataset]) -> Figure:
         """The study's own figure."""
         with error_of(self.path, "in figure"):
@@ -420,12 +415,12 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
 
 def describe(config: StudyConfig, plan: Plan) -> None:
     """What would run, in words."""
-    plan.add("study", partial(_in_words, config))
 
+    def told() -> str:
+        study, rows = prepare(config)
+        return f"{study.path}, " + ", ".join(f'"{row.name}" {row.count} cases' for row in rows)
 
-def _in_words(config: StudyConfig) -> str:
-    study, rows = prepare(config)
-    return f"{study.path}, " + ", ".join(f'"{row.name}" {row.count} cases' for row in rows)
+    plan.add("study", told)
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
@@ -678,7 +673,7 @@ def _names_of_rows(tree: xr.DataTree) -> list[str]:
 
 def draw_study(study: Study, tree: xr.DataTree, folder: Path, formats: Sequence[str]) -> list[Path]:
     """Draw the study's own figure, if its file has one; the files written."""
-    if not study.has_figure or not formats:
+    if not hasattr(study.module, "figure") or not formats:
         return []
     figure = study.figure(*stored_rows(tree))
     folder.mkdir(parents=True, exist_ok=True)

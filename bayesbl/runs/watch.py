@@ -265,19 +265,17 @@ class _Measuring:
     def _delete(self, file: str, state: FileState, joint: str, date: str) -> None:
         """A file, if what is open under its name is to the last byte what was measured."""
         place, name = os.path.split(file)
-        folder = os.open(place, os.O_RDONLY) if os.unlink in os.supports_dir_fd else None
+        folder = os.open(place, os.O_RDONLY)
         try:
-            at = file if folder is None else name
-            flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-            with open(os.open(at, flags, dir_fd=folder), "rb") as stream:
+            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+            with open(os.open(name, flags, dir_fd=folder), "rb") as stream:
                 sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
                 now = state_of(os.fstat(stream.fileno()))
             of = {"joint": joint, "date": date, "file": file, "sha256": sha256}
             if now == state and self.table.holds_measured(**of):
-                os.unlink(at, dir_fd=folder)
+                os.unlink(name, dir_fd=folder)
         finally:
-            if folder is not None:
-                os.close(folder)
+            os.close(folder)
 
     def _before(self, job: JointJob) -> RecordingAnswer | None:
         """What the joint's recording before this one gave, where its search starts."""
