@@ -288,6 +288,9 @@ MOST_LAWS, MOST_LOOPS = 3, 4
 MOST_BESIDE = 3
 """Changes of the loop beside the laws of the lines."""
 
+LEAST = 1e-6
+"""Of a line, that a part of its law makes where a fit begins."""
+
 ROUNDS = 4
 """Of search and fit."""
 
@@ -454,32 +457,34 @@ class LoopFit:
         self,
         changes: Mapping[str, float],
         usual: Mapping[str, float],
-        sizes: FloatArray,
+        parts: Sequence[Sequence[int]],
         share: float,
     ) -> LoopFit:
-        """Changes and all sizes that are not 0, fitted from here.
+        """Changes and sizes, fitted from here.
 
         Parameters
         ----------
         usual
             Standard deviation beforehand of changes that are hypotheses.
-        sizes
-            As :attr:`sizes`.
+        parts
+            Of every order's law.
         share
             Of its power that a line is off its law by.
         """
         lines, names = self.lines, list(changes)
-        every = [(k, part) for k, row in enumerate(sizes) for part in np.flatnonzero(row).tolist()]
+        every = [(k, part) for k, chosen in enumerate(parts) for part in chosen]
         places = tuple(np.array(every, dtype=int).reshape(-1, 2).T)
-        units = np.concatenate([np.ones(len(names)), np.abs(sizes[places])])
+        laws = law_powers(self.changed(changes), lines.orders, lines.speeds)
+        one = np.abs(lines.measured).max(axis=0)[:, None] / np.abs(laws).max(axis=0)
+        units = np.concatenate([np.ones(len(names)), one[places]])
         for i, name in enumerate(names):
             units[i] = abs(changes[name]) if name in LOOP_EFFECTS else 1.0
         sd = np.hypot(lines.sd(self.expected), share * self.expected)
-        kept = lines.shown & sizes.any(axis=1)
+        kept = lines.shown & np.array([bool(chosen) for chosen in parts])
         beside, sds = frozenset(usual), np.array([{**self.priors, **usual}[n] for n in names])
 
         def unpacked(x: FloatArray) -> tuple[dict[str, float], FloatArray]:
-            own = np.zeros_like(sizes)
+            own = np.zeros((len(parts), 3))
             own[places] = (x * units)[len(names) :]
             return dict(zip(names, (x * units).tolist(), strict=False)), own
 
@@ -487,12 +492,14 @@ class LoopFit:
             left = (lines.power - self.power(*unpacked(x))) / sd
             return np.concatenate([(x * units)[: len(names)] / sds, left[kept]])
 
+        sizes = self.sizes_with(changes, parts)
         start = np.concatenate([[changes[n] for n in names], sizes[places]]) / units
         signed = [name not in LOOP_EFFECTS for name in names] + [part == BOTH for _, part in every]
         low = np.where(signed, -np.inf, 0.0)
         if not start.size:
             return replace(self, changes={}, beside=beside, sizes=sizes, deviations={})
-        found = least_squares(misfit, np.maximum(start, low), bounds=(low, np.inf), x_scale="jac")
+        start = np.maximum(start, low + LEAST)
+        found = least_squares(misfit, start, bounds=(low, np.inf), x_scale="jac")
         covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
         spread = np.sqrt(np.diag(covariance)) * units
         keys: list[object] = [*names, *every]
@@ -674,9 +681,8 @@ class LoopSearch:
         for hypothesis in chosen:
             if hypothesis.place is not None and hypothesis.name != TIME:
                 parts[hypothesis.place].append(hypothesis.part)
-        sizes = fit.sizes_with(changes, parts)
         usual = {name: self._usual(name) for name in beside}
-        return fit.in_full(changes, usual, sizes, self.share)
+        return fit.in_full(changes, usual, parts, self.share)
 
     @cached_property
     def sets(self) -> list[FittedSet]:
