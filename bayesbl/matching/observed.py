@@ -480,8 +480,9 @@ def marginalising_motor_lines(seen: Observed, bench: Bench) -> Observed:
         return seen
     # As many turns as the load's rotations have: an error of the mean speed adds up over them.
     speed = np.where(seen.compared, seen.signals[0], seen.signals[0][seen.compared].mean())
-    whole = speed.size // seen.lag * seen.lag
-    turns = np.cumsum(speed / speed[:whole].mean()) * ratio / seen.lag
+    rotation = seen.rotation_period_s * seen.sampling_hz
+    whole = round(speed.size // rotation * rotation)
+    turns = np.cumsum(speed / speed[:whole].mean()) * ratio / rotation
     return replace(seen, motor_lines=MotorLines(turns, seen.compared))
 
 

@@ -62,6 +62,8 @@ def test_a_load_that_turns_with_the_motor_keeps_its_lines(independent) -> None:
     believed = {info.name: bench.value(info.name) for info in BENCH_PARAMETERS}
     joint = independent.plant(believed, gap_rad=8e-4, start_angle_rad=0.0)
     seen = observed(independent.simulate(joint, rng, name="a").recording, bench)
-    assert marginalising_motor_lines(seen, bench).motor_lines is not None
+    lines = marginalising_motor_lines(seen, bench).motor_lines
+    rotations = seen.samples / (seen.rotation_period_s * seen.sampling_hz)
+    assert lines.turns[-1] == pytest.approx(rotations * bench.value("gear_ratio"), rel=1e-3)
     direct = bench.with_parameters(gear_ratio=0.9 * FEWEST_MOTOR_TURNS)
     assert marginalising_motor_lines(seen, direct).motor_lines is None
