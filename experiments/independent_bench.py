@@ -174,6 +174,7 @@ class Plant(NamedTuple):
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
     outside__loop_counts: float = 0.0  # in a turn, of the encoder that a digital controller has
+    outside__loop_filter: float = 1.0  # share of a new speed that its filter passes at each tick
 
 
 TYPICAL: Mapping[str, Mapping[str, float]] = {
@@ -280,7 +281,7 @@ def _work(step, each, y, p, phase, asked):
     if p.outside__loop_counts > 0.0:
         count = 2.0 * math.pi / p.outside__loop_counts
         angle = count * math.floor(angle / count)
-    y[LAST_SPEED] = (angle - y[LAST_ANGLE]) / period
+    y[LAST_SPEED] += p.outside__loop_filter * ((angle - y[LAST_ANGLE]) / period - y[LAST_SPEED])
     y[LAST_ANGLE] = angle
     error = asked[0] - y[LAST_SPEED] + p.position_gain_per_s * (asked[1] - angle)
     limit = p.torque_constant_nm_per_a * p.current_limit_a

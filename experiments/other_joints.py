@@ -6,7 +6,9 @@ A case is a joint of ``independent_bench.py`` with a part that its data sheet do
 an elastic arm, a base that gives way, a gap that varies over the load's angle, a second gap,
 a contact that stiffens with its load or begins softly,
 something that shakes it, noise that is louder around impacts, impacts that are unlike, another
-speed, another gravity, a fieldbus, a digital loop. Parameters lie within a fifth of the reference
+speed, another gravity, a fieldbus, a digital loop, a drive as it is built (a digital loop that filters the
+speed of its encoder, friction on both sides, cogging; what the sheet says of it is the period of
+its loop). Parameters lie within a fifth of the reference
 bench; the data sheet is off by up to ``sheet_off`` in each. As a user would: files, then
 ``compare`` of two recordings between which the gap grew by a quarter. Only the package's public
 functions are used, and both routes are looked at.
@@ -35,7 +37,7 @@ from independent_bench import CHANNELS, Noise, plant, simulate
 from outside_noise import around_impacts, unlike_impacts
 
 import bayesbl
-from bayesbl.bench.bench import Bench, BenchParameter
+from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.bench.steady import contact_rates
 from bayesbl.config.bench import dump_bench, reference_bench
@@ -57,6 +59,7 @@ HEAVIER = 1.05
 FIELDBUS_HZ, FIELDBUS_JITTER_S = 250.0, 4e-4
 EXCESS = (0.03, 0.5)
 EDGE_SHARE = (3e-3, 5e-2)
+LOOP_PERIODS_S = (1.25e-4, 2.5e-4, 5e-4)
 QUIET = Noise(0.3, 0.6, 0.02)
 FINE_HZ = 4000.0
 
@@ -77,6 +80,7 @@ Structure = Literal[
     "heavier",
     "fieldbus",
     "differentiated encoder",
+    "drive",
 ]
 
 
@@ -177,6 +181,22 @@ def _soft(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]
     return {"outside__edge_rad": windup * math.exp(rng.uniform(*np.log(EDGE_SHARE)))}
 
 
+def _drive(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]:
+    gravity = joint.value("gravity_torque_nm")
+    at_motor, speed = gravity / joint.value("gear_ratio"), SPEED_RPM * math.tau / 60.0
+    dry, viscous, at_load = rng.uniform(0.0, [0.06, 0.06, 0.05])
+    return {
+        "sampled_control__period_s": rng.choice(LOOP_PERIODS_S),
+        "outside__loop_counts": float(2 ** rng.integers(14, 21)),
+        "outside__loop_filter": rng.uniform(0.3, 1.0),
+        "outside__lugre_nm": dry * at_motor,
+        "motor_viscous_friction__coefficient_nm_s_per_rad": viscous * at_motor / speed,
+        "outside__load_coulomb_nm": at_load * gravity,
+        "outside__ripple_nm": rng.uniform(0.0, 0.01) * at_motor,
+        "outside__ripple_order": float(rng.choice([4, 6, 10])),
+    }
+
+
 PARTS: Mapping[str, Callable[[Bench, float, np.random.Generator], dict[str, float]]] = {
     "none": lambda joint, hz, rng: {},
     "belt": _belt,
@@ -192,6 +212,7 @@ PARTS: Mapping[str, Callable[[Bench, float, np.random.Generator], dict[str, floa
         "sampled_control__period_s": 1e-3,
         "outside__loop_counts": 16384.0,
     },
+    "drive": _drive,
 }
 
 
@@ -223,6 +244,9 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     sheet = data_sheet(joint, row.sheet_off, rng)
     hz = math.exp(rng.uniform(*np.log([row.low_hz, row.high_hz]))) if row.low_hz else math.nan
     part = PARTS.get(row.structure, PARTS["none"])(joint, hz, rng)
+    if row.structure == "drive":
+        period = EffectParameterValue(part["sampled_control__period_s"])
+        sheet = sheet.with_effects(BenchEffect("sampled_control", {"period_s": period}))
     if row.structure == "heavier":
         part["gravity_torque_nm"] = HEAVIER * joint.value("gravity_torque_nm")
     gap = math.exp(rng.uniform(*np.log(GAP_RAD)))
