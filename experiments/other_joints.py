@@ -6,9 +6,9 @@ A case is a joint of ``independent_bench.py`` with a part that its data sheet do
 an elastic arm, a base that gives way, a gap that varies over the load's angle, a second gap,
 a contact that stiffens with its load or begins softly,
 something that shakes it, noise that is louder around impacts, impacts that are unlike, another
-speed, another gravity, a fieldbus, a digital loop, a drive as it is built (a digital loop that filters the
-speed of its encoder, friction on both sides, cogging; what the sheet says of it is the period of
-its loop). Parameters lie within a fifth of the reference
+speed, another gravity, a fieldbus, a digital loop. A *drive* has friction on both sides, cogging,
+and a digital loop that filters the speed of its encoder; its sheet gives the loop's period only.
+Parameters lie within a fifth of the reference
 bench; the data sheet is off by up to ``sheet_off`` in each. As a user would: files, then
 ``compare`` of two recordings between which the gap grew by a quarter. Only the package's public
 functions are used, and both routes are looked at.
