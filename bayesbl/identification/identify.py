@@ -33,6 +33,7 @@ from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
 from bayesbl.matching.signals import GAP
 from bayesbl.matching.standstill import believed, in_motion
+from bayesbl.model_search.always_in import laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, OrderPeak, candidates, order_peaks
 from bayesbl.model_search.closed_loop import FittedSet, Naming, name_missing, weighed
 from bayesbl.model_search.constants import NAMED_AT
@@ -151,14 +152,17 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     match = _match(problem, progress)
-    check = tuple(disagreements(match.final.fit))
+    fit, rest = settled(match.final.fit, laws(match.final.fit.model.bench))
+    match = replace(match, final=replace(match.final, fit=fit))
+    check = tuple(disagreements(rest.explained(fit)))
     verdict: Verdict = "agrees" if agrees(check) else "unexplained"
     if match.missing:
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
     posterior = sample_direct(match.final.fit, sampler, seed, drawing, simulating)
-    # As wide as impacts that are not alike ask for.
-    posterior = widened(posterior, *seed.spawn(1))
+    for_impacts, for_laws = seed.spawn(2)
+    # As wide as impacts that are not alike ask for, and laws that nothing shows.
+    posterior = marginalised(widened(posterior, for_impacts), rest, for_laws)
     return Identification(
         match.nominal,
         match.final,
@@ -185,6 +189,7 @@ def _match(problem: Problem, progress: StageProgress | None) -> Match:
     naming = name_missing(
         nominal.fit,
         partial(_hypotheses, problem, nominal),
+        among=laws(nominal.fit.model.bench),
         progress=of_stage(progress, "Naming what is missing"),
     )
     if naming.repeats and not far_off:
