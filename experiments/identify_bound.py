@@ -40,11 +40,11 @@ from identify import (
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import strokes
 from bayesbl.config.bench import reference_bench
-from bayesbl.identification.problem import parameter_unknown
 from bayesbl.matching.least_squares import fit_at
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.planning import noise_of_bench
 from bayesbl.matching.signals import (
+    tolerance_unknowns,
     SimulatedSignals,
     gap_unknown,
     reference_delay_unknown,
@@ -102,7 +102,7 @@ def information(sheet: Bench, joint: Bench, gap_rad: float, seen: Observed) -> F
     names = list(sheet.tolerances)
     moves = seen.motion is not None
     own = [start_angle_unknown("r"), *([reference_delay_unknown("r")] if moves else [])]
-    shared = [*(parameter_unknown(sheet, name) for name in names), gap_unknown(1e-5, 1e-1)]
+    shared = [*tolerance_unknowns(sheet), gap_unknown(1e-5, 1e-1)]
     model = SimulatedSignals(sheet, [seen], [*shared, *own], [NOISE])
     start = STROKES_RAD[0] if moves else START_ANGLE_RAD
     there = [*(math.log(joint.value(name)) for name in names), math.log(gap_rad), start]
@@ -144,7 +144,7 @@ def bounds_of(index: int) -> dict[str, FloatArray]:
     joint = random_joint(rng)
     sheet, _ = data_sheet(joint, 0.0, rng)
     gap_rad = math.exp(rng.uniform(*np.log(GAP_RAD)))
-    prior_sd = np.array([parameter_unknown(sheet, name).prior_sd for name in sheet.tolerances])
+    prior_sd = np.array([u.prior_sd for u in tolerance_unknowns(sheet)])
     each: dict[float | str, FloatArray] = {
         speed: information(sheet, joint, gap_rad, turning(joint, speed)) for speed in SIX
     }

@@ -374,11 +374,6 @@ class JointNormal:
         i = self.names.index(name)
         return float(np.sqrt(self.covariance[i, i]))
 
-    def range(self, name: str, value: float) -> tuple[float, float, float]:
-        """Lowest, middle and highest logarithm that a parameter of this value may have."""
-        middle, reach = math.log(value), FURTHEST * self.sd(name)
-        return middle - reach, middle, middle + reach
-
     def whitening(self, names: Sequence[str]) -> FloatArray:
         """W with Wᵀ W the inverse covariance of these parameters' logarithms, shape (n, n)."""
         index = [self.names.index(name) for name in names]

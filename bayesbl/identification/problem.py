@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -14,6 +13,7 @@ from bayesbl.matching.signals import (
     gap_unknown,
     reference_delay_unknown,
     start_angle_unknown,
+    tolerance_unknowns,
 )
 
 
@@ -52,18 +52,5 @@ class Problem:
             *(start_angle_unknown(name) for name in names),
             *(reference_delay_unknown(r.name) for r in self.used if r.motion is not None),
             *effect_unknowns(self.bench, names),
-            *(parameter_unknown(self.bench, name) for name in self.parameters),
+            *(u for u in tolerance_unknowns(self.bench) if u.name in self.parameters),
         ]
-
-
-def parameter_unknown(bench: Bench, name: str) -> Unknown:
-    """A parameter uniform within its tolerance, by its logarithm where all of it is above zero.
-
-    What no recording can show, such as all torques and the torque constant times one factor, is a
-    straight line among logarithms, however wide the tolerances.
-    """
-    value, half = bench.value(name), bench.tolerances[name]
-    if value <= half:
-        return Unknown(name, value - half, value + half)
-    low, high = math.log(value - half), math.log(value + half)
-    return Unknown(name, low, high, logarithmic=True, flat_in_value=True)

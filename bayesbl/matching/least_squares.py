@@ -317,7 +317,7 @@ def _objective(model: SimulatedSignals, point: FloatArray, residual: FloatArray)
 def prior_pull(model: SimulatedSignals, point: FloatArray) -> FloatArray:
     """Slope of the log prior at a point, shape (d,), flat priors left out."""
     prior = model.normal_prior
-    return np.asarray(model.prior_slope - prior.precision @ (point - prior.centre))
+    return np.asarray(-prior.precision @ (point - prior.centre))
 
 
 def _bounded_step(

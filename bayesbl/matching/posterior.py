@@ -21,6 +21,7 @@ from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
+from bayesbl.probabilities import chi2_sf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.sampling.chains import (
@@ -67,8 +68,10 @@ LARGEST_FAILED_SHARE = 0.01
 TAILS = (0.05, 0.95)
 MATTERS = 0.2
 """Share of an interval by which an error moves δ or its change too far to be left unsaid."""
-PRESSED_BY_CHANCE = 0.01
-"""Share of true values within a tolerance that leave the draws so pressed at a given edge of it."""
+CONTRADICTED_BY_CHANCE = 0.01
+"""Share of true values that contradict by chance what is believed of them."""
+
+Side = Literal["lower", "upper"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,22 +143,17 @@ class DirectPosterior:
 
         ``recording``: ``None`` for the one gap that all recordings share.
 
-        Where a parameter lies at the edge of its tolerance, its true value may lie beyond. If half
-        the tolerance more, or what is left above zero, would move δ, by the regression of δ on the
-        parameter, further than half its interval, the tolerance and not the recording decides δ.
+        Where the recordings contradict a tolerance, or a range, the true value may lie beyond. If
+        the value without it would move δ, by the regression of δ on the parameter, further than
+        half its interval, the tolerance and not the recording decides δ.
         """
         model = self.fit.model
         gap = self.values(GAP, recording).ravel()
         low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-        for i, side, _ in _at_edges(model, self.draws):
+        for i, side, reach, _ in _contradicted(model, self.draws):
             unknown, own = model.unknowns[i], self.draws[..., i].ravel()
             variance = float(own.var(ddof=1))
             slope = float(np.cov(own, gap)[0, 1]) / variance if variance > 0.0 else 0.0
-            reach = 0.5 * (unknown.high - unknown.low)
-            info = PARAMETER_INFO.get(unknown.name)
-            positive = unknown.low > 0.0 and not (info is not None and info.signed)
-            if side == "lower" and positive and not unknown.logarithmic:
-                reach = min(reach, unknown.low)  # and no further: nothing of it is below zero
             shift = abs(slope) * reach
             if shift > 0.5 * (high - low):
                 effect, dot, parameter = unknown.name.partition("__")
@@ -165,8 +163,8 @@ class DirectPosterior:
                 else:
                     width, mend = "tolerance", "Correct the bench file, or widen this tolerance."
                 return (
-                    f"δ depends on {effect}{'.' if dot else ''}{parameter}, which lies at the "
-                    f"{side} edge of the {width}: half as much again would move δ by "
+                    f"δ depends on {effect}{'.' if dot else ''}{parameter}, which lies beyond the "
+                    f"{side} edge of the {width}: that could move δ by "
                     f"{1e3 * shift:.2g} mrad, further than its interval. {mend}"
                 )
         return None
@@ -510,38 +508,55 @@ def _judge(
         diagnostics = replace(
             diagnostics, outcome="withheld", reasons=(*failures, *diagnostics.reasons)
         )
-    edges = tuple(sentence for _, _, sentence in _at_edges(model, draws))
+    edges = tuple(sentence for *_, sentence in _contradicted(model, draws))
     if edges and diagnostics.outcome == "converged":
         diagnostics = replace(diagnostics, outcome="usable")
     return replace(diagnostics, reasons=(*diagnostics.reasons, *edges))
 
 
-def _at_edges(
+def _contradicted(
     model: SimulatedSignals, draws: FloatArray
-) -> Iterator[tuple[int, Literal["lower", "upper"], str]]:
-    """Index, side and a sentence for each bench parameter that is pressed against its tolerance.
+) -> Iterator[tuple[int, Side, float, str]]:
+    """Each unknown of which the recordings contradict what is believed of it.
 
-    A true value near an edge is no fault: tolerances are uniform. One beyond it shows in how the
-    draws crowd there.
+    Index, side, how much further it would be without that, in its coordinate, and a sentence.
+
+    Of a normal prior with standard deviation s, the mean of the posterior is off its centre with
+    a variance of s² − v, v that of the posterior. A flat one is contradicted where the draws crowd
+    at its edge; its true value is then taken to be half the range further, or at zero.
     """
+    precision = model.normal_prior.precision
     for i, unknown in enumerate(model.unknowns):
         if unknown.name == GAP or not math.isfinite(unknown.high - unknown.low):
             continue
         own = draws[..., i].ravel()
-        edges: tuple[tuple[Literal["lower", "upper"], float], ...] = (
-            ("lower", unknown.low),
-            ("upper", unknown.high),
-        )
-        for side, edge in edges:
-            chance = chance_at_edge(np.abs(own - edge), unknown.high - unknown.low)
-            if chance < PRESSED_BY_CHANCE:
-                low, high = unknown.value(np.array([unknown.low, unknown.high]))
-                yield (
-                    i,
-                    side,
-                    f"{unknown.label} lies at the {side} edge of its tolerance "
-                    f"({low:.4g} to {high:.4g}): its true value may lie beyond.",
-                )
+        low, high = unknown.low, unknown.high
+        sides: dict[Side, float] = {}
+        if math.isfinite(unknown.sd):
+            believed = unknown.sd**2
+            low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
+            off, variance = float(own.mean()) - unknown.centre, float(own.var(ddof=1))
+            told = max(believed - variance, 1e-12 * believed)
+            if chi2_sf(off**2 / told, 1.0) < CONTRADICTED_BY_CHANCE / len(precision):
+                sides["upper" if off > 0.0 else "lower"] = abs(off) * variance / told
+        else:
+            info = PARAMETER_INFO.get(unknown.name)
+            positive = low > 0.0 and not (info is not None and info.signed)
+            reach = 0.5 * (high - low)
+            edges: tuple[tuple[Side, float], ...] = (("lower", low), ("upper", high))
+            for side, edge in edges:
+                if chance_at_edge(np.abs(own - edge), high - low) < CONTRADICTED_BY_CHANCE:
+                    below = side == "lower" and positive and not unknown.logarithmic
+                    sides[side] = min(reach, low) if below else reach
+        for side, reach in sides.items():
+            ends = unknown.value(np.array([low, high]))
+            yield (
+                i,
+                side,
+                reach,
+                f"{unknown.label} lies beyond the {side} edge of its tolerance "
+                f"({ends[0]:.4g} to {ends[1]:.4g}).",
+            )
 
 
 def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Sequence[str]:

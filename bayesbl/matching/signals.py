@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import after, effect_named, lateness_rad, without_ticks
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import PARAMETER_INFO, largest
+from bayesbl.bench.parameters import FURTHEST, PARAMETER_INFO, largest
 from bayesbl.matching.as_observed import accuracy_rpm, continued, in_whole_ticks, repeats, simulated
 from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
@@ -75,8 +75,6 @@ class Unknown:
     added
         The value is added to what the recording has without it: to the bench's value as it is, to
         another in proportion.
-    flat_in_value
-        The prior is uniform in the value, not in its logarithm.
     """
 
     name: str
@@ -87,7 +85,6 @@ class Unknown:
     recording: str | None = None
     logarithmic: bool = False
     added: bool = False
-    flat_in_value: bool = False
     offset: float = 0.0
 
     @property
@@ -160,15 +157,24 @@ def reference_delay_unknown(recording: str) -> Unknown:
 
 
 def tolerance_unknowns(bench: Bench) -> list[Unknown]:
-    """Every bench parameter not known exactly: uniform within its tolerance, or as identified."""
+    """Every bench parameter not known exactly: as identified, or within its tolerance.
+
+    A tolerance is a normal prior with the standard deviation of a uniform one, as a sheet's values
+    lie a little beyond theirs now and then: of the logarithm, because what no recording shows, such
+    as one factor on all torques and the torque constant, is a straight line among logarithms.
+    A value that may be zero is uniform within its tolerance.
+    """
     unknowns, joint = [], bench.identified
     for name, half in bench.tolerances.items():
         value = bench.value(name)
-        if joint is None or name not in joint.names:
+        known = joint is not None and name in joint.names
+        if not known and half >= value:
             unknowns.append(Unknown(name, value - half, value + half))
-        else:
-            low, middle, high = joint.range(name, value)
-            unknowns.append(Unknown(name, low, high, middle, joint.sd(name), logarithmic=True))
+            continue
+        sd = joint.sd(name) if joint is not None and known else half / value / math.sqrt(3.0)
+        middle, reach = math.log(value), FURTHEST * sd
+        low, high = middle - reach, middle + reach
+        unknowns.append(Unknown(name, low, high, middle, sd, logarithmic=True))
     return unknowns
 
 
@@ -243,8 +249,6 @@ class SimulatedSignals:
         Whitened channels of each recording, from another comparison under the same noise.
     normal_prior
         Of the unknowns that have one.
-    prior_slope
-        Slope of the log prior beside it, 1 where flat in the value, (d,).
 
     Raises
     ------
@@ -273,7 +277,6 @@ class SimulatedSignals:
             [u.name if u.recording is None and not u.added else None for u in self.unknowns],
             self.bench.identified,
         )
-        self.prior_slope = np.array([float(u.flat_in_value) for u in self.unknowns])
         self._white_recordings = white_recordings or [
             n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
         ]
@@ -496,13 +499,13 @@ class SimulatedSignals:
         points = np.atleast_2d(points)
         inside = np.all((points >= self.low) & (points <= self.high), axis=1)
         density = self.normal_prior.log_density(points)
-        return np.where(inside, density + points @ self.prior_slope, -np.inf)
+        return np.where(inside, density, -np.inf)
 
     def log_priors(self, points: FloatArray) -> FloatArray:
         """Log prior density of each unknown's value, up to constants, (m, d) to (m, d)."""
         of_value = np.array([float(u.logarithmic) for u in self.unknowns])
         densities = self.normal_prior.log_densities(points)
-        return np.asarray(densities + points * (self.prior_slope - of_value))
+        return np.asarray(densities - points * of_value)
 
     def prior_draws(self, count: int, generator: np.random.Generator) -> FloatArray:
         """Draws of the prior, shape (count, d); of an angle without one, anywhere in a turn."""
@@ -510,10 +513,6 @@ class SimulatedSignals:
         endless = ~np.isfinite(high - low)
         flat_low, flat_high = np.where(endless, 0.0, low), np.where(endless, 2.0 * np.pi, high)
         points = generator.uniform(flat_low, flat_high, (count, low.size))
-        for i, unknown in enumerate(self.unknowns):
-            if unknown.flat_in_value:
-                first, last = unknown.value(np.array([flat_low[i], flat_high[i]])).tolist()
-                points[:, i] = np.log(generator.uniform(first, last, count))
         precision = self.normal_prior.precision
         normal = np.flatnonzero(np.diag(precision) > 0.0)
         if normal.size:
