@@ -44,11 +44,11 @@ from bayesbl.matching.least_squares import fit_at
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.planning import noise_of_bench
 from bayesbl.matching.signals import (
-    tolerance_unknowns,
     SimulatedSignals,
     gap_unknown,
     reference_delay_unknown,
     start_angle_unknown,
+    tolerance_unknowns,
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.runs.study import seed_of_case
