@@ -371,9 +371,11 @@ def fit_jointly(
         if agrees(check, FALSE_ALARM):
             return own, beside_own, changed_beside(own, changing, elastic), check
     seeking = of_stage(progress, f"Seeking changes in {name}")
-    fit, joint = find_changes(fit, among=among, progress=seeking)
+    fit, joint, unnamed = find_changes(fit, among=among, progress=seeking)
     rest = beside(fit, among)
     check = disagreements(rest.explained(fit) if joint.explained else fit)
+    if not joint.explained and unnamed is not None:
+        rest = replace(rest, posterior=unnamed)
     return fit, rest, joint, check
 
 

@@ -40,6 +40,7 @@ from bayesbl.model_search.constants import (
     UNEXPLAINED_SHARE,
 )
 from bayesbl.model_search.linear import (
+    DiscrepancyGroup,
     Linearised,
     MisfitBand,
     ModelPosterior,
@@ -160,6 +161,8 @@ class Naming:
         Whether something repeats that nothing explains.
     nearest
         The most probable set, where it explains too little to be named.
+    unnamed
+        Where something repeats, what it leaves open: see :func:`name_missing`.
     """
 
     nominal: Explanation
@@ -168,6 +171,7 @@ class Naming:
     sets: tuple[tuple[FittedSet, float], ...]
     repeats: bool
     nearest: Explanation | None = None
+    unnamed: ModelPosterior | None = None
 
     @property
     def alone(self) -> list[FittedSet]:
@@ -205,6 +209,10 @@ def name_missing(
 ) -> Naming:
     """The posterior over sets of candidates, and the names that it gives.
 
+    What no set explains is a law that no catalogue has. It is taken for a sum of all those that it
+    has, each of its usual size times one factor that is learned, and of anything that repeats,
+    alike over a band of load orders.
+
     Parameters
     ----------
     candidates
@@ -217,7 +225,8 @@ def name_missing(
     """
     posterior = _Search(Explanation((), nominal_fit), candidates, max_effects, among, progress)
     posterior.climb()
-    return posterior.answer()
+    naming = posterior.answer()
+    return replace(naming, unnamed=posterior.unnamed()) if naming.repeats else naming
 
 
 class _Search:
@@ -322,6 +331,16 @@ class _Search:
             effects=tuple(effects),
             repeats=not effects and not self.nominal.explains_all,
         )
+
+    def unnamed(self) -> ModelPosterior:
+        """All laws at once beside the bench as believed."""
+        nominal = self.nominal.explanation.with_derivatives()
+        view, _ = self._linearised(nominal, tuple(self._open(nominal)))
+        laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
+        columns = np.hstack([view.discrepancy, *laws])
+        group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
+        always = [t for t in view.terms if t.always]
+        return search(replace(view, terms=always, discrepancy=columns, groups=[group]), None, 0)
 
     def _is_unexplained(self, own: FittedSet) -> bool:
         """What no hypothesis holds is more than a share of the disagreement."""

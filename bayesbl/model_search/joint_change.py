@@ -26,6 +26,7 @@ from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, OrderPeak, candidates
 from bayesbl.model_search.closed_loop import name_missing
+from bayesbl.model_search.linear import ModelPosterior
 from bayesbl.model_search.refit import Explanation, columns_of, with_own_noise
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
@@ -191,7 +192,7 @@ def find_changes(
     *,
     among: Sequence[Direction] = (),
     progress: Progress = silent,
-) -> tuple[SimulatedFit, JointFindings]:
+) -> tuple[SimulatedFit, JointFindings, ModelPosterior | None]:
     """What the bench would have to have, in all recordings or in one, to explain them.
 
     Parameters
@@ -205,7 +206,8 @@ def find_changes(
 
     Returns
     -------
-    The fit with what changed freed, or the nominal one where nothing did or nothing explains it.
+    The fit with what changed freed, or the nominal one where nothing did or nothing explains it;
+    what that leaves open.
     """
     naming = name_missing(
         nominal,
@@ -232,7 +234,7 @@ def find_changes(
         ),
         tuple(blind_spots(fit, among)) if explained else (),
     )
-    return fit, findings
+    return fit, findings, naming.unnamed
 
 
 def changed_beside(

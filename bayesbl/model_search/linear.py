@@ -795,10 +795,16 @@ class ModelPosterior:
                 noise = own_generator.standard_normal((count, block.shape[0]))
                 sizes[rows, grams.place_free] = centre[:, grams.d :] + noise @ root.T
             inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
+            # Rows that are known less well leave u more open than draws without it are.
+            values, vectors = np.linalg.eigh(inverse_u - grams.inverse_u)
+            wider = own_generator.standard_normal((count, grams.d)) * np.sqrt(
+                np.maximum(values, 0.0)
+            )
             signal = sizes[rows][:, grams.place] @ base.cross[: grams.d, : grams.k].T
             signal += h[rows] @ base.cross[: grams.d, grams.k :].T
             signal += sizes[rows][:, grams.place_free] @ base.nuisance_gram[grams.d :, : grams.d]
-            shift[rows] = (base.nuisance_pull[: grams.d] - signal) @ inverse_u - unshifted
+            centre = (base.nuisance_pull[: grams.d] - signal) @ inverse_u
+            shift[rows] = centre + wider @ vectors.T - unshifted
         order = generator.permutation(n)
         return Draws(sizes[order], h[order] * grams.scale_of_column, shift[order])
 
