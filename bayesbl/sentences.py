@@ -102,19 +102,51 @@ def repeats_beyond_noise(
     channels: Sequence[str],
     is_motion: bool,
 ) -> str:
-    """Simulation and recording disagree."""
+    """Simulation and recording disagree, and δ is withheld."""
+    where, look = _disagreement(channel, recording, highest_order, ratio, channels, is_motion)
+    return (
+        f"Simulation and recording disagree beyond noise, so δ cannot be trusted: {where}. The "
+        f"bench file lacks an effect or has wrong values; {look}"
+    )
+
+
+def allows_for_misfit(
+    channel: str,
+    recording: str,
+    highest_order: int,
+    ratio: float,
+    channels: Sequence[str],
+    is_motion: bool,
+    times: float,
+) -> str:
+    """They disagree, and the interval of δ includes what that may do to it."""
+    where, look = _disagreement(channel, recording, highest_order, ratio, channels, is_motion)
+    return (
+        f"Simulation and recording disagree beyond noise: {where}. The bench lacks something that "
+        f"may move δ, and the interval is {times:.2g} times wider for it; {look}"
+    )
+
+
+def _disagreement(
+    channel: str,
+    recording: str,
+    highest_order: int,
+    ratio: float,
+    channels: Sequence[str],
+    is_motion: bool,
+) -> tuple[str, str]:
+    """Where it is, and how to find what is missing."""
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part, look = "that repeats every rotation", "`bayesbl diagnose` looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
         part = "of the residual"
         look = "`bayesbl identify` of some recordings, with --effects catalogue, finds which."
-    return (
-        "Simulation and recording disagree beyond noise, so δ cannot be trusted: in "
-        f"{channel} of {recording}, {which}, the part {part} has {ratio:.3g} times the power "
-        f"expected from noise (disagreement in {', '.join(channels)}). The bench file lacks an "
-        f"effect or has wrong values; {look}"
+    where = (
+        f"in {channel} of {recording}, {which}, the part {part} has {ratio:.3g} times the power "
+        f"expected from noise (disagreement in {', '.join(channels)})"
     )
+    return where, look
 
 
 def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
@@ -332,6 +364,7 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
     ),
     "repeats_beyond_noise": repeats_beyond_noise,
+    "allows_for_misfit": allows_for_misfit,
     # Of a change.
     "change_without_drift": lambda: (
         "The change by the amplitude does not include what [joint] may_drift allows, so it is "

@@ -162,7 +162,7 @@ def _answered(
     rivals: Sequence[Rival] = ()
     withheld, told = False, any(u.added for u in fit.model.unknowns)
     if not agrees(disagreements(rest.explained(fit)), FALSE_ALARM):
-        fit, joint_findings = find_changes(fit, among=among)
+        fit, joint_findings, _ = find_changes(fit, among=among)
         rest = beside(fit, among)
         rivals, told = joint_findings.rivals, bool(joint_findings.changed)
         withheld = joint_findings.against_bench or not joint_findings.explained

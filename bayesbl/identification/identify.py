@@ -33,10 +33,11 @@ from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
 from bayesbl.matching.signals import GAP
 from bayesbl.matching.standstill import believed, in_motion
-from bayesbl.model_search.always_in import laws, marginalised, settled
+from bayesbl.model_search.always_in import is_useful, laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, OrderPeak, candidates, order_peaks
 from bayesbl.model_search.closed_loop import FittedSet, Naming, name_missing, weighed
 from bayesbl.model_search.constants import NAMED_AT
+from bayesbl.model_search.linear import ModelPosterior
 from bayesbl.model_search.refit import (
     Explanation,
     from_afar,
@@ -115,6 +116,8 @@ class Match:
         Effects that the bench lacks, by name, each with those it cannot be told from.
     doubtful
         Values that may be wrong, too improbable to be named; ``None`` without any.
+    unnamed
+        What nothing explains leaves open beside the final match; ``None`` where all is explained.
     """
 
     nominal: Explanation
@@ -122,6 +125,7 @@ class Match:
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
     doubtful: DoubtfulValues | None = None
+    unnamed: ModelPosterior | None = None
 
     @property
     def completed(self) -> bool:
@@ -131,11 +135,16 @@ class Match:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification(Match):
-    """What the recordings say; ``check``: what still repeats."""
+    """What the recordings say.
+
+    ``check``: what still repeats; ``allows_for_misfit``: gap and bench include what a law that
+    nothing names may do to them.
+    """
 
     verdict: Verdict
     check: tuple[RepeatingPower, ...]
     posterior: DirectPosterior
+    allows_for_misfit: bool = False
 
 
 def identify(
@@ -153,8 +162,12 @@ def identify(
     """
     match = _match(problem, progress)
     fit, rest = settled(match.final.fit, laws(match.final.fit.model.bench))
-    match = replace(match, final=replace(match.final, fit=fit))
     check = tuple(disagreements(rest.explained(fit)))
+    allows = False
+    if not agrees(check) and match.unnamed is not None and fit is match.final.fit:
+        rest = replace(rest, posterior=match.unnamed)
+        allows = is_useful(fit, rest)
+    match = replace(match, final=replace(match.final, fit=fit))
     verdict: Verdict = "agrees" if agrees(check) else "unexplained"
     if match.missing:
         verdict = "missing_effect"
@@ -169,9 +182,11 @@ def identify(
         match.beyond,
         match.missing,
         match.doubtful,
+        match.unnamed,
         verdict=verdict,
         check=check,
         posterior=posterior,
+        allows_for_misfit=allows,
     )
 
 
@@ -186,6 +201,8 @@ def _match(problem: Problem, progress: StageProgress | None) -> Match:
     if nominal is None:
         nominal = _nominal(problem, progress)
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
+    fit, _ = settled(nominal.fit, laws(nominal.fit.model.bench))
+    nominal = replace(nominal, fit=fit)
     naming = name_missing(
         nominal.fit,
         partial(_hypotheses, problem, nominal),
@@ -200,7 +217,7 @@ def _match(problem: Problem, progress: StageProgress | None) -> Match:
     missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
     is_asked = problem.effects == "catalogue" or all(set(m) <= set(DELAYS) for m in missing)
     if not naming.effects or not is_asked:
-        return Match(nominal, nominal, missing=missing, doubtful=doubtful)
+        return Match(nominal, nominal, None, missing, doubtful, naming.unnamed)
     named = with_own_noise(naming.final)
     final = replace(named, fit=believed(named.fit))
     wrong = next((e for e in naming.effects if e.candidate.kind == "parameter"), None)

@@ -21,7 +21,7 @@ def reason_of(result: Identification, problem: Problem, level: float = 0.9) -> s
         return _lacking(result)
     if result.beyond is not None:
         return beyond_in_words(result, problem)
-    if result.verdict == "unexplained" or _stands_out(result):
+    if (result.verdict == "unexplained" and not result.allows_for_misfit) or _stands_out(result):
         return (
             "No values within the tolerances, no single value beyond them and no effect of the "
             "catalogue explain these recordings: something of the joint is not in the bench, "

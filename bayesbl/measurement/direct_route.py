@@ -79,6 +79,7 @@ from bayesbl.model_search.always_in import (
     directions,
     edge_variances,
     elastic_part,
+    is_useful,
     marginalised,
     settled,
     with_friction,
@@ -121,6 +122,8 @@ class DirectMatch:
     posterior: DirectPosterior
     check: tuple[RepeatingPower, ...]
     joint: JointFindings
+    allows_for_misfit: bool = False
+    """Whether δ includes what a law that nothing names may do to it."""
 
     @property
     def change_rad(self) -> FloatArray:
@@ -400,12 +403,13 @@ def fit_directly(
     name = " and ".join(r.name for r in recordings)
     report = of_stage(progress, f"Sampling {name}")
     simulating = of_stage(progress, f"Simulating draws of {name}")
-    withheld = joint.against_bench or not joint.explained
+    allows = not joint.explained and not joint.against_bench and is_useful(fit, rest)
+    withheld = joint.against_bench or not (joint.explained or allows)
     posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:
         scattering, drifting = seed.spawn(2)
         posterior = marginalised(widened(posterior, scattering), rest, drifting)
-    return DirectMatch(posterior, tuple(check), joint)
+    return DirectMatch(posterior, tuple(check), joint, allows)
 
 
 def direct_verdict(
@@ -423,16 +427,20 @@ def direct_verdict(
     with_current = len(recording.signals) > 1
     against = _withholding(
         ("tolerance_decides", found.posterior.beyond_tolerance(recording.name, level)),
-        ("unexplained", None if repeating or found.joint.explained else UNEXPLAINED),
+        (
+            "unexplained",
+            None if repeating or found.joint.explained or found.allows_for_misfit else UNEXPLAINED,
+        ),
         ("against_the_bench", against_the_bench(found.joint)),
         (
             "gap_undecided",
             undecided_gap(found.joint, index, gap, level, with_current=with_current),
         ),
     )
-    if repeating:
+    misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
+    if repeating and not found.allows_for_misfit:
         at = int(bool(against) and against[0].code == "tolerance_decides")
-        against.insert(at, _repeats(repeating, recording.motion is not None))
+        against.insert(at, Reason("repeats_beyond_noise", misfit, withholds=True))
     unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
     unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
     outcome = "withheld" if against or unseen else diagnostics.outcome
@@ -445,6 +453,10 @@ def direct_verdict(
         outcome = "usable"
         values = {"upper_rad": upper_bound(gap), "smallest_rad": SMALLEST_GAP_RAD}
         reasons.append(Reason("gap_not_told", values))
+    if outcome != "withheld" and misfit and found.allows_for_misfit:
+        outcome = "usable"
+        wider = float(found.posterior.model_widening[fit.model.index(GAP, recording.name)])
+        reasons.append(Reason("allows_for_misfit", {**misfit, "times": wider}))
     if not with_current:
         reasons.append(Reason("no_current"))
     wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
@@ -462,9 +474,9 @@ def _withholding(*each: tuple[str, str | None]) -> list[Reason]:
     return [Reason.told(code, text, withholds=True) for code, text in each if text is not None]
 
 
-def _repeats(entries: Sequence[RepeatingPower], is_motion: bool) -> Reason:
+def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dict[str, Any]:
     worst = max(entries, key=lambda entry: entry.ratio)
-    values = {
+    return {
         "channel": worst.channel,
         "recording": worst.recording,
         "highest_order": worst.highest_order,
@@ -472,7 +484,6 @@ def _repeats(entries: Sequence[RepeatingPower], is_motion: bool) -> Reason:
         "channels": sorted({f"{e.channel} of {e.recording}" for e in entries}),
         "is_motion": is_motion,
     }
-    return Reason("repeats_beyond_noise", values, withholds=True)
 
 
 def _item(entry: RepeatingPower) -> CheckItem:

@@ -44,7 +44,7 @@ from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
 from bayesbl.model_search.refit import Explanation, columns_of, polished, refit
-from bayesbl.probabilities import chi2_isf
+from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 
 SEEN_STEP = 4.0
@@ -114,6 +114,12 @@ UNSTATED_PERIODS = 1.0
 buses add. A judgement: one more stage that the same clock paces."""
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
+
+USEFUL_RATIO, USEFUL_LEVEL = 2.0, 0.9
+"""Of the ends of an interval, from which on it says too little of a gap: makers' limits of wear are
+two to three times a new joint's gap."""
+
+WIDTH_DRAWS = 1000
 
 MOST_ROUNDS = 3
 MOST_HALVES = 4
@@ -569,6 +575,26 @@ def marginalised(
     before, after = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (flat, moved))
     factor = after / np.maximum(before, 1e-300)
     return replace(posterior, draws=moved.reshape(posterior.draws.shape), model_widening=factor)
+
+
+def is_useful(fit: SimulatedFit, rest: Beside) -> bool:
+    """Whether a fit beside which something repeats that nothing explains has gaps of use.
+
+    A fit that leaves as much again as noise does is no place to be linear at.
+    """
+    if fit.chi_square > MOST_AGREEING * fit.residual.size:
+        return False
+    drawn = rest.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
+    for place, unknown in enumerate(fit.model.unknowns):
+        if unknown.name != GAP:
+            continue
+        sd = math.hypot(math.sqrt(fit.covariance[place, place]), float(drawn[:, place].std()))
+        middle = fit.point[place] + float(drawn[:, place].mean())
+        reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
+        low, high = unknown.value(np.array([middle - reach, middle + reach]))
+        if not 0.0 < high < USEFUL_RATIO * low:
+            return False
+    return True
 
 
 def edge_variances(posterior: DirectPosterior) -> FloatArray:
