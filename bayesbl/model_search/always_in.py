@@ -110,8 +110,8 @@ odds of e¹⁵."""
 
 DEAD_TIME = Slot.sampled_control__delay_periods.name
 UNSTATED_PERIODS = 1.0
-"""Of the dead time of a sampled controller: a manual states its period, and hardly what filters and
-buses add. A judgement: one more stage that the same clock paces."""
+"""Of the dead time of a sampled controller: a manual states its period, and hardly what buses add.
+A judgement: one more stage that the same clock paces."""
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
@@ -194,7 +194,6 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
         drift = drift_of(info.name, stated) * size
         yield Direction(info.name, usual, drift, CHANGED_SHARE * size if info.correctable else 0.0)
     present = {effect.name: effect for effect in bench.effects}
-    loop_is_stated = any(effect_named(name).enters == "loop" for name in present)
     for effect in EFFECTS:
         if effect.name in present:
             own = present[effect.name]
@@ -205,9 +204,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
             if own.name == "sampled_control" and "delay_periods" not in own.parameters:
                 yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0)
-        elif effect.always_in and not (effect.enters == "loop" and loop_is_stated):
-            item = effect.amplitudes[0]
-            usual = search_scale(bench, effect, item) * item.typical
+        elif effect.always_in:
+            item, usual = effect.amplitudes[0], _usual(bench, effect.name)
             yield Direction(
                 f"{effect.name}__{item.name}",
                 usual,
@@ -216,6 +214,13 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 least=item.sought_from or 0.0,
                 effect=effect.name,
             )
+
+
+def _usual(bench: Bench, name: str) -> float:
+    """Usual size of the first amplitude of an effect."""
+    effect = effect_named(name)
+    item = effect.amplitudes[0]
+    return search_scale(bench, effect, item) * item.typical
 
 
 def _stated_sd(effect: BenchEffect, name: str) -> float:
@@ -239,8 +244,8 @@ def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
         effect_named(f"{side}_{k}_friction") for side in ("motor", "load") for k in kinds
     ):
         (item,) = effect.amplitudes
-        usual = search_scale(bench, effect, item) * item.typical
-        added.append(BenchEffect(effect.name, {item.name: EffectParameterValue(0.0, usual)}))
+        friction = EffectParameterValue(0.0, _usual(bench, effect.name))
+        added.append(BenchEffect(effect.name, {item.name: friction}))
     present = {effect.name for effect in bench.effects}
     return bench.with_effects(*bench.effects, *(e for e in added if e.name not in present))
 
