@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesbl.errors import BenchError
-from bayesbl.matching.signals import SAMPLED, SimulatedSignals
+from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.recording.types import FloatArray
 
 IDLE = 1e-100
@@ -372,13 +372,13 @@ def _jacobian(
 
     Steps whose change is not of the order of the noise are tried again: the simulator's own error
     drowns a shorter one, curvature spoils a longer one. Central differences unless ``one_sided``.
-    A sampled controller gives way to a continuous one but in the columns of its own parameters: the
+    A sampled controller gives way to a continuous one but in the columns of laws of the loop: the
     optimum found by these columns is off by the angle between them and the true ones, in standard
     deviations (a tenth at a period of 1 ms).
     """
     swift = model.for_differences(point)
     d = point.size
-    of_ticks = np.array([u.name.startswith(SAMPLED) for u in model.unknowns])
+    of_ticks = np.array([u.is_of_loop for u in model.unknowns])
     columns = np.empty((d, model.size)).T
     pending = np.arange(0 if known is None else known.shape[1], d)
     if known is not None:

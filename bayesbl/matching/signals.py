@@ -93,6 +93,13 @@ class Unknown:
         return self.name, self.recording
 
     @property
+    def is_of_loop(self) -> bool:
+        """Of a law within the speed loop, of which ticks make something else than a continuous
+        controller does: a lag beside one moved the signals in another direction (cosine 0.4)."""
+        effect, _, parameter = self.name.partition("__")
+        return bool(parameter) and effect_named(effect).enters == "loop"
+
+    @property
     def label(self) -> str:
         """Name, with the recording where it belongs to one."""
         name = f"drift of {self.name}" if self.added else self.name
@@ -334,7 +341,7 @@ class SimulatedSignals:
         Points far from it, and unknown ticks, need the sampled controllers themselves.
         """
         swift = self.for_differences(point)
-        if swift is self or any(u.name.startswith(SAMPLED) for u in self.unknowns):
+        if swift is self or any(u.is_of_loop for u in self.unknowns):
             return self
         shift = white - swift.whitened(point)[0]
         if not np.all(np.isfinite(shift)):

@@ -13,7 +13,7 @@ import numpy as np
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
+from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.model_search.catalogue import Candidate, steady_torque
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
@@ -242,7 +242,7 @@ def _columns(
         amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - at)
     moved = np.tile(np.concatenate([point, own]), (2, 1))
     moved[1, point.size + amplitude] += amount
-    of_ticks = any(u.name.startswith(SAMPLED) for u in candidate.unknowns)
+    of_ticks = any(u.is_of_loop for u in candidate.unknowns)
     z = (model if of_ticks else model.for_differences(np.append(point, own))).whitened(moved)
     change = (z[0] - z[1]) / amount
     if not np.all(np.isfinite(change)):
