@@ -34,7 +34,7 @@ from scipy.linalg import block_diag
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.joint_size import search_scale
-from bayesbl.bench.kernel import Slot
+from bayesbl.bench.kernel import RPM, Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS, drift_of, largest
 from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
@@ -82,6 +82,10 @@ MOST_CHANGED = 3
 
 ONE_SPEED = 0.02
 """Share by which speeds differ too little to tell friction's laws apart."""
+
+VISCOUS = Slot.load_viscous_friction__coefficient_nm_s_per_rad.name
+DRY_FRICTION = "load_coulomb_friction"
+DRY = Slot.load_coulomb_friction__torque_nm.name
 
 FAR = 3.0
 """Posterior standard deviations between a size and none, from which it is an unknown of the fit."""
@@ -232,17 +236,16 @@ def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
     """The bench with the friction of motor and load that every joint has and few data sheets give.
 
     Of usual size, half-normal from none; as viscous friction where the joint turns at one speed,
-    whatever its law. What the bench has already stays as it is.
+    beside which :func:`_dry_share` stands. What the bench has already stays as it is.
     """
-    kinds = ["viscous"]
+    laws = ["viscous"]
     speeds = [r.reference_speed_rpm for r in recordings]
     moves = any(r.motion is not None for r in recordings)
     if moves or max(speeds) - min(speeds) > ONE_SPEED * max(map(abs, speeds)):
-        kinds.append("coulomb")
+        laws.append("coulomb")
     added = []
-    for effect in (
-        effect_named(f"{side}_{k}_friction") for side in ("motor", "load") for k in kinds
-    ):
+    for side, law in itertools.product(("motor", "load"), laws):
+        effect = effect_named(f"{side}_{law}_friction")
         (item,) = effect.amplitudes
         friction = EffectParameterValue(0.0, _usual(bench, effect.name))
         added.append(BenchEffect(effect.name, {item.name: friction}))
@@ -366,7 +369,7 @@ class Beside:
 def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     """What stands beside a fit; what is an unknown of its model already is left out."""
     model, d = fit.model, fit.point.size
-    labels = _labels(model, among)
+    labels = _labels(fit, among)
     width = sum(len(label.directions) for label in labels)
     ends = np.cumsum([part.size for part in model.by_recording(fit.residual)])[:-1]
     jacobians, residuals = np.split(fit.derivatives(), ends), np.split(fit.residual, ends)
@@ -406,7 +409,7 @@ def always_terms(
     fit: SimulatedFit, among: Sequence[Direction]
 ) -> tuple[tuple[Label, ...], list[FloatArray]]:
     """Laws and drift beside a fit with their columns, (N, k) each; without causes of a change."""
-    labels = tuple(label for label in _labels(fit.model, among) if not label.cause)
+    labels = tuple(label for label in _labels(fit, among) if not label.cause)
     ends = np.cumsum([0, *(len(label.directions) for label in labels)])
     parts = fit.model.by_recording(fit.residual)
     rows = []
@@ -419,8 +422,24 @@ def always_terms(
     return labels, [every[:, a:b] for a, b in itertools.pairwise(ends)]
 
 
-def _labels(model: SimulatedSignals, among: Sequence[Direction]) -> tuple[Label, ...]:
+def _dry_share(fit: SimulatedFit) -> list[Direction]:
+    """How much of the load's friction is dry, where a fit at one speed takes all for viscous.
+
+    Dry friction brakes a load that crosses the gap no more where it crosses faster. None of it is
+    as likely as all: half-normal, with the standard deviation of a uniform share about none.
+    """
+    model = fit.model
+    names = {u.name for u in model.unknowns}
+    if VISCOUS not in names or DRY in names:
+        return []
+    fastest = max(abs(seen.reference_speed_rpm) for seen in model.recordings) / RPM
+    torque = fit.value(VISCOUS) * fastest / model.bench.value("gear_ratio")
+    return [Direction(DRY, torque / math.sqrt(3.0), 0.0, positive=True, effect=DRY_FRICTION)]
+
+
+def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
     """Each direction for all snapshots together, and drift and causes for each but the first."""
+    model, among = fit.model, [*among, *_dry_share(fit)]
     taken = {(u.name, u.recording) for u in model.unknowns}
     owners = [seen.name for seen in model.recordings[1:]]
     labels = [Label((d,), None) for d in among if d.usual > 0.0]

@@ -1,29 +1,40 @@
-"""A parameter pushed against its tolerance withholds a gap that follows it."""
+"""A parameter that the recordings put beyond its tolerance withholds a gap that follows it."""
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import Unknown, gap_unknown
 from bayesbl.recording.types import FloatArray
 
 SHAPE = (4, 250)
-HALF = Unknown("motor_inertia_kg_m2", 0.9, 1.1)
+SD = 0.06
+INERTIA = Unknown("motor_inertia_kg_m2", -5.0 * SD, 5.0 * SD, 0.0, SD, logarithmic=True)
 
 
 def posterior(
-    parameter: FloatArray, slope: float, rng: np.random.Generator, unknown: Unknown = HALF
+    parameter: FloatArray, slope: float, rng: np.random.Generator, unknown: Unknown = INERTIA
 ) -> DirectPosterior:
     """Draws of a gap that follows the parameter, within 1 % of it."""
     gap = gap_unknown(1e-4, 4e-3)
-    model: Any = SimpleNamespace(unknowns=[gap, unknown], index=lambda name, recording: 0)
+    unknowns = [gap, unknown]
+    prior = NormalPrior.of(
+        np.array([u.centre for u in unknowns]),
+        np.array([u.sd for u in unknowns]),
+        [u.name for u in unknowns],
+        None,
+    )
+    index: Any = lambda name, recording: 0  # noqa: E731
+    model: Any = SimpleNamespace(unknowns=unknowns, normal_prior=prior, index=index)
     fit: Any = SimpleNamespace(model=model)
-    values = np.log(1e-3) + slope * (parameter - 1.0) + rng.normal(0.0, 0.01, SHAPE)
+    values = np.log(1e-3) + slope * (parameter - unknown.middle) + rng.normal(0.0, 0.01, SHAPE)
     draws = np.stack([values, parameter], axis=-1)
     nothing: Any = None
     as_it_is = np.ones(draws.shape[-1])
@@ -31,28 +42,39 @@ def posterior(
 
 
 @pytest.mark.parametrize(
-    ("shape", "slope", "withheld"),
+    ("mean", "sd", "slope", "withheld"),
     [
-        ("flat", 3.0, False),
-        ("inside", 3.0, False),
-        ("peak at the edge", 3.0, False),
-        ("pressed", 0.0, False),
-        ("pressed", 3.0, True),
+        (0.0, SD, 3.0, False),  # nothing learned
+        (0.5 * SD, 0.2 * SD, 3.0, False),
+        (math.sqrt(3.0) * SD, 0.2 * SD, 3.0, False),  # true values reach as far
+        (5.0 * SD, 0.7 * SD, 0.0, False),  # wrong, and the gap does not follow it
+        (5.0 * SD, 0.7 * SD, 3.0, True),
+        (5.0 * SD, 0.01 * SD, 3.0, False),  # wrong, and the recordings know it better
     ],
 )
 def test_a_gap_is_withheld_where_a_tolerance_decides_it(
-    shape: str, slope: float, withheld: bool
+    mean: float, sd: float, slope: float, withheld: bool
 ) -> None:
     rng = np.random.default_rng(1)
-    parameter = {
-        "flat": rng.uniform(HALF.low, HALF.high, SHAPE),
-        "inside": rng.normal(1.0, 0.02, SHAPE),
-        "peak at the edge": HALF.high - np.abs(rng.normal(0.0, 0.02, SHAPE)),
-        "pressed": HALF.high - rng.exponential(0.02, SHAPE),
-    }[shape]
-    why = posterior(parameter, slope, rng).beyond_tolerance("one", 0.9)
+    why = posterior(rng.normal(mean, sd, SHAPE), slope, rng).beyond_tolerance("one", 0.9)
     assert (why is not None) is withheld
     assert why is None or "upper edge" in why
+
+
+def test_true_values_within_a_tolerance_contradict_it_no_more_often_than_is_said() -> None:
+    """Of 2000 joints whose values are uniform within it, or normal as the prior has it."""
+    rng = np.random.default_rng(2)
+    for truths in (rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), 2000), rng.normal(0.0, 1.0, 2000)):
+        told = 0.5 * SD
+        shrunk = 1.0 / (1.0 + (told / SD) ** 2)
+        means = shrunk * (SD * truths + rng.normal(0.0, told, 2000))
+        sd = math.sqrt(shrunk) * told
+        wrong = sum(
+            posterior(rng.normal(mean, sd, SHAPE), 3.0, rng).beyond_tolerance("one", 0.9)
+            is not None
+            for mean in means[:400]
+        )
+        assert wrong <= 8
 
 
 @pytest.mark.parametrize(("low_s", "withheld"), [(2e-4, False), (4e-3, True)])

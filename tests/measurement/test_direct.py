@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 import pytest
 from places import CONFIGS
-from scipy.stats import chi2, kstest, norm, truncnorm, uniform
+from scipy.stats import chi2, kstest, lognorm, norm, truncnorm, uniform
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.simulation import Measurement
@@ -217,7 +217,7 @@ def test_draws_of_the_prior_are_of_its_density():
         Unknown("flat", 0.35, 0.45),
         Unknown("normal", centre=1.0, sd=0.2),
         Unknown("cut", 0.0, 1.0, centre=0.0, sd=0.5),
-        Unknown("value", math.log(0.1), math.log(0.5), logarithmic=True, flat_in_value=True),
+        Unknown("value", centre=math.log(0.3), sd=0.2, logarithmic=True),
         Unknown("phase"),
     ]
     model = Linear(unknowns, np.ones((400, 5)), np.zeros(400))
@@ -226,7 +226,7 @@ def test_draws_of_the_prior_are_of_its_density():
         uniform(0.35, 0.1),
         norm(1.0, 0.2),
         truncnorm(0.0, 2.0, loc=0.0, scale=0.5),
-        uniform(0.1, 0.4),
+        lognorm(0.2, scale=0.3),
         uniform(0.0, 2.0 * math.pi),
     ]
     values = [u.value(x) for u, x in zip(unknowns, drawn.T, strict=True)]

@@ -23,7 +23,6 @@ EFFECT = Effect(
     enters="load",
     depends_on=("direction",),
     data="pulses move away from half a rotation apart and change in size; current offset",
-    always_in=True,
     reference=ARMSTRONG,
     load_torque=lambda motion, bench, given: given["torque_nm"] * direction(motion),
 )
