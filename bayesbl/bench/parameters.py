@@ -244,6 +244,8 @@ _RANGES = {
 }
 
 
+ROUNDING = 1e-12
+
 _LEARNED = (
     (Slot.learned_torque__side, Slot.learned_torque__period),
     (Slot.encoder_error__orders, Slot.encoder_error__period_rad),
@@ -263,7 +265,9 @@ def _check_effects(matrix: FloatArray) -> None:
         values = matrix[:, slot]
         # A bench without the effect has zeros in its slots, whatever the range.
         present = np.any(matrix[:, amplitudes] != 0.0, axis=1) | (values != 0.0)
-        wrong = present & ((values < low) | (values > high))
+        # An end of a range comes back from its logarithm a rounding error off.
+        slack = ROUNDING * max(abs(low), abs(high))
+        wrong = present & ((values < low - slack) | (values > high + slack))
         _refuse_where(wrong, matrix, slot, f"a number from {low:g} to {high:g}")
     for scale, amplitudes in _SCALES:
         wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -40,6 +40,7 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import TAILS, DirectPosterior
+from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
@@ -303,7 +304,8 @@ class Label:
         found = []
         for own, scale in zip(self.directions, self.scales, strict=True):
             value = float(vector[Slot[own.slot]])
-            least = 0.0 if own.is_not_negative or value > 0.0 else -math.inf
+            # Of a lag far from none there is at least what the simulator takes without tiny steps.
+            least = own.least if own.is_not_negative or value > 0.0 else -math.inf
             if self.recording is None:
                 found.append(Unknown(own.slot, least, centre=value, sd=scale))
                 continue
@@ -535,11 +537,22 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
 def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
-    As it was, where all that does not explain the recordings either.
+    Where all that does not explain the recordings, only laws that all share: what differs between
+    snapshots is then a misfit's, and takes their gaps along.
     """
+    found = _settled(fit, among, {None, *(seen.name for seen in fit.model.recordings)})
+    if agrees(disagreements(found[1].explained(found[0]))):
+        return found
+    return _settled(fit, among, {None})
+
+
+def _settled(
+    fit: SimulatedFit, among: Sequence[Direction], owners: Collection[str | None]
+) -> tuple[SimulatedFit, Beside]:
+    """The same, freeing what belongs to these recordings, ``None`` for what all share."""
     nominal = fit, (rest := beside(fit, among))
     for _ in range(MOST_ROUNDS):
-        far = rest.far
+        far = [label for label in rest.far if label.recording in owners]
         if not far:
             break
         bench = with_neutral(fit.model.bench, [d for label in far for d in label.directions])

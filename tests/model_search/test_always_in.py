@@ -160,16 +160,14 @@ def test_dry_friction_at_one_speed_is_told_from_viscous_by_the_crossing() -> Non
         assert abs(fit.point[place] + shift[:, place].mean() - math.log(gap)) < 3.5 * sd
 
 
-@pytest.mark.parametrize("torque_nm", [0.1, 0.3])
-def test_a_law_that_no_catalogue_has_widens_the_gap(
-    independent: ModuleType, torque_nm: float
-) -> None:
+@pytest.mark.long
+def test_a_law_that_no_catalogue_has_widens_the_gap(independent: ModuleType) -> None:
     """Friction that varies over the load's turn: the truth within 3.5 standard deviations."""
     rng = np.random.default_rng(77)
     gaps_rad = {"before": 7e-4, "after": 9e-4}
     truth = {n: p.value for n, p in BENCH.parameters.items()}
     truth |= {"reference_speed_rpm": 2000.0, "start_angle_rad": 0.7}
-    truth |= {"outside__position_friction_nm": torque_nm * BENCH.value(GRAVITY)}
+    truth |= {"outside__position_friction_nm": 0.02 * BENCH.value(GRAVITY)}
     seen = []
     for name, gap in gaps_rad.items():
         plant = independent.plant(truth, gap_rad=gap)
@@ -179,8 +177,7 @@ def test_a_law_that_no_catalogue_has_widens_the_gap(
         BENCH, seen, (1e-4, 1e-2), {}, SamplerSettings(), np.random.SeedSequence(1)
     )
     assert not match.joint.explained
-    if not match.allows_for_misfit:
-        pytest.skip("withheld: nothing to hold against the truth")
+    assert match.allows_for_misfit
     for name, gap in gaps_rad.items():
         log_gap = np.log(match.posterior.values(GAP, name))
         assert abs(log_gap.mean() - math.log(gap)) < 3.5 * log_gap.std()

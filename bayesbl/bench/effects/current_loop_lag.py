@@ -29,5 +29,4 @@ EFFECT = Effect(
     enters="loop",
     data="ringing less damped; current behind speed",
     always_in=True,
-    in_nominal=True,  # as late as the drive compensates
 )
