@@ -24,7 +24,6 @@ from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import json_text, origin
 from bayesbl.results.variables import STACKED, dataset, stack_snapshots
-from bayesbl.ringing.symbols import SYMBOLS
 
 
 def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
@@ -308,11 +307,6 @@ class Snapshot:
         return self.values(
             "observed_data" if name in self.groups["observed_data"] else "constant_data", name
         )
-
-    @property
-    def symbols(self) -> tuple[str, ...]:
-        """Free symbols in the paper's order, δ behind them: all that has draws."""
-        return tuple(n for n in (*SYMBOLS, "delta_rad") if n in self.groups["posterior"])
 
     @property
     def withheld(self) -> bool:

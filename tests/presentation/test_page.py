@@ -26,7 +26,6 @@ from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
 from bayesbl.presentation.answer import NOT_SHOWN
-from bayesbl.presentation.figures.stored_figure import caption, figures_of, reading_order
 from bayesbl.presentation.page.build import page
 from bayesbl.presentation.page.templates import prose
 from bayesbl.presentation.result_object import result_of
@@ -189,7 +188,7 @@ def test_a_withheld_gap_is_nowhere_on_the_page(tree):
 def test_every_picture_has_a_text_and_every_table_a_head(written):
     reader = Reader(written)
     pictures = [attributes for tag, attributes in reader.tags if tag == "img"]
-    assert len(pictures) >= 6
+    assert len(pictures) >= 4
     assert all(attributes["alt"] for attributes in pictures)
     tags = [tag for tag, _ in reader.tags]
     assert tags.count("thead") == tags.count("table") > 0
@@ -508,31 +507,6 @@ def test_a_set_that_cannot_be_told_apart_is_not_taken_for_one_effect():
 # Figures
 
 
-def test_what_only_specialists_need_is_folded_behind_all_other_figures(written):
-    text = re.search(r'<section id="figures">.*?</section>', written, re.S)[0]
-    shown, folded = text.split("<details>")
-    assert "ensemble by ensemble" not in shown
-    assert "ensemble by ensemble" in folded
-    assert "The measured motor speed" in shown
-    numbers = [int(number) for number in re.findall(r"Figure (\d+)\.", text)]
-    assert numbers == list(range(1, len(numbers) + 1))
-
-
-def test_figures_come_in_one_order_whatever_their_names(tree):
-    known = figures_of(tree)
-    names = [f"{kind}_{snapshot}" for kind in ("trace", "corner") for snapshot in ("new", "old")]
-    names += ["amplitude_to_gap", "gap", "signal", "something"]
-    rng = np.random.default_rng(3)
-    for _ in range(5):
-        ordered = reading_order(rng.permutation(names).tolist(), known, ["old", "new"])
-        assert ordered == [
-            "signal", "gap", "amplitude_to_gap", "corner_old", "corner_new", "trace_old",
-            "trace_new", "something",
-        ]  # fmt: skip
-    assert all(caption(figure.name, known) == figure.caption for figure in known)
-    assert caption("corner_old", known).startswith("old: ")
-
-
 def test_a_result_as_an_object_says_what_the_command_prints_and_the_page_shows(
     compared, written, capsys
 ):
@@ -556,12 +530,12 @@ def test_a_result_as_an_object_says_what_the_command_prints_and_the_page_shows(
 
 def test_every_figure_of_a_result_is_a_method_of_it(compared):
     plot = bayesbl.read_result(compared).plot
-    assert {"gap", "trace"} <= set(dir(plot))
-    assert plot.trace("wear_after").axes
+    assert {"gap", "signal"} <= set(dir(plot))
+    assert plot.signal().axes
     with pytest.raises(bayesbl.UserError, match='Did you mean "gap"'):
         plot("gapp")
-    with pytest.raises(bayesbl.UserError, match="wear_before, wear_after"):
-        plot.trace("wear_later")
+    with pytest.raises(bayesbl.UserError, match="it shows the whole result"):
+        plot.signal("wear_later")
     with pytest.raises(AttributeError, match="gapp"):
         _ = plot.gapp
 
