@@ -335,9 +335,10 @@ def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             linewidth=0.7,
             zorder=1.0,
         )
-        lines = (_values(stage, f"{channel}_line_{name}") for name in ("load_order", "amplitude"))
+        places = _values(stage, f"{channel}_line_load_order")
+        found = np.isfinite(places)
         panel.plot(
-            *lines, linestyle="none", marker=look.marker, markersize=3.0, markerfacecolor="none",
+            places[found], _values(stage, f"{channel}_line_amplitude")[found], linestyle="none", marker=look.marker, markersize=3.0, markerfacecolor="none",
             markeredgecolor=look.colour, markeredgewidth=0.6, zorder=2.0,
         )  # fmt: skip
         if index == len(stages) - 1:
