@@ -335,12 +335,20 @@ def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             linewidth=0.7,
             zorder=1.0,
         )
-        places = _values(stage, f"{channel}_line_load_order")
-        found = np.isfinite(places)
+        order, size = (
+            _values(stage, f"{channel}_line_{name}") for name in ("load_order", "amplitude")
+        )
+        found = np.isfinite(order)
         panel.plot(
-            places[found], _values(stage, f"{channel}_line_amplitude")[found], linestyle="none", marker=look.marker, markersize=3.0, markerfacecolor="none",
-            markeredgecolor=look.colour, markeredgewidth=0.6, zorder=2.0,
-        )  # fmt: skip
+            order[found],
+            size[found],
+            linestyle="none",
+            marker=look.marker,
+            markersize=3.0,
+            markerfacecolor="none",
+            markeredgecolor=look.colour,
+            zorder=2.0,
+        )
         if index == len(stages) - 1:
             limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
             panel.plot(order[shown], limit, color=style.LIMIT, linewidth=0.8)
