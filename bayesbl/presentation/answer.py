@@ -3,7 +3,7 @@
 Where several routes answered they stand side by side: which is the answer and why, in one line; a
 disagreement between them comes first.
 
-With it go the cards of its page, what to do about it and what it takes for granted.
+With it goes what to do about it and what it takes for granted.
 """
 
 from __future__ import annotations
@@ -18,11 +18,8 @@ from bayesbl.presentation.blocks import (
     Advice,
     AdviceTone,
     Block,
-    Card,
     Sentence,
     Table,
-    gap_card,
-    interval_note,
     numbers,
     table,
     text,
@@ -462,62 +459,6 @@ def _ringing_alone_table(parts: Sequence[tuple[str, SnapshotSummary]]) -> Table:
             cells = [number(found["median"], 1), words.bounds(found, places=1)]
         rows.append([*cells, part["diagnostics"]["outcome"]])
     return play.snapshot_table(parts, ("Ringing A\n(rpm)", f"{kind}\n(rpm)"), rows)
-
-
-def cards(summary: MeasuredSummary) -> Iterator[Card]:
-    """Every gap and the change; of dated snapshots the gap now, its growth and its limit."""
-    if summary["kind"] == "compare" and (rated := wear.with_rate(summary)) is not None:
-        yield from _wear_cards(summary, rated)
-        return
-    if is_ringing_alone(summary):
-        yield from _ringing_cards(summary)
-        return
-    labelled = [
-        (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"], part["delta_upper_bound_rad"])
-        for name, part in snapshots(summary)
-    ]
-    if summary["kind"] == "compare":
-        labelled.append(("Change", summary["change_rad"], None))
-    places = words.common_decimals(found for _, found, _ in labelled)
-    for label, found, upper_rad in labelled:
-        yield gap_card(label, found, places, upper_rad)
-
-
-def _ringing_cards(summary: MeasuredSummary) -> Iterator[Card]:
-    """Every amplitude, and its change from first to last."""
-    for name, part in snapshots(summary):
-        found = part["amplitude_rpm"]
-        label = f"Ringing A, {name}" if name else "Ringing A"
-        if found is not None and not part["reason"]:
-            value = number(found["median"], words.decimals(found))
-            yield Card(label, value, "rpm", interval_note(found, words.bounds(found)))
-    if summary["outcome"] == "withheld":
-        return
-    if summary["kind"] == "compare" and summary["ringing_change"] is not None:
-        change = summary["ringing_change"]
-        sign = "+" if change["median"] > 0.0 else ""
-        value = sign + number(100.0 * change["median"], words.decimals(change, 100.0))
-        yield Card("Change", value, "%", interval_note(change, words.bounds(change, 100.0)))
-
-
-def _wear_cards(summary: ComparisonSummary, found: WearSummary) -> Iterator[Card]:
-    """The gap now, how fast it grows, and when it reaches the limit; the picture shows them all."""
-    now = summary["snapshots"][-1]
-    last, change, rate = now["delta_rad"], summary["change_rad"], found["rate"]
-    places = words.common_decimals([last, change])
-    yield gap_card("Gap δ now", last, places, now["delta_upper_bound_rad"])
-    if not wear.spans_repair(summary, found):
-        yield gap_card("Change", change, places)  # across a repair it is no sign of wear
-    yield Card(
-        "Wear",
-        wear.median_in_mrad(rate),
-        "mrad a year",
-        interval_note(rate, words.bounds(rate, 1e3)),
-    )
-    reached = wear.limit_dates(found, wear.month)
-    if reached is not None:
-        middle, dates = reached
-        yield Card("Limit reached", middle, "", interval_note(rate, dates))
 
 
 CLOSE = 0.05

@@ -335,12 +335,12 @@ def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             linewidth=0.7,
             zorder=1.0,
         )
-        order, size = (
+        line, size = (
             _values(stage, f"{channel}_line_{name}") for name in ("load_order", "amplitude")
         )
-        found = np.isfinite(order)
+        found = np.isfinite(line)
         panel.plot(
-            order[found],
+            line[found],
             size[found],
             linestyle="none",
             marker=look.marker,
