@@ -142,9 +142,6 @@ def _median(found: Interval, scale: float = 1.0) -> str:
     return words.significant(scale * found["median"], 3)
 
 
-CONDITION = "the load goes from flank to flank in the recording"
-
-
 def is_by_two_encoders(summary: MeasuredSummary) -> bool:
     """Whether the answer comes from the encoders of motor and load."""
     first = summary["snapshots"][0] if summary["kind"] == "compare" else summary

@@ -89,7 +89,6 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "title": subject.title,
         "headline": subject.headline(summary),
         "advice": subject.advice(summary),
-        "explained": answer.explained(measured) if measured else "",
         "pictures": pictures,
         "numbers": list(blocks(summary)),
         "details": list(subject.details(tree, summary)),
