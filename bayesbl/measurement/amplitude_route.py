@@ -27,7 +27,7 @@ from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
+from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
@@ -396,16 +396,19 @@ class AmplitudeMeasurer(Measurer):
         differing = [
             item
             for item in items
-            if item.quantity in MOVES_RINGING and abs(item.z) > bound and item.expected > 0.0
-            if abs(item.measured / item.expected - 1.0) > 0.5 * (high - low)
+            if item["quantity"] in MOVES_RINGING and abs(item["z"]) > bound
+            if item["expected"] > 0.0
+            if abs(item["measured"] / item["expected"] - 1.0) > 0.5 * (high - low)
         ]
-        causes = [cause for item in differing for cause in COULD_BE[item.quantity]]
-        causes = list(dict.fromkeys([*check.could_be, *causes]))
-        agrees = check.agrees and not differing
-        names = ("quantity", "measured", "expected", "unit")
-        told = [{name: getattr(item, name) for name in names} for item in differing]
+        causes = [cause for item in differing for cause in COULD_BE[item["quantity"]]]
+        told = [{key: value for key, value in item.items() if key != "z"} for item in differing]
         reasons = [Reason("other_bench", values, withholds=True) for values in told]
-        return JointCheck(agrees, [*check.items, *items], tuple(causes)), reasons
+        compared = joint_check(
+            check["agrees"] and not differing,
+            [*check["items"], *items],
+            [*check["could_be"], *causes],
+        )
+        return compared, reasons
 
     def _curve(
         self, curves: Sequence[GapCurve] | None, found: Sequence[Gap | None], task: Task
@@ -932,7 +935,7 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
         sd = math.sqrt(given_amplitude[place, place] + float(np.var(draws[:, nearest])))
         found = float(measured.centre[place])
         items.append(
-            CheckItem(
+            check_item(
                 quantity,
                 math.exp(found) / one,
                 math.exp(by_curve) / one,
@@ -941,8 +944,8 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
             )
         )
     agrees = all(reason.code != CONTRADICTED for reason in gap.reasons)
-    causes = [] if agrees else [cause for item in items for cause in COULD_BE[item.quantity]]
-    return JointCheck(agrees, items, tuple(dict.fromkeys(causes)))
+    causes = [] if agrees else [cause for item in items for cause in COULD_BE[item["quantity"]]]
+    return joint_check(agrees, items, causes)
 
 
 # The paper's own search and model.

@@ -44,7 +44,7 @@ from bayesbl.matching.signals import (
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
-from bayesbl.measurement.joint_check import CheckItem, JointCheck
+from bayesbl.measurement.joint_check import CheckItem, JointCheck, check_item
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,
@@ -145,15 +145,15 @@ class DirectMatch:
         """
         beyond = self.posterior.beyond_tolerance(recording, level)
         check = check_of_snapshot(self.joint, recording)
-        return replace(
-            check,
-            agrees=check.agrees and not self.repeating(recording) and beyond is None,
-            items=[
-                *check.items,
+        return {
+            **check,
+            "agrees": check["agrees"] and not self.repeating(recording) and beyond is None,
+            "items": [
+                *check["items"],
                 *feature_items(self.posterior.fit, recording),
                 *(_item(e) for e in self.check if e.recording == recording),
             ],
-        )
+        }
 
 
 class DirectMeasurer(Measurer):
@@ -476,7 +476,7 @@ def _repeats(entries: Sequence[RepeatingPower], is_motion: bool) -> Reason:
 def _item(entry: RepeatingPower) -> CheckItem:
     band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
     z = normal_isf(entry.probability)
-    return CheckItem(
+    return check_item(
         f"power that repeats every rotation over that of noise, {entry.channel} {band}",
         entry.ratio,
         1.0,

@@ -19,6 +19,8 @@ from bayesbl.measurement.joint_check import (
     BlindSpot,
     CheckItem,
     JointCheck,
+    check_item,
+    joint_check,
 )
 from bayesbl.measurement.joint_features import (
     INTEGRAL,
@@ -105,8 +107,10 @@ SHOWN_BEST = (DECAY, FREQUENCY, PROPORTIONAL, INTEGRAL, harmonic_name("current",
 
 WITHOUT_CURRENT = (
     BlindSpot(
-        "the speed controller's gains, the torque constant, friction and filters of the speed",
-        NO_CURRENT,
+        change="the speed controller's gains, the torque constant, friction and filters of the "
+        "speed",
+        reason=NO_CURRENT,
+        delta_error_rad=None,
     ),
 )
 
@@ -165,10 +169,10 @@ def same_joint(
     blind = list(_too_small(pairs, bound))
     if not all(MOTOR_CURRENT in point.recording.channels for point in points):
         blind = [*WITHOUT_CURRENT, *blind]
-    return JointCheck(
+    return joint_check(
         not told,
         [item for item, _ in found],
-        tuple(dict.fromkeys(cause for item, _ in told for cause in COULD_BE[item.quantity])),
+        (cause for item, _ in told for cause in COULD_BE[item["quantity"]]),
         [sentence for _, sentence in told],
         blind,
     )
@@ -176,11 +180,11 @@ def same_joint(
 
 def change_reason(check: JointCheck) -> str | None:
     """Why the change of a gap that a curve gave is withheld; ``None`` where it is not."""
-    if check.agrees:
+    if check["agrees"]:
         return None
     return (
         "Something other than the gap changed between the snapshots, which moves the ringing too, "
-        f"so their change is withheld. {' '.join(check.sentences)}"
+        f"so their change is withheld. {' '.join(check['sentences'])}"
     )
 
 
@@ -214,7 +218,7 @@ def _findings(
 ) -> Iterator[tuple[CheckItem, str]]:
     """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
     for item in _compared(first, other):
-        yield item, _sentence(item, where) if abs(item.z) > bound else ""
+        yield item, _sentence(item, where) if abs(item["z"]) > bound else ""
     for item, order in _lines(first, other):
         yield item, _sentence_of_line(first, other, item, order, bound, where)
 
@@ -237,7 +241,7 @@ def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
         explained = _explained(name, first, other)
         beyond = math.copysign(max(abs(difference) - explained, 0.0), difference)
         z = beyond / _sd(name, first, other)
-        items.append(CheckItem(name, after.value, before.value, before.unit, z))
+        items.append(check_item(name, after.value, before.value, before.unit, z))
     return items
 
 
@@ -251,7 +255,7 @@ def _lines(first: _Seen, other: _Seen) -> Iterator[tuple[CheckItem, int]]:
         )
         sd = math.hypot(before.standard_error_rpm, after.standard_error_rpm)
         z = (after.size_rpm - before.size_rpm) / sd if sd > 0.0 else 0.0
-        yield CheckItem(LINE, after.size_rpm, before.size_rpm, "rpm", z), order
+        yield check_item(LINE, after.size_rpm, before.size_rpm, "rpm", z), order
 
 
 def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[BlindSpot]:
@@ -274,7 +278,11 @@ def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[B
             change = f"a change of the {name} by less than {percent:.2g} %"
         else:  # a harmonic that noise hides
             change = f"a change of the {name}, which one of them does not show"
-        yield BlindSpot(f"{change} ({IN_WORDS[name]})", "too small for these recordings to show")
+        yield BlindSpot(
+            change=f"{change} ({IN_WORDS[name]})",
+            reason="too small for these recordings to show",
+            delta_error_rad=None,
+        )
 
 
 def _sd(name: str, first: _Seen, other: _Seen) -> float:
@@ -307,12 +315,13 @@ def _by_lateness(name: str, first: _Seen, other: _Seen) -> float:
 
 
 def _sentence(item: CheckItem, where: str) -> str:
-    direction = "rose" if item.measured > item.expected else "fell"
-    places = max(0, 2 - math.floor(math.log10(max(abs(item.measured - item.expected), 1e-9))))
-    before, after = number(item.expected, places), number(item.measured, places)
+    measured, expected, quantity = item["measured"], item["expected"], item["quantity"]
+    direction = "rose" if measured > expected else "fell"
+    places = max(0, 2 - math.floor(math.log10(max(abs(measured - expected), 1e-9))))
+    before, after = number(expected, places), number(measured, places)
     return (
-        f"The {item.quantity} {direction} from {before} to {after} {item.unit}{where}: "
-        f"{IN_WORDS[item.quantity]}, not the gap."
+        f"The {quantity} {direction} from {before} to {after} {item['unit']}{where}: "
+        f"{IN_WORDS[quantity]}, not the gap."
     )
 
 
@@ -326,17 +335,18 @@ def _sentence_of_line(
     """
     moved = other.log_amplitude - first.log_amplitude
     chance = bound * math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
-    furthest = abs(item.measured - item.expected) / math.exp(first.log_amplitude)
+    measured, expected = item["measured"], item["expected"]
+    furthest = abs(measured - expected) / math.exp(first.log_amplitude)
     if (
-        abs(item.z) <= bound
+        abs(item["z"]) <= bound
         or abs(moved) <= _harmless(first, other)
         or furthest < abs(moved) - chance
     ):
         return ""
-    direction = "rose" if item.measured > item.expected else "fell"
+    direction = "rose" if measured > expected else "fell"
     return (
-        f"The {LINE} at motor order {order} {direction} from {item.expected:.2g} to "
-        f"{item.measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
+        f"The {LINE} at motor order {order} {direction} from {expected:.2g} to "
+        f"{measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
         f"torque, not the gap. It could move the ringing by up to {100.0 * furthest:.2g} %, as "
         "much as was seen."
     )

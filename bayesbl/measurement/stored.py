@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -183,7 +183,7 @@ def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[
             ],
         },
         "reason": one_of(withholding),
-        "model_check": asdict(answer.model_check),
+        "model_check": answer.model_check,
     }
     limit_rad = limit_rad_of(config)
     if limit_rad is not None:
@@ -225,7 +225,7 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         "probability_increase": total["probability_increase"],
         "ringing_change": None if grew is None else _interval(grew, config),
         "probability_ringing_grew": None if grew is None else float(np.mean(grew > 0.0)),
-        "same_joint": asdict(measured.same_joint),
+        "same_joint": measured.same_joint,
         "routes": {
             one.route: _change_of_route(one, config) for one in (measured, *measured.beside)
         },
@@ -240,7 +240,7 @@ def _change_of_route(one: Measurement, config: CompareConfig) -> dict[str, Any]:
         "probability_increase": step["probability_increase"],
         "outcome": one.outcome,
         "reason": _reason_of_all(one),
-        "same_joint": asdict(one.same_joint),
+        "same_joint": one.same_joint,
     }
 
 

@@ -57,18 +57,14 @@ def _gap_table(
     titles: Sequence[str],
     cells: Iterable[Iterable[str]],
 ) -> Table:
-    kind = words.short_kind(parts[0][1]["lost_motion_rad"])
-    return snapshot_table(parts, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles), cells)
-
-
-def snapshot_table(
-    parts: Sequence[tuple[str, SnapshotSummary]],
-    titles: Sequence[str],
-    cells: Iterable[Iterable[str]],
-) -> Table:
-    """A row per snapshot, named in a comparison: quantities of ``titles``, the outcome."""
+    """A row per snapshot, named in a comparison: the gap, quantities of ``titles``, the outcome."""
     named = [text("Snapshot")] if any(name for name, _ in parts) else []
-    columns = (*named, *map(numbers, titles), text("Outcome"))
+    kind = words.short_kind(parts[0][1]["lost_motion_rad"])
+    columns = (
+        *named,
+        *map(numbers, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles)),
+        text("Outcome"),
+    )
     rows = zip(parts, cells, strict=True)
     return table(columns, ([*([name] if named else []), *row] for (name, _), row in rows))
 

@@ -12,8 +12,8 @@ from bayesbl.presentation.words import capitalised
 from bayesbl.units import number
 
 if TYPE_CHECKING:
+    from bayesbl.measurement.joint_check import BlindSpot
     from bayesbl.measurement.summary_types import (
-        BlindSpotSummary,
         ComparisonSummary,
         MeasuredSummary,
         WearSummary,
@@ -107,7 +107,7 @@ def _listed(told: list[str]) -> str:
     return "; ".join([*told[:MOST_TOLD], *more])
 
 
-def _spot(spot: BlindSpotSummary) -> str:
+def _spot(spot: BlindSpot) -> str:
     error_rad = spot["delta_error_rad"]
     up_to = "" if error_rad is None else f", up to {number(1e3 * error_rad, 3)} mrad"
     return spot["change"] + up_to

@@ -6,7 +6,6 @@ import copy
 import io
 import json
 import re
-from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 
@@ -241,7 +240,7 @@ def test_without_a_curve_the_ringing_alone_is_told():
 
 
 def test_without_a_current_the_first_line_says_on_what_wear_rests():
-    spots = check(blind_spots=map(asdict, WITHOUT_CURRENT))
+    spots = check(blind_spots=WITHOUT_CURRENT)
     gains = WITHOUT_CURRENT[0].change
     alone = answer.headline(ringing_alone(same_joint=spots))
     assert alone.startswith("The ringing grew by 24 %")
