@@ -27,7 +27,7 @@ from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck, check_item, joint_check
+from bayesbl.measurement.joint_check import JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
@@ -383,7 +383,7 @@ class AmplitudeMeasurer(Measurer):
         interval reaches.
         """
         if curve is None or gap is None:
-            return NOTHING_COMPARED, []
+            return joint_check(), []
         check = ringing_check(curve, measured_ringing(fit), gap)
         bench = self.source.bench_of(recording)
         if bench is None or np.any(gap.delta_rad <= 0.0):
@@ -915,7 +915,7 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
     """
     ringing = curve.ringing
     if ringing is None:
-        return NOTHING_COMPARED
+        return joint_check()
     amplitude = measured.centre[0]
     nearest = int(np.argmin(np.abs(curve.knots_rpm - amplitude)))
     covariance = measured.covariance + ringing.scatter[nearest]

@@ -58,13 +58,13 @@ def check_item(quantity: str, measured: float, expected: float, unit: str, z: fl
 
 
 def joint_check(
-    agrees: bool,
+    agrees: bool = True,
     items: Iterable[CheckItem] = (),
     could_be: Iterable[str] = (),
     sentences: Iterable[str] = (),
     blind_spots: Iterable[BlindSpot] = (),
 ) -> JointCheck:
-    """What was compared; ``could_be`` names each cause once."""
+    """What was compared, nothing by default; ``could_be`` names each cause once."""
     return {
         "agrees": agrees,
         "items": list(items),
@@ -72,7 +72,3 @@ def joint_check(
         "sentences": list(sentences),
         "blind_spots": list(blind_spots),
     }
-
-
-NOTHING_COMPARED = joint_check(True)
-"""It agrees, as nothing speaks against it."""

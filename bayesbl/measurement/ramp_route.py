@@ -24,7 +24,6 @@ from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.joint_check import (
-    NOTHING_COMPARED,
     BlindSpot,
     CheckItem,
     JointCheck,
@@ -108,7 +107,7 @@ class Held:
 def held_alike(first: Held, last: Held) -> JointCheck:
     """What changed in friction and compliance, and how far it may have moved the change of δ."""
     if first.draws is last.draws:
-        return NOTHING_COMPARED
+        return joint_check()
     before, after = first.draws, last.draws
     items = [
         check_item(

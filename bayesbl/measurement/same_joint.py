@@ -15,7 +15,6 @@ import numpy as np
 
 from bayesbl.measurement.joint_check import (
     NO_CURRENT,
-    NOTHING_COMPARED,
     BlindSpot,
     CheckItem,
     JointCheck,
@@ -144,7 +143,7 @@ def same_joint(
         What the user says of each snapshot: those of which another thing is said may differ.
     """
     if len(points) < 2:
-        return NOTHING_COMPARED
+        return joint_check()
     seen = [_seen(point) for point in points]
     pairs: list[tuple[_Seen, _Seen]] = []
     first: dict[Hashable, _Seen] = {}
@@ -157,7 +156,7 @@ def same_joint(
             first[said] = snapshot
     compared = sum(len(_compared(*pair)) + len(list(_lines(*pair))) for pair in pairs)
     if not compared:
-        return NOTHING_COMPARED
+        return joint_check()
     bound = normal_isf(0.5 * FALSE_ALARM / compared)
     places = [f" in {other.name}" if len(pairs) > 1 else "" for _, other in pairs]
     found = [
