@@ -24,7 +24,7 @@ from bayesbl.measurement.routes import measure
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.diagnosis import held_out
 from bayesbl.presentation.figures.gap import amplitude_to_gap, gap
-from bayesbl.presentation.figures.ringing import misfit, signal
+from bayesbl.presentation.figures.ringing import signal
 from bayesbl.presentation.figures.stored_figure import draw_all, figures_of, snapshots
 from bayesbl.presentation.figures.style import envelope, publication_style, save, smooth_density
 from bayesbl.presentation.figures.sweep import (
@@ -182,12 +182,6 @@ def test_a_short_signal_is_outlined_by_its_own_samples():
     assert np.array_equal(low, [0.0, 0.0, -1.0, -1.0])
 
 
-def test_the_misfit_is_the_stored_one(tree):
-    for i, snapshot in enumerate(snapshots(tree)):
-        mean = labelled(misfit(tree).axes[i], "mean over rotations").get_ydata()
-        assert np.array_equal(mean, snapshot.values("misfit", "mean_rpm"))
-
-
 def test_the_curve_is_drawn_with_the_draws_that_went_through_it(tree):
     figure = amplitude_to_gap(tree)
     main = figure.axes[0]
@@ -226,7 +220,7 @@ def test_figures_come_from_the_file_alone_and_are_the_same_bytes_again(file, dra
 
 
 def test_every_figure_is_there_as_pdf_and_png(drawn):
-    names = {"signal", "gap", "amplitude_to_gap", "misfit"}
+    names = {"signal", "gap", "amplitude_to_gap"}
     assert set(drawn) == {f"{name}.{kind}" for name in names for kind in ("pdf", "png")}
     assert all(path.stat().st_size < 500_000 for path in drawn.values())
 
@@ -277,9 +271,9 @@ def test_pdf_text_is_embedded_truetype_without_a_date(drawn):
 
 def test_a_users_settings_of_matplotlib_change_nothing_and_stay(tree):
     with mpl.rc_context({"font.size": 31.0, "lines.linewidth": 9.0}):
-        figure = misfit(tree)
+        figure = signal(tree)
         assert mpl.rcParams["font.size"] == 31.0
-    assert figure.axes[0].xaxis.label.get_size() == 7.0
+    assert figure.axes[1].xaxis.label.get_size() == 7.0
 
 
 def test_a_result_that_no_figure_shows_is_refused(tmp_path):
