@@ -306,9 +306,9 @@ def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
 
 
 def budget(summary: MeasuredSummary) -> Iterator[str]:
-    """Where the width of the last interval given comes from, in one line."""
+    """Where the width of each interval given comes from, in one line."""
     answered = [(n, p) for n, p in snapshots(summary) if p["delta_rad"] is not None]
-    for name, part in answered[-1:]:
+    for name, part in answered:
         shares = sorted(part["budget"].items(), key=lambda item: -item[1])
         each = [
             f"{words.source_in_words(source)} {words.probability(share)}"

@@ -164,7 +164,6 @@ def test_every_section_is_there(tree):
     assert ids >= {
         "numbers",
         "diagnostics",
-        "budget",
         "assumptions",
         "config",
         "provenance",

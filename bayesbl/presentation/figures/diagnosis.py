@@ -52,18 +52,6 @@ def _held_out(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
     yield "", (tree, name, use)
 
 
-def _others(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
-    """Every other recording whose signals are stored, and the fitted half of one that was split."""
-    signals = tree["signals"].to_dataset()
-    ((_, (_, *shown)),) = _held_out(tree)
-    places = zip(
-        map(str, signals["recording"].values), map(str, signals["use"].values), strict=True
-    )
-    for name, use in dict.fromkeys(places):
-        if [name, use] != shown:
-            yield f"{file_ending(name)}_{use}", (tree, name, use)
-
-
 def _pieces(tree: xr.DataTree) -> Iterator[tuple[str, str, str, Rms]]:
     """Channel, recording, use and RMS of everything that was compared, held out first."""
     answer: Answer = json.loads(tree.attrs["diagnosis"])
@@ -76,7 +64,15 @@ def _pieces(tree: xr.DataTree) -> Iterator[tuple[str, str, str, Rms]]:
     yield from sorted(rows, key=lambda row: row[2])
 
 
-def _recording_before_and_after(tree: xr.DataTree, recording: str, use: str) -> Figure:
+@stored_figure(
+    "A recording that was held out: by how much the bench disagrees with it, before naming and "
+    "after.",
+    85,
+    holding("signals/measured"),
+    name="diagnosis",
+    parts=_held_out,
+)
+def held_out(tree: xr.DataTree, recording: str, use: str) -> Figure:
     """A row for each channel: both residuals on one scale, a zoom; beside them every RMS."""
     pieces = list(_pieces(tree))
     rms = {channel: size for channel, name, of, size in pieces if (name, of) == (recording, use)}
@@ -113,24 +109,6 @@ def _recording_before_and_after(tree: xr.DataTree, recording: str, use: str) -> 
         bbox_to_anchor=(0.0, 1.0 - (0.08 + style.LINE_IN * len(heading)) / (top + height)),
     )  # fmt: skip
     return figure
-
-
-held_out = stored_figure(
-    "A recording that was held out: by how much the bench disagrees with it, before naming and "
-    "after.",
-    85,
-    holding("signals/measured"),
-    name="diagnosis",
-    parts=_held_out,
-)(_recording_before_and_after)
-
-others = stored_figure(
-    "By how much the bench disagrees with the recording, before naming and after.",
-    90,
-    holding("signals/measured"),
-    name="compared",
-    parts=_others,
-)(_recording_before_and_after)
 
 
 def _compared(signals: xr.Dataset, recording: str, use: str, channel: str) -> dict[str, FloatArray]:

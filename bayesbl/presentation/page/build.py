@@ -6,14 +6,13 @@ import base64
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
-from bayesbl.presentation import answer, words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex, citations
 from bayesbl.presentation.figures.stored_figure import drawn
@@ -83,8 +82,6 @@ def fragment(headline: str, blocks: Sequence[Block]) -> str:
 def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     summary = summarise(tree)
     subject = SUBJECTS[summary["kind"]]
-    measured = summary if answer.is_measured(summary) else None
-    gaps = answer.snapshots(measured) if measured else []
     return {
         "title": subject.title,
         "headline": subject.headline(summary),
@@ -92,7 +89,6 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "pictures": pictures,
         "numbers": list(blocks(summary)),
         "details": list(subject.details(tree, summary)),
-        "budget": [(name or "Gap", list(_shares(part["budget"]))) for name, part in gaps],
         "assumptions": list(subject.assumptions(summary)),
         "config": tree.attrs.get("config", ""),
         "origin": [(label, tree.attrs[key]) for key, label in _ORIGIN.items() if key in tree.attrs],
@@ -101,12 +97,6 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "citations": citations(),
         "bibtex": all_bibtex(),
     }
-
-
-def _shares(budget: Mapping[str, float]) -> Iterator[tuple[str, float, str]]:
-    """(source, share in percent, share in words), largest first."""
-    for source, share in sorted(budget.items(), key=lambda item: -item[1]):
-        yield words.source_in_words(source), 100.0 * share, words.probability(share)
 
 
 def _pictures(tree: xr.DataTree, stored: Path | None) -> Iterator[Picture]:
