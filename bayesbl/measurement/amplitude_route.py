@@ -134,17 +134,8 @@ SAMPLE_STATS = Group(
     ),
 )
 
-NOISE_POSTERIOR = shared.noise_posterior(_symbol(*shared.DRAWS), (_BASELINE,), (_TERMS,))
-
-LOG_PRIOR = Group(
-    "log_prior", (), (shared.CHAIN, shared.DRAW), named=_symbol(*shared.DRAWS), optional=True
-)
-
-PRIOR = Group(
-    "prior",
-    (replace(shared.DELTA, optional=True),),
-    (shared.CHAIN, shared.DRAW),
-    named=_symbol(*shared.DRAWS),
+OF_NOISE = shared.of_noise_alone(
+    _symbol(*shared.DRAWS), (_BASELINE,), (_TERMS,), (replace(shared.DELTA, optional=True),)
 )
 
 PREDICTIVE = Group(
@@ -240,12 +231,7 @@ SAMPLER_CHECK = Group(
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
-    NOISE_POSTERIOR,
-    shared.LOG_LIKELIHOOD,
-    LOG_PRIOR,
-    PRIOR,
-    shared.PRIOR_PREDICTIVE,
-    shared.POSTERIOR_PREDICTIVE,
+    *OF_NOISE.values(),
     *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
@@ -665,8 +651,10 @@ def _noise_only(
     speeds = {MOTOR_SPEED: predicted(point, few, flat, generator)}
     shown = prior if curve is None else {**prior, shared.DELTA.name: np.exp(log_gap)}
     groups = {
-        PRIOR.name: dataset(
-            PRIOR, {n: v[None] for n, v in shown.items()}, shared.numbered((1, shared.PRIOR_DRAWS))
+        "prior": dataset(
+            OF_NOISE["prior"],
+            {n: v[None] for n, v in shown.items()},
+            shared.numbered((1, shared.PRIOR_DRAWS)),
         ),
         shared.PRIOR_PREDICTIVE.name: shared.replicates(shared.PRIOR_PREDICTIVE, chains, speeds),
     }
@@ -681,16 +669,16 @@ def _noise_only(
     baseline = baseline.reshape(*shape, -1)
     density = {n: np.full(shape, -math.log(b - a)) for n, (a, b) in ranges.items()}
     return groups | {
-        NOISE_POSTERIOR.name: dataset(
-            NOISE_POSTERIOR,
+        "noise_posterior": dataset(
+            OF_NOISE["noise_posterior"],
             {**draws, "baseline_rpm": baseline},
             {**shared.numbered(shape), "baseline_term": _baseline_terms(fit)},
         ),
         shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
             log_likelihood(point, draws, baseline)
         ),
-        LOG_PRIOR.name: dataset(
-            LOG_PRIOR,
+        "log_prior": dataset(
+            OF_NOISE["log_prior"],
             {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])},
             shared.numbered(shape),
         ),

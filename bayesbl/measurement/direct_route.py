@@ -594,13 +594,7 @@ POSTERIOR = Group(
     "posterior", (shared.DELTA,), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS)
 )
 
-NOISE_POSTERIOR = shared.noise_posterior(_unknown(*shared.DRAWS))
-
-LOG_PRIOR = Group(
-    "log_prior", (), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS), optional=True
-)
-
-PRIOR = Group("prior", (), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS))
+OF_NOISE = shared.of_noise_alone(_unknown(*shared.DRAWS))
 
 SAMPLE_STATS = Group(
     "sample_stats",
@@ -671,12 +665,7 @@ PREDICTIVE_CHECK = Group(
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
-    NOISE_POSTERIOR,
-    shared.LOG_LIKELIHOOD,
-    LOG_PRIOR,
-    PRIOR,
-    shared.PRIOR_PREDICTIVE,
-    shared.POSTERIOR_PREDICTIVE,
+    *OF_NOISE.values(),
     *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
@@ -760,7 +749,7 @@ def _noise_only(
 
     prior = model.prior_draws(shared.PRIOR_DRAWS, generator)
     groups = {
-        PRIOR.name: _draws(PRIOR, posterior, seen.name, prior[None]),
+        "prior": _draws(OF_NOISE["prior"], posterior, seen.name, prior[None]),
         shared.PRIOR_PREDICTIVE.name: predicted(shared.PRIOR_PREDICTIVE, prior),
     }
     if posterior.noise_only is None:
@@ -769,12 +758,12 @@ def _noise_only(
     densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
     places = own_unknowns(posterior, seen.name)
     return groups | {
-        NOISE_POSTERIOR.name: _draws(NOISE_POSTERIOR, posterior, seen.name, draws),
+        "noise_posterior": _draws(OF_NOISE["noise_posterior"], posterior, seen.name, draws),
         shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
             posterior.noise_only.log_likelihood[index]
         ),
-        LOG_PRIOR.name: dataset(
-            LOG_PRIOR,
+        "log_prior": dataset(
+            OF_NOISE["log_prior"],
             {name: densities[..., i] for name, i in places.items()},
             shared.numbered(draws.shape),
         ),

@@ -236,8 +236,7 @@ def _change_of_route(one: Measurement, config: CompareConfig) -> dict[str, Any]:
     """What a route alone says of the change."""
     step = _step(one, 0, len(one.answers) - 1, config)
     return {
-        "change_rad": step["change_rad"],
-        "probability_increase": step["probability_increase"],
+        **{key: step[key] for key in ("change_rad", "probability_increase")},
         "outcome": one.outcome,
         "reason": _reason_of_all(one),
         "same_joint": one.same_joint,

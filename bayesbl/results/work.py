@@ -252,24 +252,24 @@ class WorkStore:
 
     def keep_latest(self, *, size_bytes: float = math.inf, count: float = math.inf) -> None:
         """Delete the oldest entries until the others are no more, and take no more, than this."""
-        self._tidy()
         latest = sorted(self._entries().items(), key=lambda entry: -entry[1].st_mtime_ns)
-        taken = 0
+        taken, old = 0, []
         for number, (name, status) in enumerate(latest, start=1):
             taken += status.st_size
-            if self.folder is not None and (taken > size_bytes or number > count):
-                PrivateFolder(self.folder).delete(name)
+            if taken > size_bytes or number > count:
+                old.append(name)
+        self._forget(old)
 
     def keep_only(self, addresses: Collection[str]) -> None:
         """Forget all but what is under these addresses."""
-        self._tidy()
-        for name in self._entries().keys() - set(addresses):
-            if self.folder is not None:
-                PrivateFolder(self.folder).delete(name)
+        self._forget(self._entries().keys() - set(addresses))
 
-    def _tidy(self) -> None:
+    def _forget(self, names: Collection[str]) -> None:
         if self.folder is not None:
-            PrivateFolder(self.folder).tidy()
+            folder = PrivateFolder(self.folder)
+            folder.tidy()
+            for name in names:
+                folder.delete(name)
 
     def _entries(self) -> dict[str, os.stat_result]:
         """Files in the folder, by name."""

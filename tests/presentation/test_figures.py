@@ -356,7 +356,11 @@ def test_every_source_of_the_curve_has_its_band(swept):
     )
     assert np.allclose(inside.mean(axis=0), 0.9, atol=0.01)
     shown = texts(curve(swept))
-    for name in ("coefficients", "lack of fit", "tolerances of the bench"):
+    for name in (
+        "coefficients of the curve",
+        "lack of fit of the curve",
+        "tolerances of the bench",
+    ):
         assert re.search(rf"^{name}$", shown, re.MULTILINE), name
 
 

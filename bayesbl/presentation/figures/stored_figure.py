@@ -20,6 +20,7 @@ from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_
 from bayesbl.presentation.words import decimals
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
+from bayesbl.units import number
 
 FIGURE_UNITS = 10.0
 """Of the last decimal, that an interval in a figure is wide."""
@@ -66,18 +67,14 @@ def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
     return credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
 
 
-def interval_in_words(tree: xr.DataTree, found: Interval) -> str:
-    """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
-    places = decimals(found, units=FIGURE_UNITS)
-    low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))
-    return f"{middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")
-
-
 def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
     """``after: 0.953 mrad (90 % interval 0.927 to 0.981)``, or that δ is withheld."""
     if snapshot.withheld:
         return f"{snapshot.name}: δ withheld"
-    return f"{snapshot.name}: {interval_in_words(tree, gap_interval(tree, snapshot))}"
+    found = gap_interval(tree, snapshot)
+    places = decimals(found, units=FIGURE_UNITS)
+    low, middle, high = (number(found[key], places) for key in ("low", "median", "high"))
+    return f"{snapshot.name}: {middle} mrad ({interval_name(tree)} {low} to {high})"
 
 
 def interval_name(tree: xr.DataTree) -> str:

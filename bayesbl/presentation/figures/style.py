@@ -135,19 +135,6 @@ def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         panel.set_title(f"({_letters(index)})  {title}", loc="left", pad=4.0)
 
 
-def legend_above(panel: Axes) -> None:
-    """A legend in one line beside the panel's title, where there is never data."""
-    panel.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=4,
-        columnspacing=0.7,
-        handlelength=1.4,
-        handletextpad=0.4,
-        borderaxespad=0.2,
-    )
-
-
 def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
     """What a panel shows, above all panels."""
     handles, labels = panel.get_legend_handles_labels()
@@ -224,9 +211,9 @@ def grid(
 
 
 def one_panel_each(
-    count: int, height_in: float = 2.1, *, shared: bool = True, above: float = 0.0
+    count: int, height_in: float, *, above: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel per snapshot, at most two in a row, with ``shared`` axes or not.
+    """A figure with one panel per snapshot, at most two in a row, with shared axes.
 
     ``above`` is room for a legend over all of them, in inches.
     """
@@ -234,10 +221,10 @@ def one_panel_each(
     rows = math.ceil(count / columns)
     width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN
     figure = new_figure(width, rows * height_in + 0.2 + above)
-    spec = grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35 if shared else 0.55))
+    spec = grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35))
     axes: list[Axes] = []
     for i in range(count):
-        first = axes[0] if axes and shared else None
+        first = axes[0] if axes else None
         axes.append(figure.add_subplot(spec[divmod(i, columns)], sharex=first, sharey=first))
     return figure, axes
 

@@ -16,6 +16,7 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure, values
+from bayesbl.presentation.words import source_in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
@@ -35,11 +36,6 @@ _FILLS: Mapping[str, str] = {
     "bench": "#dcdcdc",
     "regression": "#0072b2",
     "lack_of_fit": "#a6cee3",
-}
-_NAMES: Mapping[str, str] = {
-    "bench": "tolerances of the bench",
-    "regression": "coefficients",
-    "lack_of_fit": "lack of fit",
 }
 
 
@@ -168,7 +164,7 @@ def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
     panel.margins(y=0.1)
     panel.set_ylabel("Departure of δ (%)")
     if panel.get_legend_handles_labels()[0]:
-        style.legend_above(panel)
+        panel.legend(loc="upper right")
 
 
 def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
@@ -204,7 +200,7 @@ def _draw_band(
 ) -> None:
     panel.fill_between(
         knots, low, high, color=_FILLS.get(source, "#f0e0c0"), linewidth=0.0,
-        label=_NAMES.get(source, source.replace("_", " ")),
+        label=source_in_words(source),
     )  # fmt: skip
 
 
