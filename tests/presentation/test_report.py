@@ -241,7 +241,7 @@ def test_without_a_curve_the_ringing_alone_is_told():
 
 def test_without_a_current_the_first_line_says_on_what_wear_rests():
     spots = check(blind_spots=WITHOUT_CURRENT)
-    gains = WITHOUT_CURRENT[0].change
+    gains = WITHOUT_CURRENT[0]["change"]
     alone = answer.headline(ringing_alone(same_joint=spots))
     assert alone.startswith("The ringing grew by 24 %")
     assert f"only if {gains} did not change: no motor current can be compared." in alone
