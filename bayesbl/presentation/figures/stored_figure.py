@@ -67,14 +67,18 @@ def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
     return credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
 
 
+def interval_in_words(tree: xr.DataTree, found: Interval) -> str:
+    """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
+    places = decimals(found, units=FIGURE_UNITS)
+    low, middle, high = (number(found[key], places) for key in ("low", "median", "high"))
+    return f"{middle} mrad ({interval_name(tree)} {low} to {high})"
+
+
 def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
     """``after: 0.953 mrad (90 % interval 0.927 to 0.981)``, or that δ is withheld."""
     if snapshot.withheld:
         return f"{snapshot.name}: δ withheld"
-    found = gap_interval(tree, snapshot)
-    places = decimals(found, units=FIGURE_UNITS)
-    low, middle, high = (number(found[key], places) for key in ("low", "median", "high"))
-    return f"{snapshot.name}: {middle} mrad ({interval_name(tree)} {low} to {high})"
+    return f"{snapshot.name}: {interval_in_words(tree, gap_interval(tree, snapshot))}"
 
 
 def interval_name(tree: xr.DataTree) -> str:
