@@ -252,8 +252,7 @@ def test_a_bug_in_a_case_names_it_and_keeps_the_others(folder, capsys):
     told = capsys.readouterr().err
     assert f"{folder / 'study.py'}, line " in told
     assert 'failed in case 5 of row "a". Found: KeyError' in told
-    entries = list((folder / ".out.unfinished").iterdir())
-    assert len(entries) == 1 + 5  # the row's definition, and the other cases
+    assert len(list((folder / ".out.unfinished").iterdir())) == 5
 
 
 @pytest.mark.parametrize("ending", ["raise SystemExit(0)", "return ends()", "os._exit(0)"])
