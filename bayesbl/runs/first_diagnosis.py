@@ -314,8 +314,15 @@ def _spare(speeds: Sequence[float]) -> int | None:
         same = any(math.copysign(1.0, other) == math.copysign(1.0, speed) for other in others)
         if same and len(left) >= FEWEST_SETTINGS:
             possible.append(i)
-    away = np.abs(np.abs(speeds) - np.median(np.abs(speeds)))
-    return min(possible, key=lambda i: (float(away[i]), -i), default=None)
+    sizes = np.abs(speeds)
+    middle = float(np.median(sizes))
+
+    def preference(i: int) -> tuple[bool, float, int]:
+        ends = np.array([sizes.min(), sizes.max()])
+        at_end = bool(np.any(np.abs(sizes[i] / ends - 1.0) <= SAME_SPEED))
+        return at_end, abs(float(sizes[i]) - middle), -i
+
+    return min(possible, key=preference, default=None)
 
 
 DEFAULT_FILE = "diagnose.toml"

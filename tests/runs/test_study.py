@@ -336,9 +336,8 @@ def test_a_stored_result_never_runs_the_file_that_it_names(folder, capsys):
     status, told = printed("figures", output)
     assert status == cli.WRONG
     assert "--study FILE" in told
-    status, told = printed("report", output)
+    status, _ = printed("report", output)
     assert status == 0
-    assert f"bayesbl figures {output} --study FILE" in told
     assert not mark.exists()
     status, _ = printed("figures", output, "--study", folder / "study.py")
     assert status == 0
