@@ -21,8 +21,9 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        for find_place in (_leave_as_it_is, _use_temporary_folder):
-            find_place()
+        for elsewhere in (False, True):
+            if elsewhere:
+                _use_temporary_folder()
             try:
                 return _forgiving(numba.njit(cache=True, **options)(function))
             except RuntimeError as error:
@@ -44,10 +45,6 @@ def _forgiving(function: Any) -> Any:
 
     cache.save_overload = attempt
     return function
-
-
-def _leave_as_it_is() -> None:
-    pass
 
 
 def _use_temporary_folder() -> None:

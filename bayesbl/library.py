@@ -311,7 +311,7 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
 
     file = None if isinstance(config, RunConfig) else Path(config)
     loaded = config if isinstance(config, RunConfig) else load_run(config)
-    return run_config(loaded, draw_answer, force=force, file=file, formats=figures)
+    return run_config(loaded, draw, force=force, file=file, formats=figures)
 
 
 @checked
@@ -325,7 +325,7 @@ def write_page(result: File) -> Path:
     """
     from bayesbl.presentation.page.build import write_page as write
 
-    return write(result, draw)
+    return write(result)
 
 
 @checked
@@ -334,7 +334,6 @@ def draw(
     folder: Path,
     formats: Formats = ("png",),
     study: Path | None = None,
-    for_specialists: bool = True,
 ) -> list[Path]:
     """Write every figure of a result of any kind into a folder; the files written.
 
@@ -344,8 +343,6 @@ def draw(
         ``"png"``, ``"pdf"``, both or none; a fleet's pages are written whatever they are.
     study
         The study file, if the result is a study's: only the user says which file is run.
-    for_specialists
-        Whether the figures that show how the answer was made are drawn too.
 
     Raises
     ------
@@ -363,12 +360,7 @@ def draw(
         return draw_study(load_study(study), tree, folder, formats)
     from bayesbl.presentation.figures.stored_figure import draw_all
 
-    return draw_all(tree, folder, formats, for_specialists=for_specialists)
-
-
-def draw_answer(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """As :func:`draw`, of what a run draws at once: the figures that its answer needs."""
-    return draw(tree, folder, formats, for_specialists=False)
+    return draw_all(tree, folder, formats)
 
 
 def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | None = None) -> None:

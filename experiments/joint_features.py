@@ -103,7 +103,7 @@ def alarms(pairs: int, *, with_current: bool) -> None:
                 _point(made, gap * growth, generator, with_current, smoothed_s)
                 for made, growth, smoothed_s in ((bench, 1.0, mean_s), (second, 1.3, 0.0))
             ]
-            called += not same_joint(points, (False, False)).agrees
+            called += not same_joint(points, (False, False))["agrees"]
         print(f"{name:28s} {called} of {pairs} called different", flush=True)
 
 

@@ -108,11 +108,11 @@ def status(arguments: Sequence[str] | None = None) -> int:
         error,
         make_console,
         plain,
+        replace_what_cannot_be_printed,
         say,
-        spell_what_cannot_be_printed,
     )
 
-    spell_what_cannot_be_printed()
+    replace_what_cannot_be_printed()
     try:
         # --help, --version and Ctrl-C end inside typer, with the status as value.
         given = brought_forward(sys.argv[1:] if arguments is None else arguments)

@@ -789,18 +789,10 @@ def figures_command(
 
 def report_command(result: ResultPath) -> None:
     """Write a result as one HTML page, report.html, that opens anywhere."""
-    from bayesbl.library import draw
     from bayesbl.presentation.page.build import write_page
     from bayesbl.presentation.terminal import say
 
-    def draw_or_say(tree: xr.DataTree, folder: Path) -> list[Path]:
-        if tree.attrs["kind"] != "study":
-            return draw(tree, folder)
-        command = f"bayesbl figures {shlex.quote(str(result))} --study FILE"
-        say(f"The page has no figure: none is stored. To draw it: {command}", err=True)
-        return []
-
-    say(str(write_page(result, draw_or_say)))
+    say(str(write_page(result)))
 
 
 def inspect_command(result: ResultPath, json: Json = False) -> None:

@@ -74,7 +74,7 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
 
 
 def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
-    from bayesbl.library import draw_answer
+    from bayesbl.library import draw
     from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.terminal import make_console, progress, say
     from bayesbl.runs.kinds import read_result, run
@@ -83,7 +83,7 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
         summary = run(
             config,
-            draw_answer,
+            draw,
             force=force,
             progress=tell,
             say=console.print,

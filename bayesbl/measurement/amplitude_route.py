@@ -27,7 +27,7 @@ from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, curve_group, curve_source
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.joint_check import NOTHING_COMPARED, CheckItem, JointCheck
+from bayesbl.measurement.joint_check import JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
@@ -134,17 +134,8 @@ SAMPLE_STATS = Group(
     ),
 )
 
-NOISE_POSTERIOR = shared.noise_posterior(_symbol(*shared.DRAWS), (_BASELINE,), (_TERMS,))
-
-LOG_PRIOR = Group(
-    "log_prior", (), (shared.CHAIN, shared.DRAW), named=_symbol(*shared.DRAWS), optional=True
-)
-
-PRIOR = Group(
-    "prior",
-    (replace(shared.DELTA, optional=True),),
-    (shared.CHAIN, shared.DRAW),
-    named=_symbol(*shared.DRAWS),
+OF_NOISE = shared.of_noise_alone(
+    _symbol(*shared.DRAWS), (_BASELINE,), (_TERMS,), (replace(shared.DELTA, optional=True),)
 )
 
 PREDICTIVE = Group(
@@ -240,12 +231,7 @@ SAMPLER_CHECK = Group(
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
-    NOISE_POSTERIOR,
-    shared.LOG_LIKELIHOOD,
-    LOG_PRIOR,
-    PRIOR,
-    shared.PRIOR_PREDICTIVE,
-    shared.POSTERIOR_PREDICTIVE,
+    *OF_NOISE.values(),
     *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
@@ -383,7 +369,7 @@ class AmplitudeMeasurer(Measurer):
         interval reaches.
         """
         if curve is None or gap is None:
-            return NOTHING_COMPARED, []
+            return joint_check(), []
         check = ringing_check(curve, measured_ringing(fit), gap)
         bench = self.source.bench_of(recording)
         if bench is None or np.any(gap.delta_rad <= 0.0):
@@ -396,16 +382,19 @@ class AmplitudeMeasurer(Measurer):
         differing = [
             item
             for item in items
-            if item.quantity in MOVES_RINGING and abs(item.z) > bound and item.expected > 0.0
-            if abs(item.measured / item.expected - 1.0) > 0.5 * (high - low)
+            if item["quantity"] in MOVES_RINGING and abs(item["z"]) > bound
+            if item["expected"] > 0.0
+            if abs(item["measured"] / item["expected"] - 1.0) > 0.5 * (high - low)
         ]
-        causes = [cause for item in differing for cause in COULD_BE[item.quantity]]
-        causes = list(dict.fromkeys([*check.could_be, *causes]))
-        agrees = check.agrees and not differing
-        names = ("quantity", "measured", "expected", "unit")
-        told = [{name: getattr(item, name) for name in names} for item in differing]
+        causes = [cause for item in differing for cause in COULD_BE[item["quantity"]]]
+        told = [{key: value for key, value in item.items() if key != "z"} for item in differing]
         reasons = [Reason("other_bench", values, withholds=True) for values in told]
-        return JointCheck(agrees, [*check.items, *items], tuple(causes)), reasons
+        compared = joint_check(
+            check["agrees"] and not differing,
+            [*check["items"], *items],
+            [*check["could_be"], *causes],
+        )
+        return compared, reasons
 
     def _curve(
         self, curves: Sequence[GapCurve] | None, found: Sequence[Gap | None], task: Task
@@ -662,8 +651,10 @@ def _noise_only(
     speeds = {MOTOR_SPEED: predicted(point, few, flat, generator)}
     shown = prior if curve is None else {**prior, shared.DELTA.name: np.exp(log_gap)}
     groups = {
-        PRIOR.name: dataset(
-            PRIOR, {n: v[None] for n, v in shown.items()}, shared.numbered((1, shared.PRIOR_DRAWS))
+        "prior": dataset(
+            OF_NOISE["prior"],
+            {n: v[None] for n, v in shown.items()},
+            shared.numbered((1, shared.PRIOR_DRAWS)),
         ),
         shared.PRIOR_PREDICTIVE.name: shared.replicates(shared.PRIOR_PREDICTIVE, chains, speeds),
     }
@@ -678,16 +669,16 @@ def _noise_only(
     baseline = baseline.reshape(*shape, -1)
     density = {n: np.full(shape, -math.log(b - a)) for n, (a, b) in ranges.items()}
     return groups | {
-        NOISE_POSTERIOR.name: dataset(
-            NOISE_POSTERIOR,
+        "noise_posterior": dataset(
+            OF_NOISE["noise_posterior"],
             {**draws, "baseline_rpm": baseline},
             {**shared.numbered(shape), "baseline_term": _baseline_terms(fit)},
         ),
         shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
             log_likelihood(point, draws, baseline)
         ),
-        LOG_PRIOR.name: dataset(
-            LOG_PRIOR,
+        "log_prior": dataset(
+            OF_NOISE["log_prior"],
             {**density, AMPLITUDE: of_amplitude(draws[AMPLITUDE])},
             shared.numbered(shape),
         ),
@@ -912,7 +903,7 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
     """
     ringing = curve.ringing
     if ringing is None:
-        return NOTHING_COMPARED
+        return joint_check()
     amplitude = measured.centre[0]
     nearest = int(np.argmin(np.abs(curve.knots_rpm - amplitude)))
     covariance = measured.covariance + ringing.scatter[nearest]
@@ -932,7 +923,7 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
         sd = math.sqrt(given_amplitude[place, place] + float(np.var(draws[:, nearest])))
         found = float(measured.centre[place])
         items.append(
-            CheckItem(
+            check_item(
                 quantity,
                 math.exp(found) / one,
                 math.exp(by_curve) / one,
@@ -941,8 +932,8 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
             )
         )
     agrees = all(reason.code != CONTRADICTED for reason in gap.reasons)
-    causes = [] if agrees else [cause for item in items for cause in COULD_BE[item.quantity]]
-    return JointCheck(agrees, items, tuple(dict.fromkeys(causes)))
+    causes = [] if agrees else [cause for item in items for cause in COULD_BE[item["quantity"]]]
+    return joint_check(agrees, items, causes)
 
 
 # The paper's own search and model.

@@ -96,7 +96,7 @@ class AutoMeasurer(Measurer):
         failed = [
             reason
             for answer in direct.answers
-            if answer.model_check.agrees
+            if answer.model_check["agrees"]
             for reason in answer.verdict.withholding
         ]
         if failed and not all(answer.is_withheld for answer in amplitude.answers):
@@ -136,9 +136,10 @@ def _with_checks_of(direct: Measurement, amplitude: Measurement) -> Measurement:
     answers = []
     for answer, beside in zip(direct.answers, amplitude.answers, strict=True):
         own = answer.model_check
-        known = {item.quantity for item in own.items}
-        others = (item for item in beside.model_check.items if item.quantity not in known)
-        answers.append(replace(answer, model_check=replace(own, items=[*own.items, *others])))
+        known = {item["quantity"] for item in own["items"]}
+        others = (item for item in beside.model_check["items"] if item["quantity"] not in known)
+        items = [*own["items"], *others]
+        answers.append(replace(answer, model_check={**own, "items": items}))
     return replace(direct, answers=answers)
 
 
@@ -152,7 +153,7 @@ def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measur
     against = Reason("recording_contradicts_bench").withholding
     answers = [
         answer
-        if seen.model_check.agrees
+        if seen.model_check["agrees"]
         else replace(
             answer,
             verdict=Verdict("withheld", (against, *answer.verdict.reasons)),

@@ -44,7 +44,7 @@ from bayesbl.matching.signals import (
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
-from bayesbl.measurement.joint_check import CheckItem, JointCheck
+from bayesbl.measurement.joint_check import CheckItem, JointCheck, check_item
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,
@@ -148,15 +148,15 @@ class DirectMatch:
         """
         beyond = self.posterior.beyond_tolerance(recording, level)
         check = check_of_snapshot(self.joint, recording)
-        return replace(
-            check,
-            agrees=check.agrees and not self.repeating(recording) and beyond is None,
-            items=[
-                *check.items,
+        return {
+            **check,
+            "agrees": check["agrees"] and not self.repeating(recording) and beyond is None,
+            "items": [
+                *check["items"],
                 *feature_items(self.posterior.fit, recording),
                 *(_item(e) for e in self.check if e.recording == recording),
             ],
-        )
+        }
 
 
 class DirectMeasurer(Measurer):
@@ -489,7 +489,7 @@ def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dic
 def _item(entry: RepeatingPower) -> CheckItem:
     band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
     z = normal_isf(entry.probability)
-    return CheckItem(
+    return check_item(
         f"power that repeats every rotation over that of noise, {entry.channel} {band}",
         entry.ratio,
         1.0,
@@ -607,13 +607,7 @@ POSTERIOR = Group(
     "posterior", (shared.DELTA,), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS)
 )
 
-NOISE_POSTERIOR = shared.noise_posterior(_unknown(*shared.DRAWS))
-
-LOG_PRIOR = Group(
-    "log_prior", (), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS), optional=True
-)
-
-PRIOR = Group("prior", (), (shared.CHAIN, shared.DRAW), named=_unknown(*shared.DRAWS))
+OF_NOISE = shared.of_noise_alone(_unknown(*shared.DRAWS))
 
 SAMPLE_STATS = Group(
     "sample_stats",
@@ -684,12 +678,7 @@ PREDICTIVE_CHECK = Group(
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
-    NOISE_POSTERIOR,
-    shared.LOG_LIKELIHOOD,
-    LOG_PRIOR,
-    PRIOR,
-    shared.PRIOR_PREDICTIVE,
-    shared.POSTERIOR_PREDICTIVE,
+    *OF_NOISE.values(),
     *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
@@ -773,7 +762,7 @@ def _noise_only(
 
     prior = model.prior_draws(shared.PRIOR_DRAWS, generator)
     groups = {
-        PRIOR.name: _draws(PRIOR, posterior, seen.name, prior[None]),
+        "prior": _draws(OF_NOISE["prior"], posterior, seen.name, prior[None]),
         shared.PRIOR_PREDICTIVE.name: predicted(shared.PRIOR_PREDICTIVE, prior),
     }
     if posterior.noise_only is None:
@@ -782,12 +771,12 @@ def _noise_only(
     densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
     places = own_unknowns(posterior, seen.name)
     return groups | {
-        NOISE_POSTERIOR.name: _draws(NOISE_POSTERIOR, posterior, seen.name, draws),
+        "noise_posterior": _draws(OF_NOISE["noise_posterior"], posterior, seen.name, draws),
         shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
             posterior.noise_only.log_likelihood[index]
         ),
-        LOG_PRIOR.name: dataset(
-            LOG_PRIOR,
+        "log_prior": dataset(
+            OF_NOISE["log_prior"],
             {name: densities[..., i] for name, i in places.items()},
             shared.numbered(draws.shape),
         ),

@@ -1,32 +1,21 @@
 """What was found where something measured is compared with what it should be.
 
 A snapshot is compared with its bench (``model_check``), and the snapshots of a comparison with one
-another (``same_joint``). Both have the form of :class:`JointCheck`, whoever makes it; it is stored
-as JSON, so that a check may have any number of items.
+another (``same_joint``). Both have the form of :class:`JointCheck`, whoever makes it, and are
+stored as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from typing import TypedDict
 
 NO_CURRENT = "no motor current can be compared"
 """Reason of a blind spot: gains that change move the ringing by any size, as a gap does."""
 
 
-@dataclass(frozen=True, slots=True)
-class CheckItem:
-    """One quantity: as measured, as expected, and their difference in standard deviations.
-
-    Attributes
-    ----------
-    quantity
-        As it stands in a sentence, ``"ringing frequency"``.
-    expected
-        By the bench, or in the snapshot that another one is compared with.
-    unit
-        Of both; empty for a pure number.
-    """
+class CheckItem(TypedDict):
+    """A quantity as measured and as expected; ``z`` is their difference in standard deviations."""
 
     quantity: str
     measured: float
@@ -35,45 +24,51 @@ class CheckItem:
     z: float
 
 
-@dataclass(frozen=True, slots=True)
-class BlindSpot:
-    """A change of the joint that would pass the check.
-
-    Attributes
-    ----------
-    change
-        As it stands in a sentence, ``"the speed controller's gains"``.
-    reason
-        Why it cannot be seen.
-    delta_error_rad
-        What it would do to δ, in rad; ``None`` where that is not known.
-    """
+class BlindSpot(TypedDict):
+    """A change of the joint that the check cannot see, and what it would do to δ, where known."""
 
     change: str
     reason: str
-    delta_error_rad: float | None = None
+    delta_error_rad: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class JointCheck:
-    """All quantities that were compared.
+class JointCheck(TypedDict):
+    """A snapshot against its bench, or snapshots against one another.
 
-    Attributes
-    ----------
-    agrees
-        Whether all differences may be chance, at the false-alarm rate of whoever made the check.
-    could_be
-        Names of effects, or of parameters of the bench, that would do what was found.
-    sentences
-        A sentence for each finding: what differs, by how much, what would do that.
+    ``could_be`` names effects or parameters of the bench that would explain it, ``sentences`` say
+    so. If nothing was compared, ``items`` is empty and ``agrees`` true.
     """
 
     agrees: bool
-    items: Sequence[CheckItem] = ()
-    could_be: Sequence[str] = ()
-    sentences: Sequence[str] = ()
-    blind_spots: Sequence[BlindSpot] = ()
+    items: list[CheckItem]
+    could_be: list[str]
+    sentences: list[str]
+    blind_spots: list[BlindSpot]
 
 
-NOTHING_COMPARED = JointCheck(True)
-"""It agrees, as nothing speaks against it."""
+def check_item(quantity: str, measured: float, expected: float, unit: str, z: float) -> CheckItem:
+    """One quantity; ``unit`` of both values, empty for a pure number."""
+    return {
+        "quantity": quantity,
+        "measured": measured,
+        "expected": expected,
+        "unit": unit,
+        "z": z,
+    }
+
+
+def joint_check(
+    agrees: bool = True,
+    items: Iterable[CheckItem] = (),
+    could_be: Iterable[str] = (),
+    sentences: Iterable[str] = (),
+    blind_spots: Iterable[BlindSpot] = (),
+) -> JointCheck:
+    """What was compared, nothing by default; ``could_be`` names each cause once."""
+    return {
+        "agrees": agrees,
+        "items": list(items),
+        "could_be": list(dict.fromkeys(could_be)),
+        "sentences": list(sentences),
+        "blind_spots": list(blind_spots),
+    }

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 
 from bayesbl.bench.bench import Bench
-from bayesbl.measurement.joint_check import CheckItem
+from bayesbl.measurement.joint_check import CheckItem, check_item
 from bayesbl.recording.types import MOTOR_CURRENT, ComplexArray, FloatArray
 from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION
@@ -120,7 +120,7 @@ def compared(
             mean, sd = float(np.mean(values)), float(np.std(values))
             sd = math.hypot(feature.standard_error, sd)
             z = (feature.value - mean) / sd if sd > 0.0 else 0.0
-            items.append(CheckItem(feature.name, feature.value, mean, feature.unit, z))
+            items.append(check_item(feature.name, feature.value, mean, feature.unit, z))
     return items
 
 

@@ -17,7 +17,7 @@ import xarray as xr
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import PUBLISHED, SnapshotRecording
-from bayesbl.measurement.joint_check import NOTHING_COMPARED, JointCheck
+from bayesbl.measurement.joint_check import JointCheck, joint_check
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import ready_for_fit, require_reference_speed, with_speed
 from bayesbl.recording.readers import read_recording
@@ -208,7 +208,7 @@ class Answer:
     verdict: Verdict = Verdict()
     groups: Mapping[str, xr.Dataset] = field(default_factory=dict)
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    model_check: JointCheck = NOTHING_COMPARED
+    model_check: JointCheck = field(default_factory=joint_check)
     upper_bound_rad: float | None = None
 
     @property
@@ -256,7 +256,7 @@ class Measurement:
     warnings: Sequence[str] = ()
     attributes: Mapping[str, str] = field(default_factory=dict)
     ringing_change: FloatArray | None = None
-    same_joint: JointCheck = NOTHING_COMPARED
+    same_joint: JointCheck = field(default_factory=joint_check)
     change_reason: Reason | None = None
     why: Reason = Reason("only_route")
     beside: Sequence[Measurement] = ()

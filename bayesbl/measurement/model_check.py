@@ -14,7 +14,13 @@ from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
-from bayesbl.measurement.joint_check import BlindSpot, CheckItem, JointCheck
+from bayesbl.measurement.joint_check import (
+    BlindSpot,
+    CheckItem,
+    JointCheck,
+    check_item,
+    joint_check,
+)
 from bayesbl.measurement.joint_features import compared, folded_signal
 from bayesbl.model_search.always_in import CHANGED_TOGETHER
 from bayesbl.model_search.joint_change import (
@@ -32,7 +38,7 @@ def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
     """One recording against its bench."""
     own = [c for c in found.changed if c.recording in (None, recording)]
     allowed = [c for c in found.allowed if c.recording in (None, recording)]
-    return JointCheck(
+    return joint_check(
         found.explained and not own,
         [_item(c) for c in (*own, *allowed)],
         found.could_be if own else (),
@@ -76,16 +82,16 @@ def check_of_comparison(
         sentences[-1] += _others(found, between)
         if is_given:
             sentences[-1] += " The change of δ is given with this allowed for."
-    return JointCheck(
+    return joint_check(
         found.explained and not between,
         [_item(c) for c in between],
         found.could_be if between else (),
         sentences,
         [
             BlindSpot(
-                f"{spoken(spot.name)} by {_size(spot.size, spot.expected, spot.unit)}",
-                "too small for these recordings to show",
-                spot.error_rad,
+                change=f"{spoken(spot.name)} by {_size(spot.size, spot.expected, spot.unit)}",
+                reason="too small for these recordings to show",
+                delta_error_rad=spot.error_rad,
             )
             for spot in found.blind_spots
             if spot.error_rad > MATTERS * _width(change_rad, level)
@@ -191,7 +197,7 @@ def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> str:
 
 def _item(changed: ChangedParameter) -> CheckItem:
     z = (changed.estimate - changed.expected) / changed.sd if changed.sd > 0.0 else 0.0
-    return CheckItem(changed.name, changed.estimate, changed.expected, changed.unit, z)
+    return check_item(changed.name, changed.estimate, changed.expected, changed.unit, z)
 
 
 def _sentence(changed: ChangedParameter) -> str:

@@ -23,7 +23,13 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.joint_check import NOTHING_COMPARED, BlindSpot, CheckItem, JointCheck
+from bayesbl.measurement.joint_check import (
+    BlindSpot,
+    CheckItem,
+    JointCheck,
+    check_item,
+    joint_check,
+)
 from bayesbl.measurement.measurement import (
     UPPER_BOUND_LEVEL,
     Answer,
@@ -77,7 +83,9 @@ TOLD = {
 
 
 NOT_TOLD = "ramps cannot distinguish it from play"
-SOFTER = BlindSpot("flanks that became softer at small torque alone", NOT_TOLD)
+SOFTER = BlindSpot(
+    change="flanks that became softer at small torque alone", reason=NOT_TOLD, delta_error_rad=None
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +107,10 @@ class Held:
 def held_alike(first: Held, last: Held) -> JointCheck:
     """What changed in friction and compliance, and how far it may have moved the change of δ."""
     if first.draws is last.draws:
-        return NOTHING_COMPARED
+        return joint_check()
     before, after = first.draws, last.draws
     items = [
-        CheckItem(
+        check_item(
             quantity,
             float(np.median(after[name])),
             float(np.median(before[name])),
@@ -116,18 +124,21 @@ def held_alike(first: Held, last: Held) -> JointCheck:
     # Less compliance held cannot pass for growth. A width falls with it, and also where more
     # friction keeps the ramps from the flanks.
     error = HELD * (max(held, 0.0) if middle > 0.0 else abs(held))
-    changed = [item for item in items if abs(item.z) > DIFFERS]
+    changed = [item for item in items if abs(item["z"]) > DIFFERS]
     if not changed or error <= MATTERS * (high - low):
-        return JointCheck(True, items, blind_spots=(SOFTER,))
+        return joint_check(True, items, blind_spots=(SOFTER,))
     told = " and ".join(_in_words(item) for item in changed)
-    held_more = BlindSpot(f"compliance that friction holds, with {told}", NOT_TOLD, error)
-    return JointCheck(True, items, blind_spots=(held_more, SOFTER))
+    change = f"compliance that friction holds, with {told}"
+    held_more = BlindSpot(change=change, reason=NOT_TOLD, delta_error_rad=error)
+    return joint_check(True, items, blind_spots=(held_more, SOFTER))
 
 
 def _in_words(item: CheckItem) -> str:
-    scale, unit = (1e3, f"m{item.unit}") if item.unit.startswith("rad") else (1.0, item.unit)
-    after, before = scale * item.measured, scale * item.expected
-    return f"{item.quantity} of {after:.3g} instead of {before:.3g} {unit}"
+    unit, scale = item["unit"], 1.0
+    if unit.startswith("rad"):
+        unit, scale = f"m{unit}", 1e3
+    after, before = scale * item["measured"], scale * item["expected"]
+    return f"{item['quantity']} of {after:.3g} instead of {before:.3g} {unit}"
 
 
 def _deviations(last: Sequence[FloatArray], first: Sequence[FloatArray]) -> float:

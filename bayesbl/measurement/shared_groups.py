@@ -110,13 +110,27 @@ REPLICATES = 3
 """Recordings that are predicted for each chain, each as long as the one that was fitted."""
 
 
-def noise_posterior(
+def of_noise_alone(
     named: Callable[[str], Variable | None],
     variables: tuple[Variable, ...] = (),
     coordinates: tuple[Variable, ...] = (),
-) -> Group:
-    """Draws that log likelihood and predictions belong to: prior times likelihood, not widened."""
-    return Group("noise_posterior", variables, (CHAIN, DRAW, *coordinates), named, optional=True)
+    prior: tuple[Variable, ...] = (),
+) -> dict[str, Group]:
+    """Groups of the model and its noise alone, by name: prior, likelihood, what both predict.
+
+    ``named`` declares each unknown. Log likelihood and predictions belong to ``noise_posterior``,
+    prior times likelihood, which is not widened as the answer is.
+    """
+    axes = (CHAIN, DRAW)
+    groups = (
+        Group("noise_posterior", variables, (*axes, *coordinates), named, optional=True),
+        LOG_LIKELIHOOD,
+        Group("log_prior", (), axes, named, optional=True),
+        Group("prior", prior, axes, named),
+        PRIOR_PREDICTIVE,
+        POSTERIOR_PREDICTIVE,
+    )
+    return {group.name: group for group in groups}
 
 
 def log_likelihood_group(by_rotation: FloatArray) -> xr.Dataset:

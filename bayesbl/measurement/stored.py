@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,6 @@ from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import json_text, origin
 from bayesbl.results.variables import STACKED, dataset, stack_snapshots
-from bayesbl.ringing.symbols import SYMBOLS
 
 
 def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
@@ -184,7 +183,7 @@ def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[
             ],
         },
         "reason": one_of(withholding),
-        "model_check": asdict(answer.model_check),
+        "model_check": answer.model_check,
     }
     limit_rad = limit_rad_of(config)
     if limit_rad is not None:
@@ -226,7 +225,7 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         "probability_increase": total["probability_increase"],
         "ringing_change": None if grew is None else _interval(grew, config),
         "probability_ringing_grew": None if grew is None else float(np.mean(grew > 0.0)),
-        "same_joint": asdict(measured.same_joint),
+        "same_joint": measured.same_joint,
         "routes": {
             one.route: _change_of_route(one, config) for one in (measured, *measured.beside)
         },
@@ -237,11 +236,10 @@ def _change_of_route(one: Measurement, config: CompareConfig) -> dict[str, Any]:
     """What a route alone says of the change."""
     step = _step(one, 0, len(one.answers) - 1, config)
     return {
-        "change_rad": step["change_rad"],
-        "probability_increase": step["probability_increase"],
+        **{key: step[key] for key in ("change_rad", "probability_increase")},
         "outcome": one.outcome,
         "reason": _reason_of_all(one),
-        "same_joint": asdict(one.same_joint),
+        "same_joint": one.same_joint,
     }
 
 
@@ -308,11 +306,6 @@ class Snapshot:
         return self.values(
             "observed_data" if name in self.groups["observed_data"] else "constant_data", name
         )
-
-    @property
-    def symbols(self) -> tuple[str, ...]:
-        """Free symbols in the paper's order, δ behind them: all that has draws."""
-        return tuple(n for n in (*SYMBOLS, "delta_rad") if n in self.groups["posterior"])
 
     @property
     def withheld(self) -> bool:

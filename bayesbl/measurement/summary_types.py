@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NotRequired, TypedDict
 
+from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.results.intervals import Interval
 from bayesbl.results.store import Origin
 from bayesbl.sampling.convergence import Outcome
@@ -75,38 +76,6 @@ class PredictiveCheckEntry(TypedDict):
     highest_order: int
     ratio: float
     probability: float
-
-
-class CheckItemSummary(TypedDict):
-    """A quantity as measured and as expected; ``z`` is their difference in standard deviations."""
-
-    quantity: str
-    measured: float
-    expected: float
-    unit: str
-    z: float
-
-
-class BlindSpotSummary(TypedDict):
-    """A change of the joint that the check cannot see, and what it would do to δ, where known."""
-
-    change: str
-    reason: str
-    delta_error_rad: float | None
-
-
-class JointCheckSummary(TypedDict):
-    """A snapshot against its bench, or snapshots against one another.
-
-    ``could_be`` names effects or parameters of the bench that would explain it, ``sentences`` say
-    so. If nothing was compared, ``items`` is empty and ``agrees`` true.
-    """
-
-    agrees: bool
-    items: list[CheckItemSummary]
-    could_be: list[str]
-    sentences: list[str]
-    blind_spots: list[BlindSpotSummary]
 
 
 class _FromRinging(TypedDict, total=False):
@@ -240,7 +209,7 @@ class RouteSummary(_FromRinging, _FromSimulation, _FromRamps, _FromTwoEncoders):
     budget: dict[str, float]
     diagnostics: DiagnosticsSummary
     reason: ReasonSummary | None
-    model_check: JointCheckSummary
+    model_check: JointCheck
     limit_rad: NotRequired[float]
     limit: NotRequired[StatedLimit]
     probability_above_limit: NotRequired[float | None]
@@ -343,7 +312,7 @@ class ChangeSummary(TypedDict):
     probability_increase: float | None
     outcome: str
     reason: ReasonSummary | None
-    same_joint: JointCheckSummary
+    same_joint: JointCheck
 
 
 class WearSummary(TypedDict):
@@ -409,7 +378,7 @@ class ComparisonSummary(_Measured):
     probability_increase: float | None
     ringing_change: Interval | None
     probability_ringing_grew: float | None
-    same_joint: JointCheckSummary
+    same_joint: JointCheck
     routes: dict[str, ChangeSummary]
     wear: WearSummary | WithheldWearSummary | None
 

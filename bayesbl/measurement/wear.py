@@ -299,43 +299,25 @@ class Wear:
     width_over_prior: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Fall:
+def fall(delta_rad: FloatArray) -> tuple[int, float, float] | None:
     """The surest fall of the gap from one snapshot to the next, which wear rules out.
 
-    Attributes
-    ----------
-    snapshot
-        Number of the snapshot that lies below the one before it.
-    fall_rad, standard_deviations
-        By how much, also in units of its uncertainty; 0 or less where no gap falls.
-    probability
-        That errors of measuring make a fall as sure as this somewhere, at most (Bonferroni).
-    """
+    From joint draws, (snapshot, chain, draw), in rad: what snapshots share falls nowhere.
 
-    snapshot: int
-    fall_rad: float
-    standard_deviations: float
-    probability: float
-
-    @property
-    def is_fall(self) -> bool:
-        """Whether measuring does not explain it; wrongly claimed with ``FALSE_ALARM`` at most."""
-        return self.probability < FALSE_ALARM
-
-
-def fall(delta_rad: FloatArray) -> Fall:
-    """Whether the gap fell between neighbouring snapshots, from their joint draws.
-
-    What snapshots share falls nowhere: the draws of the difference are paired.
+    Returns
+    -------
+    Number of the snapshot that lies below the one before it, by how many rad, and by how many
+    standard deviations; ``None`` where errors of measuring make a fall as sure as this somewhere
+    with a probability of ``FALSE_ALARM`` (Bonferroni).
     """
     falls = -np.diff(delta_rad.reshape(len(delta_rad), -1), axis=0)
     middle, spread = falls.mean(axis=1), falls.std(axis=1)
     deviations = middle / np.maximum(spread, 1e-12 * np.abs(delta_rad).max())
     surest = int(np.argmax(deviations))
     found = float(deviations[surest])
-    probability = min(1.0, len(falls) * normal_sf(found))
-    return Fall(surest + 1, float(middle[surest]), found, probability)
+    if len(falls) * normal_sf(found) >= FALSE_ALARM:
+        return None
+    return surest + 1, float(middle[surest]), found
 
 
 def since_repair(repaired: Sequence[bool]) -> slice:
@@ -648,14 +630,10 @@ def wear_of(
     drawn = _drifting(measured, config.wear.relative_sd_per_date, drift_seed)
     start, limit = config.wear.in_service_since, limit_rad_of(config)
     age = None if start is None else max(years_between(start, since[0]), 0.0)
-    fell = fall(drawn)
-    if fell.is_fall:
-        values = {
-            "name": chosen[fell.snapshot].name,
-            "fall_rad": fell.fall_rad,
-            "standard_deviations": fell.standard_deviations,
-        }
-        return group, Reason("gap_fell", values)
+    if (fell := fall(drawn)) is not None:
+        number, fall_rad, deviations = fell
+        values = {"name": chosen[number].name, "fall_rad": fall_rad}
+        return group, Reason("gap_fell", {**values, "standard_deviations": deviations})
     found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
     if found is None:
         return group, Reason("gap_shrank")

@@ -3,7 +3,7 @@
 Where several routes answered they stand side by side: which is the answer and why, in one line; a
 disagreement between them comes first.
 
-With it go the cards of its page, what to do about it and what it takes for granted.
+With it goes what to do about it and what it takes for granted.
 """
 
 from __future__ import annotations
@@ -18,11 +18,8 @@ from bayesbl.presentation.blocks import (
     Advice,
     AdviceTone,
     Block,
-    Card,
     Sentence,
     Table,
-    gap_card,
-    interval_note,
     numbers,
     table,
     text,
@@ -110,7 +107,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
             yield Sentence(sentence)
     if has_shrunk(summary):
         yield Sentence(SHRANK, "warning")
-    yield _gap_table(summary)
+    if not is_ringing_alone(summary):
+        yield _gap_table(summary)
     if with_ringing(parts[0][1]) is not None:
         yield _ringing_table(summary)
     for name, part in parts:
@@ -122,9 +120,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     if play.is_by_ramps(summary):
         for sentence in play.of_positions(parts):
             yield Sentence(sentence, "aside")
-    for sentence in (*outliers(summary), *budget(summary)):
-        yield Sentence(sentence, "aside")
-    for sentence in not_answering(parts):
+    for sentence in (*budget(summary), *not_answering(parts)):
         yield Sentence(sentence, "aside")
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
@@ -283,23 +279,6 @@ def is_by_other_machine(summary: MeasuredSummary) -> bool:
     return snapshots(summary)[0][1]["curve"] == PUBLISHED
 
 
-def explained(summary: MeasuredSummary) -> str:
-    """What δ and the range beneath it are, and what they rest on."""
-    if play.is_by_ramps(summary):
-        condition = "the ramps reach both flanks"
-    elif play.is_by_two_encoders(summary):
-        condition = play.CONDITION
-    elif is_simulated(summary):
-        condition = "the bench is as its file says"
-    else:
-        condition = "the curve fits your joint"
-    return (
-        "The gap δ is half the play of the joint, as an angle at the load (1 mrad moves a point "
-        "1 m away by 1 mm). The range below a number contains the true value with the stated "
-        f"probability, if {condition}."
-    )
-
-
 def above_limit(summary: MeasuredSummary) -> str | None:
     """The probability of each snapshot above the limit; ``None`` without a limit."""
     limited = [(n, p) for n, p in snapshots(summary) if p.get("limit_rad") is not None]
@@ -327,9 +306,9 @@ def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
 
 
 def budget(summary: MeasuredSummary) -> Iterator[str]:
-    """Where the width of the last interval given comes from, in one line."""
+    """Where the width of each interval given comes from, in one line."""
     answered = [(n, p) for n, p in snapshots(summary) if p["delta_rad"] is not None]
-    for name, part in answered[-1:]:
+    for name, part in answered:
         shares = sorted(part["budget"].items(), key=lambda item: -item[1])
         each = [
             f"{words.source_in_words(source)} {words.probability(share)}"
@@ -352,18 +331,6 @@ def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
             names.setdefault((label, reason["text"]), []).append(name)
     for (label, sentence), whose in names.items():
         yield label, f"{', '.join(whose)}: {sentence}" if any(whose) else sentence
-
-
-def outliers(summary: MeasuredSummary) -> Iterator[str]:
-    """A sentence for every snapshot whose noise is Student-t."""
-    for name, part in snapshots(summary):
-        freedom = part["noise"]["degrees_of_freedom"]
-        evidence = part["noise"].get("student_t_evidence")
-        if freedom is not None and evidence is not None:
-            yield (
-                f"The noise{words.of(name)} has outliers: Student-t with {freedom:g} degrees of "
-                f"freedom (log evidence against normal noise: {number(evidence, 0)})."
-            )
 
 
 def sampler_check(check: SamplerCheckSummary) -> str:
@@ -390,8 +357,6 @@ def _gap_table(summary: MeasuredSummary) -> Table:
         return play.ramp_table(parts, places)
     if play.is_by_two_encoders(summary):
         return play.encoder_table(parts, places)
-    if is_ringing_alone(summary):
-        return _ringing_alone_table(parts)
     routes = [name for name, found in parts[0][1]["routes"].items() if "diagnostics" in found]
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
     kind = words.short_kind(first or next(iter(parts[0][1]["parameters"].values())))
@@ -453,76 +418,6 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     return table(columns, rows)
 
 
-def _ringing_alone_table(parts: Sequence[tuple[str, SnapshotSummary]]) -> Table:
-    kind = words.short_kind(parts[0][1]["parameters"]["amplitude_rpm"])
-    rows = []
-    for _, part in parts:
-        found, cells = part["amplitude_rpm"], ["–", "–"]
-        if found is not None:
-            cells = [number(found["median"], 1), words.bounds(found, places=1)]
-        rows.append([*cells, part["diagnostics"]["outcome"]])
-    return play.snapshot_table(parts, ("Ringing A\n(rpm)", f"{kind}\n(rpm)"), rows)
-
-
-def cards(summary: MeasuredSummary) -> Iterator[Card]:
-    """Every gap and the change; of dated snapshots the gap now, its growth and its limit."""
-    if summary["kind"] == "compare" and (rated := wear.with_rate(summary)) is not None:
-        yield from _wear_cards(summary, rated)
-        return
-    if is_ringing_alone(summary):
-        yield from _ringing_cards(summary)
-        return
-    labelled = [
-        (f"Gap δ, {name}" if name else "Gap δ", part["delta_rad"], part["delta_upper_bound_rad"])
-        for name, part in snapshots(summary)
-    ]
-    if summary["kind"] == "compare":
-        labelled.append(("Change", summary["change_rad"], None))
-    places = words.common_decimals(found for _, found, _ in labelled)
-    for label, found, upper_rad in labelled:
-        yield gap_card(label, found, places, upper_rad)
-
-
-def _ringing_cards(summary: MeasuredSummary) -> Iterator[Card]:
-    """Every amplitude, and its change from first to last."""
-    for name, part in snapshots(summary):
-        found = part["amplitude_rpm"]
-        label = f"Ringing A, {name}" if name else "Ringing A"
-        if found is not None and not part["reason"]:
-            value = number(found["median"], words.decimals(found))
-            yield Card(label, value, "rpm", interval_note(found, words.bounds(found)))
-    if summary["outcome"] == "withheld":
-        return
-    if summary["kind"] == "compare" and summary["ringing_change"] is not None:
-        change = summary["ringing_change"]
-        sign = "+" if change["median"] > 0.0 else ""
-        value = sign + number(100.0 * change["median"], words.decimals(change, 100.0))
-        yield Card("Change", value, "%", interval_note(change, words.bounds(change, 100.0)))
-
-
-def _wear_cards(summary: ComparisonSummary, found: WearSummary) -> Iterator[Card]:
-    """The gap now, how fast it grows, and when it reaches the limit; the picture shows them all."""
-    now = summary["snapshots"][-1]
-    last, change, rate = now["delta_rad"], summary["change_rad"], found["rate"]
-    places = words.common_decimals([last, change])
-    yield gap_card("Gap δ now", last, places, now["delta_upper_bound_rad"])
-    if not wear.spans_repair(summary, found):
-        yield gap_card("Change", change, places)  # across a repair it is no sign of wear
-    yield Card(
-        "Wear",
-        wear.median_in_mrad(rate),
-        "mrad a year",
-        interval_note(rate, words.bounds(rate, 1e3)),
-    )
-    reached = wear.limit_dates(found, wear.month)
-    if reached is not None:
-        middle, dates = reached
-        yield Card("Limit reached", middle, "", interval_note(rate, dates))
-
-
-CLOSE = 0.05
-"""Relative distance from the limit that a guess in two digits does not resolve."""
-
 NOT_SHOWN = "No wear is shown: something other than the gap may have changed."
 
 
@@ -560,7 +455,7 @@ def advice(summary: MeasuredSummary) -> Advice:
     if has_shrunk(summary) and head.tone != "act":
         title = "Are the files in order, or was the joint repaired?"
         head = Advice("watch", title, head.sentences)
-    return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary, last)))
+    return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary)))
 
 
 def _of_ringing(summary: MeasuredSummary) -> Advice:
@@ -634,9 +529,9 @@ def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None)
     return Advice("fine", "No wear is shown: measure again later.", (why, ask))
 
 
-def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
+def _caveats(summary: MeasuredSummary) -> Iterator[str]:
     if summary["kind"] == "compare":
-        yield from _caveats_of_change(summary, last)
+        yield from _caveats_of_change(summary)
     if has_shrunk(summary):
         yield SHRANK
     if is_by_other_machine(summary):
@@ -647,35 +542,17 @@ def _caveats(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
         )
 
 
-def _caveats_of_change(summary: ComparisonSummary, last: SnapshotSummary) -> Iterator[str]:
+def _caveats_of_change(summary: ComparisonSummary) -> Iterator[str]:
     change, found = summary["change_rad"], summary["wear"]
     if found is None:
         shown = wear.other_cause(summary) is None
         if shown and change is not None and change["low"] > 0.0:
-            yield from _growth_again(last, change["median"])
+            yield "Give the recordings their dates (--date) for a forecast of further wear."
         return
     if found["reason"] is not None:
         yield found["reason"]["text"]
     if len(found["snapshots"]) == 2:
         yield "Two snapshots cannot show whether the wear is steady: take a third."
-
-
-def _growth_again(last: SnapshotSummary, change_rad: float) -> Iterator[str]:
-    """Where as much wear again would end, as long as the limit may be ahead."""
-    limit_rad, above = last.get("limit_rad"), last.get("probability_above_limit")
-    if limit_rad is None or above is None or above >= SURE or last["delta_rad"] is None:
-        return
-    further_rad = last["delta_rad"]["median"] + change_rad
-    limit = f"limit of {1e3 * limit_rad:g} mrad"
-    if abs(further_rad / limit_rad - 1.0) < CLOSE:
-        place = f"close to its {limit}"
-    else:
-        where = "beyond" if further_rad > limit_rad else "still below"
-        place = f"to about {1e3 * further_rad:.2g} mrad, {where} the {limit}"
-    yield (
-        f"As much growth again would bring the gap {place}. Give the recordings their dates "
-        "(--date) for a forecast of when it is reached."
-    )
 
 
 def assumptions(summary: MeasuredSummary) -> Iterator[str]:

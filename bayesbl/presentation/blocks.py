@@ -6,11 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from bayesbl.presentation import words
-from bayesbl.units import number
-
 if TYPE_CHECKING:
-    from bayesbl.results.intervals import Interval
+    pass
 
 Tone = Literal["", "answer", "withheld", "aside", "warning"]
 
@@ -78,30 +75,3 @@ class Advice:
     tone: AdviceTone
     title: str
     sentences: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Card:
-    """A number with what it is and how sure it is."""
-
-    label: str
-    value: str
-    unit: str
-    note: str
-
-
-def gap_card(
-    label: str, found: Interval | None, places: int, upper_rad: float | None = None
-) -> Card:
-    """A gap, its upper bound, or its change, in rad; ``places``: decimals in mrad."""
-    if upper_rad is not None:
-        return Card(label, f"below {words.significant(1e3 * upper_rad)}", "mrad", "95 %")
-    if found is None:
-        return Card(label, "withheld", "", "")
-    value = number(1e3 * found["median"], places)
-    sign = "+" if label == "Change" and found["median"] > 0.0 else ""
-    return Card(label, sign + value, "mrad", interval_note(found, words.bounds(found, 1e3, places)))
-
-
-def interval_note(interval: Interval, shown: str) -> str:
-    return f"{100.0 * interval['level']:g} %: {shown}"

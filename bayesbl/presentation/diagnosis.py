@@ -12,11 +12,9 @@ from bayesbl.presentation.blocks import (
     Advice,
     AdviceTone,
     Block,
-    Card,
     Heading,
     Sentence,
     Table,
-    gap_card,
     numbers,
     table,
     text,
@@ -393,20 +391,6 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
         "To measure without a curve: `bayesbl compare FIRST SECOND --route direct --bench "
         f"{AUGMENTED_BENCH}`"
     )
-
-
-def cards(summary: DiagnosisSummary) -> Iterator[Card]:
-    """How far bench and measurement lie apart, on held-out recordings where there are any; δ."""
-    overall = summary["disagreement"]["over_all"]
-    use: Use | None = "held_out" if "held_out" in overall else next(iter(overall), None)
-    if use is not None:
-        found, note = overall[use], _USES[use]
-        unit = "× noise" if found["unit"] == "noise" else found["unit"]
-        yield Card("Model error before", words.significant(found["before"], 3), unit, note)
-        yield Card("Model error after", words.significant(found["after"], 3), unit, note)
-    gap = summary["delta_rad_after"]
-    if gap is not None or "gap_withheld" in summary:
-        yield gap_card("Gap δ", gap, words.common_decimals([gap]))
 
 
 def residual_sentences(stored: xr.Dataset) -> list[str]:

@@ -45,19 +45,21 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
 
 
 def noise(part: RouteSummary) -> str:
-    """``AR(1), standard deviation 1.51 rpm, coefficients 0.600, normal``."""
+    """``AR(1), standard deviation 1.51 rpm in speed, coefficients 0.600``; the current's too."""
     found = part["noise"]
     kind = f"AR({found['order']})" if found["order"] else "white"
-    if found["differentiated"]:
+    if found.get("differentiated"):
         kind = f"differentiated {kind}"
-    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm"
-    if found["order"]:
+    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm in speed"
+    if found.get("sd_a") is not None:
+        text += f", {found['sd_a']:.3g} A in current"
+    elif found["order"]:
         text += ", coefficients " + ", ".join(number(c, 3) for c in found["coefficients"])
     if found["degrees_of_freedom"] is not None:
         text += f", Student-t with {found['degrees_of_freedom']:g} degrees of freedom"
-    if found["student_t_evidence"] is not None:
-        text += f" (log evidence for Student-t: {number(found['student_t_evidence'], 0)})"
-    if found["repeating_rounding_sd_rpm"]:
+    if (evidence := found.get("student_t_evidence")) is not None:
+        text += f" (log evidence for Student-t: {number(evidence, 0)})"
+    if found.get("repeating_rounding_sd_rpm"):
         text += (
             f"; and rounding of {found['repeating_rounding_sd_rpm']:.3g} rpm that repeats every "
             "rotation"
@@ -144,20 +146,12 @@ def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
     yield Sentence(CHECK_EXPLAINED.format(turn), "aside")
     lines = {
-        "Noise": joint_noise(part),
+        "Noise": noise(part),
         "Sampling": words.sampling(part),
         "Full simulation": simulated(part),
     }
     for label, sentence in lines.items():
         yield Sentence(sentence, label=label)
-
-
-def joint_noise(part: RouteSummary) -> str:
-    """``AR(1), standard deviation 1.51 rpm in speed, 0.0501 A in current``."""
-    found = part["noise"]
-    kind = f"AR({found['order']})" if found["order"] else "white"
-    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm in speed"
-    return text if found["sd_a"] is None else f"{text}, {found['sd_a']:.3g} A in current"
 
 
 def simulated(part: RouteSummary) -> str:

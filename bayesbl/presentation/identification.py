@@ -6,17 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import (
-    Advice,
-    Block,
-    Card,
-    Sentence,
-    Table,
-    gap_card,
-    numbers,
-    table,
-    text,
-)
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, numbers, table, text
 from bayesbl.presentation.diagnosis import disagreement_table, sized
 from bayesbl.units import in_words
 
@@ -130,16 +120,6 @@ def assumptions(summary: IdentificationSummary) -> Iterator[str]:
         yield "Each recording has a gap of its own, as their dates differ."
     yield "Nothing but the gap differs between the recordings: same controller and load."
     yield "Noise is what does not repeat from one rotation to the next, and is steady."
-
-
-def cards(summary: IdentificationSummary) -> Iterator[Card]:
-    """Each gap."""
-    found = summary["gaps"]
-    shown = list(found.items())[:1] if summary["gap_shared"] else list(found.items())
-    places = words.common_decimals(gap for _, gap in shown)
-    for name, gap in shown:
-        label = "Gap δ" if summary["gap_shared"] else f"Gap δ, {name}"
-        yield gap_card(label, gap, places)
 
 
 def _parameters(summary: IdentificationSummary) -> Table:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
-from bayesbl.units import number
+from bayesbl.units import number, quantity_and_unit
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary, SnapshotSummary
@@ -57,18 +57,14 @@ def _gap_table(
     titles: Sequence[str],
     cells: Iterable[Iterable[str]],
 ) -> Table:
-    kind = words.short_kind(parts[0][1]["lost_motion_rad"])
-    return snapshot_table(parts, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles), cells)
-
-
-def snapshot_table(
-    parts: Sequence[tuple[str, SnapshotSummary]],
-    titles: Sequence[str],
-    cells: Iterable[Iterable[str]],
-) -> Table:
-    """A row per snapshot, named in a comparison: quantities of ``titles``, the outcome."""
+    """A row per snapshot, named in a comparison: the gap, quantities of ``titles``, the outcome."""
     named = [text("Snapshot")] if any(name for name, _ in parts) else []
-    columns = (*named, *map(numbers, titles), text("Outcome"))
+    kind = words.short_kind(parts[0][1]["lost_motion_rad"])
+    columns = (
+        *named,
+        *map(numbers, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles)),
+        text("Outcome"),
+    )
     rows = zip(parts, cells, strict=True)
     return table(columns, ([*([name] if named else []), *row] for (name, _), row in rows))
 
@@ -106,23 +102,7 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
 def ramp_blocks(part: RouteSummary) -> Iterator[Block]:
     """Every quantity with its interval, and what says whether there is play."""
     first = part["friction_torque_nm"]
-    units = {
-        "width_rad": ("width at zero torque", 1e3, "mrad"),
-        "scatter_rad": ("its scatter", 1e3, "mrad"),
-        "lost_motion_rad": ("lost motion", 1e3, "mrad"),
-        "compliance_rad_per_nm": ("compliance", 1e3, "mrad/N m"),
-        "stiffness_nm_per_rad": ("stiffness of a line through the ramps", 1.0, "N m/rad"),
-        "friction_torque_nm": ("friction", 1.0, "N m"),
-        "held_windup_rad": ("held windup in δ", 1e3, "mrad"),
-        "preload_torque_nm": ("torque at which a flank lifts", 1.0, "N m"),
-    }
-    rows = []
-    for name, (label, scale, unit) in units.items():
-        if (found := part["parameters"].get(name)) is None:
-            continue
-        rows.append((label, _median(found, scale), words.bounds(found, scale), unit))
-    columns = (text("Quantity"), numbers("Median"), numbers(words.short_kind(first)), text("Unit"))
-    yield table(columns, rows)
+    yield _quantities(part)
     relative = part["relative_compliance"]
     shown = "not known, without larger ramps" if relative is None else words.significant(relative)
     sure = words.probability(part["probability_of_play"])
@@ -138,11 +118,21 @@ def ramp_blocks(part: RouteSummary) -> Iterator[Block]:
     yield Sentence(words.sampling(part), label="Sampling")
 
 
+def _quantities(part: RouteSummary, angles: Sequence[tuple[str, Interval]] = ()) -> Table:
+    """All parameters by the quantity and unit in their names, and further angles by a name."""
+    found = [(*quantity_and_unit(name), each) for name, each in part["parameters"].items()]
+    found += [(name, "rad", each) for name, each in angles]
+    rows = []
+    for name, unit, each in found:
+        scale, milli = (1e3, "m") if unit.startswith(("rad", "s")) else (1.0, "")
+        middle = words.significant(scale * each["median"], 4)
+        rows.append((name, middle, words.bounds(each, scale), f"{milli}{unit}"))
+    kind = words.short_kind(part["lost_motion_rad"])
+    return table((text("Quantity"), numbers("Median"), numbers(kind), text("Unit")), rows)
+
+
 def _median(found: Interval, scale: float = 1.0) -> str:
     return words.significant(scale * found["median"], 3)
-
-
-CONDITION = "the load goes from flank to flank in the recording"
 
 
 def is_by_two_encoders(summary: MeasuredSummary) -> bool:
@@ -171,32 +161,9 @@ def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
 
 def encoder_blocks(part: RouteSummary) -> Iterator[Block]:
     """Every quantity with its interval."""
-    labels = {
-        "play_rad": ("whole play", 1e3, "mrad"),
-        "lost_motion_rad": ("lost motion", 1e3, "mrad"),
-        "held_windup_rad": ("wind-up in the lost motion", 1e3, "mrad"),
-        "windup_rad_per_nm": ("wind-up (compliance)", 1e3, "mrad/N m"),
-        "gear_ratio": ("gear ratio", 1.0, "1"),
-        "channel_skew_s": ("load's stamps late by", 1e3, "ms"),
-        "transmission_error_rad": ("transmission error, peak to peak", 1e3, "mrad"),
-    }
-    found = [
-        (label, part["parameters"][name], scale, unit)
-        for name, (label, scale, unit) in labels.items()
-        if name in part["parameters"]
-    ]
-    found += [
-        (f"its order {entry['order']} per turn of the {entry['of']}", entry["amplitude_rad"], 1e3,
-         "mrad")
-        for entry in part["transmission_error"]["harmonics"]
-    ]  # fmt: skip
-    kind = words.short_kind(part["lost_motion_rad"])
-    columns = (text("Quantity"), numbers("Median"), numbers(kind), text("Unit"))
-    rows = [
-        (label, words.significant(scale * each["median"], 4), words.bounds(each, scale), unit)
-        for label, each, scale, unit in found
-    ]
-    yield table(columns, rows)
+    orders = part["transmission_error"]["harmonics"]
+    told = [(f"order {e['order']} per turn of the {e['of']}", e["amplitude_rad"]) for e in orders]
+    yield _quantities(part, told)
     yield Sentence(words.probability(part["probability_of_play"]), label="Probability of play")
     yield Sentence(f"{part['reversals']}", label="Reversals of the motor")
 

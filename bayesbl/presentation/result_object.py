@@ -120,10 +120,9 @@ class Result:
         ResultError
             If it cannot be written.
         """
-        from bayesbl.presentation.figures.stored_figure import draw_all
         from bayesbl.presentation.page.build import write_page_of
 
-        return write_page_of(self._tree, Path(path), draw_all)
+        return write_page_of(self._tree, Path(path))
 
     @property
     def attrs(self) -> dict[Any, Any]:

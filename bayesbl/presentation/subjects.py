@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bayesbl.presentation import answer, diagnosis, estimates, fleet, identification
 from bayesbl.presentation.answer import GAP_EXPLAINED
-from bayesbl.presentation.blocks import Advice, Block, Card, Sentence, Table, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, numbers, table, text
 from bayesbl.presentation.words import percent, significant, source_in_words
 from bayesbl.units import number
 
@@ -289,7 +289,6 @@ class Subject(Generic[S]):
     blocks: Callable[[S], Iterator[Block]]
     advice: Callable[[S], Advice]
     assumptions: Callable[[S], Iterator[str]]
-    cards: Callable[[S], Iterator[Card]] = lambda summary: iter(())
     details: Callable[[xr.DataTree, S], Iterator[Block]] = lambda tree, summary: iter(())
     warning_label: str = "Warning"
 
@@ -301,7 +300,6 @@ def _measured(title: str) -> Subject[MeasuredSummary]:
         answer.blocks,
         answer.advice,
         answer.assumptions,
-        answer.cards,
         estimates.blocks,
     )
 
@@ -314,7 +312,6 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             diagnosis.blocks,
             diagnosis.advice,
             diagnosis.assumptions,
-            diagnosis.cards,
             diagnosis.residual_blocks,
             warning_label="Note",
         ),
@@ -324,7 +321,6 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             identification.blocks,
             identification.advice,
             identification.assumptions,
-            identification.cards,
             warning_label="Note",
         ),
         "sweep": Subject(

@@ -1,7 +1,7 @@
 """Prints on the terminal: plain text, never wider than it, and the progress of a run.
 
 Names and messages may hold what a stranger wrote into a file. Characters that steer a terminal are
-therefore dropped from all that is printed, and those that its encoding lacks are spelled.
+therefore dropped from all that is printed.
 
 rich is imported where it prints, so that ``bayesbl --help`` does not wait for it. Everything is
 printed as plain :class:`rich.text.Text`: names and messages may hold brackets, which rich would
@@ -10,14 +10,12 @@ take for markup.
 
 from __future__ import annotations
 
-import codecs
 import io
 import re
 import sys
 import textwrap
 import threading
 import time
-import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, TextIO
@@ -51,31 +49,6 @@ _INDENT = "  "
 STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 """Characters that steer a terminal, and those that turn the direction of writing."""
 
-_SPELLED = {
-    "α": "alpha",
-    "δ": "delta",
-    "Δ": "Delta",
-    "θ": "theta",
-    "κ": "kappa",
-    "σ": "sigma",
-    "τ": "tau",
-    "φ": "phi",
-    "ω": "omega",
-    "°": " deg",
-    "±": "+-",
-    "×": "x",
-    "·": "*",
-    "−": "-",
-    "–": "-",
-    "≤": "<=",
-    "≥": ">=",
-    "→": "->",
-    "’": "'",
-    "“": '"',
-    "”": '"',
-}
-"""What stands for a character where the terminal's encoding has none for it."""
-
 
 def plain(text: str) -> str:
     """The text without :data:`STEERING`."""
@@ -87,24 +60,11 @@ def say(text: str, *, err: bool = False) -> None:
     print(plain(text), file=sys.stderr if err else sys.stdout)
 
 
-def spell_what_cannot_be_printed() -> None:
+def replace_what_cannot_be_printed() -> None:
     """Let standard output and error take every text, whatever their encoding."""
-    codecs.register_error(_spell.__qualname__, _spell)
     for stream in (sys.stdout, sys.stderr):
-        utf_8 = (stream.encoding or "").lower().replace("-", "") == "utf8"
-        whole = utf_8 and stream.errors == "surrogateescape"
-        if isinstance(stream, io.TextIOWrapper) and not whole:
-            stream.reconfigure(errors=_spell.__qualname__)
-
-
-def _spell(error: UnicodeError) -> tuple[str, int]:
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    spelled = ""
-    for character in error.object[error.start : error.end]:
-        decomposed = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
-        spelled += _SPELLED.get(character) or decomposed or "?"
-    return spelled, error.end
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def make_console(*, stderr: bool = False, file: TextIO | None = None) -> Console:
@@ -246,7 +206,7 @@ def progress(console: Console, *, of_cases: bool = False) -> Iterator[StageProgr
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=console, transient=True) as bars:
-        yield _Cases(bars) if of_cases else _Stages(bars)
+        yield _Bars(bars, at_once=of_cases)
 
 
 class _Lines:
@@ -281,39 +241,27 @@ class _Lines:
             self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-class _Cases:
-    """One bar per row of a study, several of which may be running."""
+class _Bars:
+    """One bar per row of a study, or per stage, which ends where the next one begins."""
 
-    def __init__(self, bars: Progress) -> None:
+    def __init__(self, bars: Progress, *, at_once: bool) -> None:
         self._bars = bars
+        self._at_once = at_once
         self._tasks: dict[str, TaskID] = {}
+        self._first = None if at_once else bars.add_task("Searching", total=None, state="")
 
-    def __call__(self, row: str, done: int, count: int, /) -> None:
-        if row not in self._tasks:
-            self._tasks[row] = self._bars.add_task(row, state="")
-        state = f"{done} of {count}"
-        self._bars.update(self._tasks[row], completed=done, total=count, state=state)
+    def __call__(self, name: str, done: int, count: int, /) -> None:
+        if name not in self._tasks:
+            if not self._at_once:
+                self._end_others()
+            self._tasks[name] = self._bars.add_task(name, total=None, state="")
+        state = f"{done} of {count}" if self._at_once else f"{done}, at most {count}"
+        self._bars.update(self._tasks[name], completed=done, total=count, state=state)
 
-
-class _Stages:
-    """One bar per stage; one that stops before its allowance is complete all the same."""
-
-    def __init__(self, bars: Progress) -> None:
-        self._bars = bars
-        self._tasks: dict[str, TaskID] = {}
-        self._searching: TaskID | None = bars.add_task("Searching", total=None, state="")
-
-    def __call__(self, stage: str, done: int, count: int, /) -> None:
-        if stage not in self._tasks:
-            self._start(stage)
-        state = f"{done}, at most {count}"
-        self._bars.update(self._tasks[stage], completed=done, total=count, state=state)
-
-    def _start(self, stage: str) -> None:
-        if self._searching is not None:
-            self._bars.remove_task(self._searching)
-            self._searching = None
+    def _end_others(self) -> None:
+        if self._first is not None:
+            self._bars.remove_task(self._first)
+            self._first = None
         for task in self._bars.tasks:
             self._bars.update(task.id, total=task.completed, state=f"{task.completed:.0f}")
             self._bars.stop_task(task.id)
-        self._tasks[stage] = self._bars.add_task(stage, total=None, state="")

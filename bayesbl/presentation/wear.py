@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import date
 from typing import TYPE_CHECKING, Literal
 
@@ -12,8 +12,8 @@ from bayesbl.presentation.words import capitalised
 from bayesbl.units import number
 
 if TYPE_CHECKING:
+    from bayesbl.measurement.joint_check import BlindSpot
     from bayesbl.measurement.summary_types import (
-        BlindSpotSummary,
         ComparisonSummary,
         MeasuredSummary,
         WearSummary,
@@ -107,7 +107,7 @@ def _listed(told: list[str]) -> str:
     return "; ".join([*told[:MOST_TOLD], *more])
 
 
-def _spot(spot: BlindSpotSummary) -> str:
+def _spot(spot: BlindSpot) -> str:
     error_rad = spot["delta_error_rad"]
     up_to = "" if error_rad is None else f", up to {number(1e3 * error_rad, 3)} mrad"
     return spot["change"] + up_to
@@ -298,7 +298,7 @@ def _table(wear: WearSummary) -> Table:
     years = wear["years_to_limit"]
     if years is not None and years["high"] > 0.0:
         rows.append(_row("from last recording to limit", years, 1.0, "years"))
-    dates = limit_dates(wear, day)
+    dates = _limit_dates(wear)
     if dates is not None:
         rows.append(("date of the limit", *dates, ""))
     kind = words.short_kind(rate)
@@ -310,13 +310,13 @@ def _row(name: str, found: Interval, scale: float, unit: str) -> tuple[str, ...]
     return name, middle, f"{low} to {high}", unit
 
 
-def limit_dates(wear: WearSummary, shown: Callable[[str | None], str]) -> tuple[str, str] | None:
+def _limit_dates(wear: WearSummary) -> tuple[str, str] | None:
     """When the limit is reached, and between which dates; a past date is given only as past."""
     years, dates = wear["years_to_limit"], wear["date_of_limit"]
     if years is None or dates is None:
         return None
     low, middle, high = (
-        f"before {wear['last_date']}" if years[end] == 0.0 else shown(dates[end]) for end in _ENDS
+        f"before {wear['last_date']}" if years[end] == 0.0 else day(dates[end]) for end in _ENDS
     )
     return middle, low if low == high else f"{low} to {high}"
 

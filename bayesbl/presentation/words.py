@@ -86,13 +86,6 @@ def in_mrad(interval: Interval) -> str:
     return with_bounds(interval, "mrad", 1e3)
 
 
-def gap_in_words(gap: Interval | None, upper_rad: float | None) -> str:
-    """A gap in rad with its interval, or its upper bound, or that it is withheld."""
-    if upper_rad is not None:
-        return f"below {significant(1e3 * upper_rad)} mrad (95 %)"
-    return "withheld" if gap is None else in_mrad(gap)
-
-
 def change_of(what: str, change: Interval, unit: str, scale: float) -> str:
     """Whether it grew, shrank, or may have done neither, and by how much."""
     if change["low"] > 0.0:

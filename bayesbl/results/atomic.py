@@ -269,10 +269,10 @@ class PrivateFolder:
                         if time.time() - status.st_mtime > _DEAD_AFTER_S:
                             os.unlink(name, dir_fd=handle)
 
-    def clear(self, *, last: str = "") -> None:
-        """Delete everything, what a killed writer left too, and one file after all others."""
+    def clear(self) -> None:
+        """Delete everything, what a killed writer left too."""
         with suppress(FileNotFoundError), _own(self.path) as handle:
-            for name in sorted(os.listdir(handle), key=lambda name: name == last):
+            for name in os.listdir(handle):
                 self.delete(name)
 
 

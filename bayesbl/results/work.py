@@ -42,7 +42,7 @@ from pydantic import ConfigDict, TypeAdapter
 
 from bayesbl.errors import ResultError
 from bayesbl.results.atomic import PrivateFolder, locked_sibling
-from bayesbl.results.provenance import code_sha256, code_versions, dependency_versions, digests_of
+from bayesbl.results.provenance import code_sha256, dependency_versions
 
 T = TypeVar("T")
 
@@ -144,15 +144,10 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
     return plain
 
 
-PROBLEM_FILE = "problem.json"
-
 _UNFINISHED = ".unfinished"
 
 _KEY_FILE = "key"
 _KEY_BYTES = 32
-
-Problem = Mapping[str, str]
-"""What decides the numbers of a run, as text by what it is called."""
 
 
 def code_identity() -> str:
@@ -172,46 +167,27 @@ class WorkStore:
         Work is made anew, and kept, whatever is there.
     code
         Part of every address: what other code made is not recalled.
-    problem
-        Written beside the first entry, so that a run of another problem can be refused in words.
     """
 
     folder: Path | None = None
     fresh: bool = False
     code: str = field(default_factory=code_identity)
-    problem: Problem = field(default_factory=dict)
 
     @classmethod
     @contextmanager
-    def beside(
-        cls, output: Path, problem: Problem | None = None, *, fresh: bool = False
-    ) -> Iterator[WorkStore]:
-        """The finished work of an unfinished run, locked; ``fresh`` forgets what there is.
-
-        Parameters
-        ----------
-        output
-            Output folder of the run.
-        problem
-            The run's; work for another is refused. Without one, addresses alone decide.
+    def beside(cls, output: Path, *, fresh: bool = False) -> Iterator[WorkStore]:
+        """The finished work of an unfinished run into a folder, locked; ``fresh`` forgets it.
 
         Raises
         ------
         ResultError
-            If the work there is for another problem, another run into the same output folder is
-            under way, or no folder can be made.
+            If another run into the same output folder is under way, or no folder can be made.
         """
         with locked_sibling(output, _UNFINISHED) as folder:
-            store = cls(folder) if problem is None else cls(folder, problem=problem)
+            store = cls(folder)
             if fresh:
                 store.clear()
-            elif problem is not None:
-                _require_same(_stored_problem(store), problem, output)
-            try:
-                yield store
-            finally:
-                if not store.holds_work:
-                    store.clear()
+            yield store
 
     @classmethod
     def shared(cls, folder: Path, *, fresh: bool = False) -> WorkStore:
@@ -221,15 +197,7 @@ class WorkStore:
     @property
     def holds_work(self) -> bool:
         """Whether there is anything that a later run could go on from."""
-        return bool(self._entries().keys() - {PROBLEM_FILE})
-
-    @property
-    def resumes(self) -> bool:
-        """Whether an earlier run left finished work."""
-        try:
-            return self.folder is not None and bool(PrivateFolder(self.folder).read(PROBLEM_FILE))
-        except OSError:
-            return False
+        return bool(self._entries())
 
     def get(self, what: str, inputs: object, make: Callable[[], T], kind: type[T]) -> T:
         """Finished work: recalled, or made and kept.
@@ -274,38 +242,34 @@ class WorkStore:
         """
         if self.folder is None:
             return
-        folder = PrivateFolder(self.folder)
-        if self.problem and not self.resumes:
-            text = json.dumps(self.problem, indent=1, ensure_ascii=False)
-            folder.write(PROBLEM_FILE, text.encode())
         key, content = self.address_of(what, inputs), encoded(value)
-        folder.write(key, _head(key, content) + b"\n" + content)
+        PrivateFolder(self.folder).write(key, _head(key, content) + b"\n" + content)
 
     def clear(self) -> None:
-        """Forget all, the problem last: without it, no work counts."""
+        """Forget all."""
         if self.folder is not None:
-            PrivateFolder(self.folder).clear(last=PROBLEM_FILE)
+            PrivateFolder(self.folder).clear()
 
     def keep_latest(self, *, size_bytes: float = math.inf, count: float = math.inf) -> None:
         """Delete the oldest entries until the others are no more, and take no more, than this."""
-        self._tidy()
         latest = sorted(self._entries().items(), key=lambda entry: -entry[1].st_mtime_ns)
-        taken = 0
+        taken, old = 0, []
         for number, (name, status) in enumerate(latest, start=1):
             taken += status.st_size
-            if self.folder is not None and (taken > size_bytes or number > count):
-                PrivateFolder(self.folder).delete(name)
+            if taken > size_bytes or number > count:
+                old.append(name)
+        self._forget(old)
 
     def keep_only(self, addresses: Collection[str]) -> None:
         """Forget all but what is under these addresses."""
-        self._tidy()
-        for name in self._entries().keys() - set(addresses):
-            if self.folder is not None:
-                PrivateFolder(self.folder).delete(name)
+        self._forget(self._entries().keys() - set(addresses))
 
-    def _tidy(self) -> None:
+    def _forget(self, names: Collection[str]) -> None:
         if self.folder is not None:
-            PrivateFolder(self.folder).tidy()
+            folder = PrivateFolder(self.folder)
+            folder.tidy()
+            for name in names:
+                folder.delete(name)
 
     def _entries(self) -> dict[str, os.stat_result]:
         """Files in the folder, by name."""
@@ -319,16 +283,6 @@ class WorkStore:
 
 NOTHING_KEPT = WorkStore(code="")
 """For work that is not worth keeping, or has no folder to be kept in."""
-
-
-def problem_of(config: Mapping[str, Any]) -> Problem:
-    """A configuration as nested tables, the content of the files that it names, all versions."""
-    return {
-        **_flat(config, ""),
-        **{f"content of {file}": f"SHA-256 {sha}" for file, sha in digests_of(config).items()},
-        **{f"version of {package}": version for package, version in code_versions().items()},
-        "content of the package": f"SHA-256 {code_sha256()}",
-    }
 
 
 def _head(key: str, content: bytes) -> bytes:
@@ -354,50 +308,3 @@ def _own_key() -> bytes:
         return folder.read(_KEY_FILE)
     except (OSError, RuntimeError, ResultError):
         return b""
-
-
-def _flat(value: Any, name: str) -> dict[str, str]:
-    """Nested tables as text by dotted key; entries of a list by their number."""
-    if isinstance(value, Mapping):
-        parts: Any = value.items()
-    elif isinstance(value, list | tuple) and any(isinstance(x, Mapping) for x in value):
-        parts = enumerate(value, start=1)
-    else:
-        return {name: json.dumps(value, default=str, ensure_ascii=False)}
-    flat: dict[str, str] = {}
-    for key, item in parts:
-        flat |= _flat(item, f"{name}.{key}" if name else str(key))
-    return flat
-
-
-def _stored_problem(store: WorkStore) -> Problem | None:
-    assert store.folder is not None
-    try:
-        stored = json.loads(PrivateFolder(store.folder).read(PROBLEM_FILE).decode())
-    except FileNotFoundError:
-        store.clear()  # work without its problem belongs to nothing
-        return None
-    except (OSError, ValueError):
-        stored = None
-    return stored if isinstance(stored, dict) else {"problem": "unreadable"}
-
-
-def _require_same(stored: Problem | None, problem: Problem, output: Path) -> None:
-    if stored is None or stored == problem:
-        return
-    different = [key for key in {**stored, **problem} if stored.get(key) != problem.get(key)]
-    raise ResultError(
-        "An unfinished run into this folder was for another problem, so it cannot go on.",
-        file=output,
-        found="; ".join(
-            f"{key} was {_short(stored.get(key))}, is {_short(problem.get(key))}"
-            for key in different
-        ),
-        expected="the same as then, another folder (--out), or --force to start over",
-    )
-
-
-def _short(value: str | None) -> str:
-    if value is None:
-        return "not given"
-    return value if len(value) <= 60 else f"{value[:24]}…"

@@ -295,14 +295,10 @@ def _uses(
 
 def _settings(speeds: Sequence[float]) -> list[int]:
     """A number for each recording, the same for those of one speed and direction."""
-    found: list[float] = []
-    numbers = []
-    for speed in speeds:
-        near = [i for i, other in enumerate(found) if abs(speed - other) <= SAME_SPEED * abs(other)]
-        if not near:
-            found.append(speed)
-        numbers.append(near[0] if near else len(found) - 1)
-    return numbers
+    return [
+        next(i for i, other in enumerate(speeds) if abs(speed - other) <= SAME_SPEED * abs(other))
+        for speed in speeds
+    ]
 
 
 def _spare(speeds: Sequence[float]) -> int | None:
@@ -318,8 +314,8 @@ def _spare(speeds: Sequence[float]) -> int | None:
         same = any(math.copysign(1.0, other) == math.copysign(1.0, speed) for other in others)
         if same and len(left) >= FEWEST_SETTINGS:
             possible.append(i)
-    middle = float(np.median(np.abs(speeds)))
     sizes = np.abs(speeds)
+    middle = float(np.median(sizes))
 
     def preference(i: int) -> tuple[bool, float, int]:
         ends = np.array([sizes.min(), sizes.max()])

@@ -545,10 +545,6 @@ def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> N
     """Give a row the cases that an earlier, unfinished run stored."""
     if row.cases:
         return
-    last = work.recall("definition of a row", row.name, str)
-    if last not in (None, row.definition):
-        say(f'Row "{row.name}" is defined differently than before: its cases are run again.')
-    work.keep("definition of a row", row.name, row.definition)
     stored = (work.recall("case", row.address(index), Case) for index in range(row.count))
     row.cases = {case.index: case for case in stored if case is not None}
     if row.cases:

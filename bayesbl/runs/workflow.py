@@ -24,7 +24,7 @@ from bayesbl.results.folder import (
     require_free,
     require_no_file,
 )
-from bayesbl.results.work import WorkStore, problem_of
+from bayesbl.results.work import WorkStore
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -128,7 +128,7 @@ def run_into_folder(
     make: Callable[[RunConfig, Options, WorkStore], xr.DataTree],
     summarise: Callable[[xr.DataTree], S],
 ) -> S:
-    """Make a result, going on where an unfinished run of the same problem was left, and write it.
+    """Make a result, with what an unfinished run has of the same problem, and write it.
 
     Parameters
     ----------
@@ -140,18 +140,16 @@ def run_into_folder(
     Raises
     ------
     UserError
-        If the folder may not be written, the unfinished run there was for another problem, or
-        anything in the configuration cannot be used.
+        If the folder may not be written, or anything in the configuration cannot be used.
     """
     output = config.run.output
     if is_finished(output):
         with suppress(ResultError), WorkStore.beside(output, fresh=True):
             pass  # forgets the work of a run that was killed after its result was there
     require_free(output, force=options.force)
-    problem = problem_of(settings_of(config))
-    with WorkStore.beside(output, problem, fresh=options.force) as work:
-        if work.resumes:
-            options.say("This goes on where an unfinished run was left.")
+    with WorkStore.beside(output, fresh=options.force) as work:
+        if work.holds_work:
+            options.say("What an unfinished run has of the same problem is not done again.")
         try:
             tree = make(config, options, work)
         except ResultError:

@@ -272,7 +272,6 @@ def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, c
     lines = read_tree("out")["order_sizes"].to_dataset()
     assert set(lines["law"].values) == {"torque"}
     assert set(lines["use"].values) == {"used", "held_out"}
-    assert Path("out", "figures", "lines_over_speed.png").exists()
     same = bayesbl.diagnose(*files, bench="bench.toml").summary
     stored = json.loads(Path("out", "summary.json").read_text())
     assert [e["parameters"] for e in same["effects"]] == [

@@ -131,10 +131,10 @@ def test_a_bench_does_not_keep_the_snapshots_from_being_compared(tmp_path: Path)
     ]
     store = WorkStore(tmp_path / "kept")
     alike = task_of(recordings[:2], tmp_path, KNOWN, store)
-    assert prepare(alike.config).measure(alike).same_joint.agrees
+    assert prepare(alike.config).measure(alike).same_joint["agrees"]
     other = task_of(recordings[::2], tmp_path, KNOWN, store)
     found = prepare(other.config).measure(other)
-    assert found.same_joint.could_be[0] == "motor_coulomb_friction"
+    assert found.same_joint["could_be"][0] == "motor_coulomb_friction"
     assert found.change_reason is not None
 
 

@@ -22,27 +22,16 @@ from bayesbl.errors import ResultError
 from bayesbl.measurement.curves import curve_from_dataset
 from bayesbl.measurement.routes import measure
 from bayesbl.presentation import figures
-from bayesbl.presentation.figures.diagnosis import held_out, named_effects
+from bayesbl.presentation.figures.diagnosis import held_out
 from bayesbl.presentation.figures.gap import amplitude_to_gap, gap
-from bayesbl.presentation.figures.posterior import corner, enclosing_levels, trace
-from bayesbl.presentation.figures.ringing import convergence, misfit, noise, signal
-from bayesbl.presentation.figures.stored_figure import caption, draw_all, figures_of, snapshots
-from bayesbl.presentation.figures.style import (
-    envelope,
-    publication_style,
-    save,
-    scale_of,
-    smooth_density,
-)
+from bayesbl.presentation.figures.ringing import signal
+from bayesbl.presentation.figures.stored_figure import draw_all, figures_of, snapshots
+from bayesbl.presentation.figures.style import envelope, publication_style, save, smooth_density
 from bayesbl.presentation.figures.sweep import (
-    bench_draws,
     curve,
-    degrees,
-    departure_of_degree,
     departures_from_curve,
     disturbance,
     source_bands,
-    standardised_slopes,
 )
 from bayesbl.results.store import read_tree, write_tree
 from bayesbl.results.variables import require_declared
@@ -143,40 +132,6 @@ def test_all_that_the_groups_declare_is_stored(tree):
     require_declared(tree, declared_groups(tree))
 
 
-def test_every_free_symbol_and_the_gap_have_a_row_in_the_corner(tree):
-    snapshot = snapshots(tree)[0]
-    assert snapshot.symbols == (*FREE, "delta_rad")
-    count = len(snapshot.symbols)
-    figure = corner(snapshot)
-    (panel,) = figure.axes
-    assert len(panel.images) == count * (count - 1) // 2
-    shown = texts(figure)
-    for name in snapshot.symbols:
-        assert scale_of(name, snapshot.values("posterior", name)).symbol in shown
-    assert "baseline" in shown, "what has no row is named"
-
-
-def test_traces_are_the_stored_draws_of_every_symbol_and_chain(tree):
-    snapshot = snapshots(tree)[1]
-    heads = [axes for axes in trace(snapshot).axes if axes.lines]
-    assert len(heads) == len(snapshot.symbols)
-    for axes, name in zip(heads, snapshot.symbols, strict=True):
-        draws = snapshot.values("posterior", name)
-        scale = scale_of(name, draws)
-        for chain, stored in enumerate(draws):
-            shown = labelled(axes, f"ensemble {chain + 1}").get_ydata()
-            assert np.allclose(shown / scale.factor + scale.reference, stored, rtol=1e-12)
-
-
-def test_titles_of_traces_give_the_stored_diagnostics(tree):
-    snapshot = snapshots(tree)[0]
-    titles = [axes.get_title(loc="left") for axes in trace(snapshot).axes]
-    stored = snapshot.groups["diagnostics"].sel(symbol="decay_rate_per_s")
-    (title,) = [t for t in titles if "τ" in t]
-    assert f"{float(stored['r_hat']):.3f}" in title
-    assert f"ESS {float(stored['ess_bulk']):.0f}" in title
-
-
 def test_pulses_are_drawn_sample_by_sample(tree):
     axes = signal(tree).axes
     for snapshot, panels in zip(snapshots(tree), (axes[:6], axes[6:]), strict=True):
@@ -227,18 +182,6 @@ def test_a_short_signal_is_outlined_by_its_own_samples():
     assert np.array_equal(low, [0.0, 0.0, -1.0, -1.0])
 
 
-def test_misfit_convergence_and_noise_are_the_stored_arrays(tree):
-    for i, snapshot in enumerate(snapshots(tree)):
-        mean = labelled(misfit(tree).axes[i], "mean over rotations").get_ydata()
-        assert np.array_equal(mean, snapshot.values("misfit", "mean_rpm"))
-        bic = labelled(noise(tree).axes[2 * i], "BIC").get_ydata()
-        assert np.array_equal(bic, snapshot.values("noise", "bic"))
-        runs = [line for line in convergence(tree).axes[i].lines if "run" in str(line.get_label())]
-        errors = np.concatenate([line.get_ydata() for line in runs])
-        stored = snapshot.values("search_history", "rmse_rpm")
-        assert np.array_equal(np.sort(errors), np.sort(stored))
-
-
 def test_the_curve_is_drawn_with_the_draws_that_went_through_it(tree):
     figure = amplitude_to_gap(tree)
     main = figure.axes[0]
@@ -263,15 +206,6 @@ def test_the_gap_figure_shows_gaps_limit_and_change_as_stored(tree):
     assert change.get_xlim()[0] < 1e3 * float(tree["change"]["change_rad"].median())
 
 
-def test_contours_hold_their_share_of_the_draws():
-    x = np.linspace(-4.0, 4.0, 200)
-    density = np.exp(-0.5 * (x[:, None] ** 2 + x**2))
-    nine, half = enclosing_levels(density, (0.9, 0.5))
-    # Of a unit Gaussian in two dimensions, exp(−r²/2) of the mass lies beyond r.
-    assert nine == pytest.approx(0.1, rel=0.02)
-    assert half == pytest.approx(0.5, rel=0.02)
-
-
 # Files
 
 
@@ -286,8 +220,7 @@ def test_figures_come_from_the_file_alone_and_are_the_same_bytes_again(file, dra
 
 
 def test_every_figure_is_there_as_pdf_and_png(drawn):
-    names = {"signal", "gap", "amplitude_to_gap", "misfit", "noise", "convergence"}
-    names |= {f"{kind}_{snapshot}" for kind in ("corner", "trace") for snapshot in ("old", "new")}
+    names = {"signal", "gap", "amplitude_to_gap"}
     assert set(drawn) == {f"{name}.{kind}" for name in names for kind in ("pdf", "png")}
     assert all(path.stat().st_size < 500_000 for path in drawn.values())
 
@@ -318,7 +251,6 @@ def test_a_file_in_the_folder_of_figures_is_a_figure(tree, tmp_path, monkeypatch
     module.write_text(A_FIGURE)
     with added_module(figures, module):
         assert [figure.name for figure in figures_of(tree)][-1] == "durations"
-        assert caption("durations", figures_of(tree)) == "How long each recording is."
         only = [figure for figure in figures_of(tree) if figure.name == "durations"]
         monkeypatch.setattr("bayesbl.presentation.figures.stored_figure.figures_of", lambda _: only)
         (pdf, png) = draw_all(tree, tmp_path / "figures", BOTH)
@@ -339,9 +271,9 @@ def test_pdf_text_is_embedded_truetype_without_a_date(drawn):
 
 def test_a_users_settings_of_matplotlib_change_nothing_and_stay(tree):
     with mpl.rc_context({"font.size": 31.0, "lines.linewidth": 9.0}):
-        figure = misfit(tree)
+        figure = signal(tree)
         assert mpl.rcParams["font.size"] == 31.0
-    assert figure.axes[0].xaxis.label.get_size() == 7.0
+    assert figure.axes[1].xaxis.label.get_size() == 7.0
 
 
 def test_a_result_that_no_figure_shows_is_refused(tmp_path):
@@ -361,31 +293,6 @@ def test_a_withheld_gap_is_said_so_and_its_number_is_not_given(tree):
     shown = texts(gap(judged(tree, "new")))
     assert shown.count("withheld") == 2, "the gap and the change"
     assert len(re.findall(r"\d  \(", shown)) == 1, "only the snapshot that has an answer"
-
-
-@pytest.mark.long
-def test_a_withheld_gap_is_said_so_on_the_corner_and_the_trace(tree):
-    old, new = snapshots(judged(tree, "new"))
-    assert "withheld" in texts(corner(new))
-    assert "withheld" in texts(trace(new))
-    assert "withheld" not in texts(corner(old)) + texts(trace(old))
-
-
-# Scales
-
-
-@pytest.mark.parametrize("name", [*SYMBOLS, "delta_rad"])
-@pytest.mark.parametrize("middle", [-3.7, 1e-4, 1.8, 1999.99])
-@pytest.mark.parametrize("spread", [0.0, 1e-6, 1e-2, 5.0])
-def test_a_scale_can_be_undone_and_names_its_unit(name, middle, spread):
-    draws = middle + spread * np.linspace(-2.0, 2.0, 50)
-    scale = scale_of(name, draws)
-    back = scale.shown(draws) / scale.factor + scale.reference
-    assert np.allclose(back, draws, rtol=1e-9, atol=1e-12)
-    assert scale.label().endswith(f"({scale.unit})")
-    if scale.reference:
-        told = scale.reference_text.replace("−", "-").replace("+", "-").split()[1]
-        assert float(told) == pytest.approx(abs(scale.reference), rel=1e-9)
 
 
 # A sweep
@@ -449,7 +356,11 @@ def test_every_source_of_the_curve_has_its_band(swept):
     )
     assert np.allclose(inside.mean(axis=0), 0.9, atol=0.01)
     shown = texts(curve(swept))
-    for name in ("coefficients", "lack of fit", "tolerances of the bench"):
+    for name in (
+        "coefficients of the curve",
+        "lack of fit of the curve",
+        "tolerances of the bench",
+    ):
         assert re.search(rf"^{name}$", shown, re.MULTILINE), name
 
 
@@ -502,48 +413,6 @@ def test_a_pulse_that_runs_over_the_end_of_the_rotation_is_drawn_whole(swept):
     before, after = (disturbance(t).axes[1].lines[-1].get_ydata() for t in (swept, other))
     assert abs(len(before) - len(after)) <= 1, "a sample on the edge may fall on either side"
     assert np.isin(before[1:-1], after).all()
-
-
-def test_departure_along_the_curve_agrees_with_what_is_stored_of_each_degree(swept):
-    stored = swept["degrees"].to_dataset()
-    for degree in stored["degree"].values:
-        _, departure = departure_of_degree(swept, int(degree))
-        largest = float(stored["largest_departure"].sel(degree=degree))
-        assert np.abs(departure).max() == pytest.approx(100.0 * largest, rel=1e-9)
-    shown = points(degrees(swept), "RMS")
-    assert np.array_equal(shown[:, 1], 100.0 * stored["rms_departure"].values)
-
-
-def test_every_bench_draw_is_a_line_and_its_slopes_follow_the_physics(swept):
-    group = swept["bench_draws"].to_dataset()
-    spread = bench_draws(swept).axes[0]
-    percent = 100.0 * np.expm1(group["departure"].sel(quantity="ln_amplitude").values)
-    lines = [line.get_ydata() for line in spread.lines]
-    assert all(any(np.array_equal(row, line) for line in lines) for row in percent)
-    slopes, errors = standardised_slopes(swept)
-    names = [str(n) for n in group["parameter"].values]
-    stiffness, gain = (next(i for i, n in enumerate(names) if k in n) for k in ("stiff", "gain"))
-    # A stiffer shaft rings louder at the same gap, a tighter speed loop holds the ringing down.
-    assert np.all(slopes[stiffness] > 5.0 * errors[stiffness])
-    assert np.all(slopes[gain] < -5.0 * errors[gain])
-
-
-def test_slopes_are_left_out_where_the_draws_are_too_few(swept):
-    few = swept.copy()
-    few["bench_draws"] = xr.DataTree(swept["bench_draws"].to_dataset().isel(draw=slice(3)))
-    assert standardised_slopes(few) is None
-    assert "too few draws" in texts(bench_draws(few))
-
-
-@pytest.mark.long
-def test_a_sweep_without_bench_draws_has_no_figure_of_them(swept, tmp_path, monkeypatch):
-    save = "bayesbl.presentation.figures.stored_figure.save"
-    monkeypatch.setattr(save, lambda _, folder, name, formats: [folder / name])
-    nominal = swept.copy()
-    del nominal["bench_draws"]
-    names = {path.name for path in draw_all(nominal, tmp_path, BOTH)}
-    assert names == {"curve", "disturbance", "degrees"}
-    assert {path.name for path in draw_all(swept, tmp_path, BOTH)} == names | {"bench_draws"}
 
 
 # Nothing runs out of a figure
@@ -599,31 +468,6 @@ def test_both_routes_stand_side_by_side_on_one_axis(count):
     assert len(gaps.get_yticklabels()) == 2 * count
     assert len(change.get_yticklabels()) == 2 + (count - 1 if count > 2 else 0)
     assert beyond(figure) == []
-
-
-def named_result(believed_rad):
-    """As much of a forward diagnosis as its figure of what was named reads."""
-    draws = np.random.default_rng(2).normal(8e-4, 1e-6, (2, 500))
-    torque = xr.DataArray(2e4 * draws, dims=("chain", "draw"), attrs={"units": "N m"})
-    posterior = xr.Dataset(
-        {"delta_rad": (("chain", "draw"), draws), "load_coulomb_friction__torque_nm": torque}
-    )
-    tree = xr.DataTree.from_dict({"posterior": posterior})
-    answer = {"delta_rad_before": {"median": believed_rad}, "parameter_errors": []}
-    tree.attrs = {"interval_level": 0.9, "interval_kind": "hdi", "diagnosis": json.dumps(answer)}
-    return tree
-
-
-def test_what_was_named_is_shown_with_its_units_and_every_line_with_its_name():
-    near, far = named_effects(named_result(8e-4)), named_effects(named_result(2e-4))
-    for figure in (near, far):
-        shown = texts(figure)
-        assert re.search(r"\(a\)  0\.80\d* mrad \(", shown)
-        assert re.search(r"\(b\)  16\.0\d* N m \(", shown)
-        assert "90 % HDI" in shown
-        assert beyond(figure) == []
-    assert "before: as in the bench file" in texts(near)
-    assert "← before" in texts(far)
 
 
 def compared_result():

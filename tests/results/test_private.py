@@ -52,7 +52,7 @@ def test_a_link_planted_where_a_run_keeps_its_work_is_refused(tmp_path, foreign,
     if suffix == ".unfinished":
         with (
             pytest.raises(ResultError, match="somebody else"),
-            WorkStore.beside(tmp_path / "out", {"a": "1"}, fresh=fresh),
+            WorkStore.beside(tmp_path / "out", fresh=fresh),
         ):
             pass
     assert (foreign / "thesis.tex").read_text() == "mine"
@@ -63,7 +63,7 @@ def test_a_folder_that_others_can_write_is_not_taken_for_our_own(tmp_path, mode)
     planted = tmp_path / ".out.unfinished"
     planted.mkdir()
     planted.chmod(mode)
-    with pytest.raises(ResultError, match="chmod 700"), WorkStore.beside(tmp_path / "out", {}):
+    with pytest.raises(ResultError, match="chmod 700"), WorkStore.beside(tmp_path / "out"):
         pass
 
 
@@ -72,7 +72,7 @@ def test_a_folder_of_another_user_is_not_taken_for_our_own(tmp_path):
     planted = tmp_path / ".out.unfinished"
     planted.mkdir(0o700)
     os.chown(planted, NOBODY, NOBODY)
-    with pytest.raises(ResultError, match="somebody else"), WorkStore.beside(tmp_path / "out", {}):
+    with pytest.raises(ResultError, match="somebody else"), WorkStore.beside(tmp_path / "out"):
         pass
     assert WorkStore.shared(planted).folder is None
 

@@ -165,14 +165,13 @@ def test_a_case_that_is_refused_is_counted_and_its_reason_kept(folder):
 
 
 @pytest.mark.long
-def test_a_row_defined_differently_is_run_again_and_said_so(folder, monkeypatch):
+def test_a_row_defined_differently_is_run_again(folder, monkeypatch):
     config = configure(folder)
     interrupt_before_the_result(config, monkeypatch)
     configure(folder, ROWS | {"many": "draws = 20"})
     _, said = run(config)
     assert said == [
         'Row "few, AR(1)" goes on after 6 of 6 cases.',
-        'Row "many" is defined differently than before: its cases are run again.',
     ]
     fresh = configure(folder, ROWS | {"many": "draws = 20"}, output="fresh")
     run(fresh)
@@ -253,8 +252,7 @@ def test_a_bug_in_a_case_names_it_and_keeps_the_others(folder, capsys):
     told = capsys.readouterr().err
     assert f"{folder / 'study.py'}, line " in told
     assert 'failed in case 5 of row "a". Found: KeyError' in told
-    entries = list((folder / ".out.unfinished").iterdir())
-    assert len(entries) == 1 + 5  # the row's definition, and the other cases
+    assert len(list((folder / ".out.unfinished").iterdir())) == 5
 
 
 @pytest.mark.parametrize("ending", ["raise SystemExit(0)", "return ends()", "os._exit(0)"])
@@ -338,9 +336,8 @@ def test_a_stored_result_never_runs_the_file_that_it_names(folder, capsys):
     status, told = printed("figures", output)
     assert status == cli.WRONG
     assert "--study FILE" in told
-    status, told = printed("report", output)
+    status, _ = printed("report", output)
     assert status == 0
-    assert f"bayesbl figures {output} --study FILE" in told
     assert not mark.exists()
     status, _ = printed("figures", output, "--study", folder / "study.py")
     assert status == 0

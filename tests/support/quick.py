@@ -11,7 +11,7 @@ from unittest.mock import patch
 @contextmanager
 def without_figures() -> Iterator[None]:
     """Runs inside write no figures: these take longer than a fit."""
-    with patch("bayesbl.library.draw_answer", lambda tree, folder, *formats: []):
+    with patch("bayesbl.library.draw", lambda tree, folder, *formats: []):
         yield
 
 

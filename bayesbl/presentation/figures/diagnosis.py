@@ -6,26 +6,18 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
-from matplotlib.lines import Line2D
 
 from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.presentation.diagnosis import headline
 from bayesbl.presentation.figures import style
-from bayesbl.presentation.figures.stored_figure import (
-    credible_interval,
-    file_ending,
-    holding,
-    interval_name,
-    stored_figure,
-)
-from bayesbl.presentation.figures.style import GAP
+from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
 from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import in_words, unit_of
@@ -60,18 +52,6 @@ def _held_out(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
     yield "", (tree, name, use)
 
 
-def _others(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
-    """Every other recording whose signals are stored, and the fitted half of one that was split."""
-    signals = tree["signals"].to_dataset()
-    ((_, (_, *shown)),) = _held_out(tree)
-    places = zip(
-        map(str, signals["recording"].values), map(str, signals["use"].values), strict=True
-    )
-    for name, use in dict.fromkeys(places):
-        if [name, use] != shown:
-            yield f"{file_ending(name)}_{use}", (tree, name, use)
-
-
 def _pieces(tree: xr.DataTree) -> Iterator[tuple[str, str, str, Rms]]:
     """Channel, recording, use and RMS of everything that was compared, held out first."""
     answer: Answer = json.loads(tree.attrs["diagnosis"])
@@ -84,7 +64,15 @@ def _pieces(tree: xr.DataTree) -> Iterator[tuple[str, str, str, Rms]]:
     yield from sorted(rows, key=lambda row: row[2])
 
 
-def _recording_before_and_after(tree: xr.DataTree, recording: str, use: str) -> Figure:
+@stored_figure(
+    "A recording that was held out: by how much the bench disagrees with it, before naming and "
+    "after.",
+    85,
+    holding("signals/measured"),
+    name="diagnosis",
+    parts=_held_out,
+)
+def held_out(tree: xr.DataTree, recording: str, use: str) -> Figure:
     """A row for each channel: both residuals on one scale, a zoom; beside them every RMS."""
     pieces = list(_pieces(tree))
     rms = {channel: size for channel, name, of, size in pieces if (name, of) == (recording, use)}
@@ -121,25 +109,6 @@ def _recording_before_and_after(tree: xr.DataTree, recording: str, use: str) -> 
         bbox_to_anchor=(0.0, 1.0 - (0.08 + style.LINE_IN * len(heading)) / (top + height)),
     )  # fmt: skip
     return figure
-
-
-held_out = stored_figure(
-    "A recording that was held out: by how much the bench disagrees with it, before naming and "
-    "after.",
-    85,
-    holding("signals/measured"),
-    name="diagnosis",
-    parts=_held_out,
-)(_recording_before_and_after)
-
-others = stored_figure(
-    "By how much the bench disagrees with the recording, before naming and after.",
-    90,
-    holding("signals/measured"),
-    name="compared",
-    parts=_others,
-    for_specialists=True,
-)(_recording_before_and_after)
 
 
 def _compared(signals: xr.Dataset, recording: str, use: str, channel: str) -> dict[str, FloatArray]:
@@ -246,21 +215,10 @@ def _draw_every(panel: Axes, pieces: Sequence[tuple[str, str, str, Rms]]) -> Non
 
 
 _LOOKS = (BEFORE, AFTER)
-_NOISE = "#000000"
 _ROW_IN = 2.0
 _BINS = 250
 _EXCEEDED = 0.01
 """Probability that noise alone shows any bin beyond the limit drawn."""
-_LABELLED = 3
-_RIGHT_HALF = 400.0
-"""Load order beyond which a label has no room on its right."""
-_MARKS = {"load angle": "o", "motor angle": "^", "time": "s", "angle or time": "D"}
-_NAMES = {
-    "load angle": "load order",
-    "motor angle": "motor order",
-    "time": "periodic in time",
-    "angle or time": "angle or time",
-}
 
 
 def _each_recording(
@@ -277,7 +235,6 @@ def _each_recording(
     holding("residuals_before", "residuals_after"),
     name="residuals",
     parts=_each_recording,
-    for_specialists=True,
 )
 def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) -> Figure:
     """A row for each channel: residuals against load angle, their order spectrum.
@@ -306,7 +263,13 @@ def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) ->
         name = CHANNELS.get(channel, channel)
         titles += [f"{name}: residuals before, after", "their spectrum"]
     style.head_panels(axes, titles)
-    _legend(figure, stages, channels)
+    limit = f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)"
+    shown = zip(("before naming", "after naming"), _LOOKS, strict=True)
+    looks = {
+        name: {"color": look.colour, "linestyle": look.dashes, "marker": look.marker}
+        for name, look in shown
+    }
+    style.legend_of(figure, {**looks, limit: {"color": style.LIMIT, "linewidth": 0.8}})
     return figure
 
 
@@ -350,10 +313,23 @@ def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
             linewidth=0.7,
             zorder=1.0,
         )
-        _mark(panel, stage, channel, look.colour)
+        line, size = (
+            _values(stage, f"{channel}_line_{name}") for name in ("load_order", "amplitude")
+        )
+        found = np.isfinite(line)
+        panel.plot(
+            line[found],
+            size[found],
+            linestyle="none",
+            marker=look.marker,
+            markersize=3.0,
+            markerfacecolor="none",
+            markeredgecolor=look.colour,
+            zorder=2.0,
+        )
         if index == len(stages) - 1:
             limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
-            panel.plot(order[shown], limit, color=_NOISE, linewidth=0.8)
+            panel.plot(order[shown], limit, color=style.LIMIT, linewidth=0.8)
     panel.set_xscale("log")
     panel.set_yscale("log")
     low, high = panel.get_ylim()
@@ -374,120 +350,8 @@ def _peaks(order: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatA
     return order[tops], amplitude[tops]
 
 
-def _mark(panel: Axes, stage: xr.Dataset, channel: str, colour: str) -> None:
-    """Significant lines by what they repeat with; the strongest single ones named."""
-    order = _values(stage, f"{channel}_line_load_order")
-    amplitude = _values(stage, f"{channel}_line_amplitude")
-    dependence = np.atleast_1d(stage[f"{channel}_line_dependence"].values).astype(str)
-    for name, marker in _MARKS.items():
-        here = dependence == name
-        panel.plot(
-            order[here],
-            amplitude[here],
-            linestyle="none",
-            marker=marker,
-            markersize=2.2 if name == "load angle" else 3.5,
-            markerfacecolor="none",
-            markeredgecolor=colour,
-            markeredgewidth=0.6,
-            zorder=2.0,
-        )
-    single = np.flatnonzero((dependence != "load angle") & np.isfinite(order))[:_LABELLED]
-    for i in single:
-        text = f"{float(stage[f'{channel}_line_frequency_hz'][i]):.3g} Hz"
-        if dependence[i] == "motor angle":
-            text = f"motor {float(stage[f'{channel}_line_motor_order'][i]):.3g}"
-        panel.annotate(
-            text,
-            (order[i], amplitude[i]),
-            xytext=(-3.5 if order[i] > _RIGHT_HALF else 3.5, 0.0),
-            textcoords="offset points",
-            ha="right" if order[i] > _RIGHT_HALF else "left",
-            va="center",
-            fontsize=7.0,
-        )
-
-
-def _legend(figure: Figure, stages: list[xr.Dataset], channels: list[str]) -> None:
-    panel = figure.axes[0]
-    handles: list[Line2D] = []
-    for index, name in enumerate(("before naming", "after naming")):
-        look = _LOOKS[index]
-        handles += panel.plot([], [], color=look.colour, linestyle=look.dashes, label=name)
-    limit = f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)"
-    handles.append(Line2D([], [], color=_NOISE, linewidth=0.8, label=limit))
-    found = {
-        str(name)
-        for stage in stages
-        for channel in channels
-        for name in np.atleast_1d(stage[f"{channel}_line_dependence"].values)
-    }
-    for name, marker in _MARKS.items():
-        if name in found:
-            shown: dict[str, Any] = {"marker": marker, "markerfacecolor": "none"}
-            shown |= {"linestyle": "none", "markeredgecolor": style.NEUTRAL}
-            handles.append(Line2D([], [], label=f"significant: {_NAMES[name]}", **shown))
-    figure.legend(handles=handles, loc="upper center", ncols=4, columnspacing=1.2)
-
-
 def _values(stage: xr.Dataset, name: str) -> FloatArray:
     return np.atleast_1d(np.asarray(stage[name].values, dtype=float))
-
-
-MOST_PANELS = 6
-_TITLES = {
-    "torque": "a torque",
-    "angle": "an error of the angle",
-    "both": "a torque and an error of the angle",
-    "none": "no law that is sure",
-}
-
-
-@stored_figure(
-    "The torque that would make the line at each order of the motor, over the speed: constant for "
-    "a torque, growing with the square for an error of the encoder's angle.",
-    80,
-    holding("order_sizes"),
-)
-def lines_over_speed(tree: xr.DataTree) -> Figure:
-    """A panel per order, largest line first; hollow points were held out."""
-    lines = tree["order_sizes"].to_dataset()
-    orders = list(dict.fromkeys(lines["order"].values.tolist()))[:MOST_PANELS]
-    figure, axes = style.one_panel_each(len(orders), 2.2, shared=False, above=1.2 * style.LINE_IN)
-    for panel, order in zip(axes, orders, strict=True):
-        _draw_lines(panel, lines.isel(line=np.flatnonzero(lines["order"].values == order)))
-    laws = [str(lines["law"].values[lines["order"].values == order][0]) for order in orders]
-    titles = [f"order {order:.4g}: {_TITLES[law]}" for order, law in zip(orders, laws, strict=True)]
-    style.head_panels(axes, titles)
-    style.legend_over(figure, axes[0])
-    return figure
-
-
-def _draw_lines(panel: Axes, lines: xr.Dataset) -> None:
-    speed, torque, sd = (np.abs(lines[name].values) for name in ("speed_rpm", "torque_nm", "sd_nm"))
-    law, used = str(lines["law"].values[0]), lines["use"].values == "used"
-    for chosen, face, label in ((used, style.NEUTRAL, "fitted on"), (~used, "white", "held out")):
-        if chosen.any():
-            panel.errorbar(
-                speed[chosen], torque[chosen], yerr=sd[chosen], color=style.NEUTRAL,
-                markerfacecolor=face, marker="o", markersize=4.0, linestyle="none", label=label,
-            )  # fmt: skip
-    along = np.linspace(0.0, 1.05 * speed.max(), 100)
-    weight = sd**-2.0 * used
-    for name, power in (("torque", 0), ("angle", 2)):
-        size = np.sum(weight * torque * speed**power) / np.sum(weight * speed ** (2 * power))
-        followed = law == name
-        panel.plot(
-            along, size * along**power, color=style.MODEL if followed else style.NEUTRAL,
-            linestyle="-" if power == 0 else "--", linewidth=1.2 if followed else 0.6,
-            label=f"one {name}",
-        )  # fmt: skip
-    if law == "both":
-        place = np.argsort(speed)
-        panel.plot(speed[place], lines["by_law_nm"].values[place], color=style.MODEL, linewidth=1.2)
-    panel.set_ylim(0.0, 1.1 * float((torque + sd).max()))
-    panel.set_xlabel("Motor speed (rpm)")
-    panel.set_ylabel("Torque (N m)")
 
 
 LEVEL_SD = 1.645
@@ -547,110 +411,6 @@ def _course(
     panel.set_xlabel(_LABELS[told["variable"]])
     panel.set_ylabel(label)
     return figure
-
-
-_BELIEVED = BEFORE.colour
-
-
-def has_sizes(tree: xr.DataTree) -> bool:
-    """Whether anything but phases and start angles was sampled."""
-    if "posterior" not in tree.children or "diagnosis" not in tree.attrs:
-        return False
-    answer: Answer = json.loads(tree.attrs["diagnosis"])
-    return any(_is_size(str(name), answer) for name in tree["posterior"].data_vars)
-
-
-@stored_figure("The posterior of the gap and of each named size.", 100, has_sizes, name="named")
-def named_effects(tree: xr.DataTree) -> Figure:
-    """A panel for δ and one for each size that was named, with its value before.
-
-    Phases and start angles, another in every recording, are left out.
-    """
-    posterior = tree["posterior"].to_dataset()
-    answer: Answer = json.loads(tree.attrs["diagnosis"])
-    shown = [name for name in map(str, posterior) if _is_size(name, answer)]
-    figure, axes = style.one_panel_each(len(shown), height_in=1.9, shared=False, above=0.2)
-    values = [
-        _draw_named(panel, tree, posterior[name], _believed(name, answer))
-        for panel, name in zip(axes, shown, strict=True)
-    ]
-    style.head_panels(axes, values)
-    lines = [line for panel in axes for line in panel.lines]
-    by_label = {
-        line.get_label(): line for line in lines if not str(line.get_label()).startswith("_")
-    }
-    figure.legend(handles=list(by_label.values()), loc="upper left", ncols=2)
-    return figure
-
-
-def _is_size(name: str, answer: Answer) -> bool:
-    if name == GAP:
-        return True
-    errors = [error["name"] for error in answer["parameter_errors"]]
-    return name in errors or ("__" in name and "__phase_rad" not in name)
-
-
-def _believed(name: str, answer: Answer) -> float | None:
-    """The value that the bench as believed has."""
-    if name == GAP:
-        before = answer["delta_rad_before"]
-        return None if before is None else before["median"]
-    for error in answer["parameter_errors"]:
-        if error["name"] == name:
-            return error["believed"]
-    return None
-
-
-def _draw_named(
-    panel: Axes,
-    tree: xr.DataTree,
-    variable: xr.DataArray,
-    believed: float | None,
-) -> str:
-    """Draw, and say the values."""
-    factor, unit = (1e3, "mrad") if variable.name == GAP else (1.0, str(variable.attrs["units"]))
-    draws: FloatArray = factor * np.asarray(variable.values, dtype=float).ravel()
-    found = credible_interval(tree, draws)
-    places, heights = style.density(panel, draws, style.MODEL)
-    for end in ("low", "median", "high"):
-        panel.axvline(
-            found[end], color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)),
-            label=f"posterior: median and {interval_name(tree)}",
-        )  # fmt: skip
-    if believed is not None:
-        _draw_believed(panel, factor * believed, places)
-    panel.set_ylim(0.0, 1.1 * heights.max())
-    quantity = _quantity(str(variable.name))
-    panel.set_xlabel(quantity if unit == "1" else f"{quantity} ({unit})")
-    panel.set_ylabel("Density")
-    panel.set_yticks([])
-    panel.locator_params(axis="x", nbins=5)
-    ending = "" if unit == "1" else f" {unit}"
-    low, middle, high = (significant(found[end], 4) for end in ("low", "median", "high"))
-    values = f"{middle}{ending} ({low} to {high})"
-    if believed is None:
-        return values
-    return f"{values}, before {significant(factor * believed, 4)}{ending}"
-
-
-def _draw_believed(panel: Axes, value: float, edges: FloatArray) -> None:
-    """A line, or an arrow to where it would be beyond the panel."""
-    if edges[0] < value < edges[-1]:
-        panel.axvline(value, color=_BELIEVED, linewidth=1.0, label="before: as in the bench file")
-        return
-    left = value <= edges[0]
-    panel.annotate(
-        "← before" if left else "before →",
-        (0.02 if left else 0.98, 0.9), xycoords="axes fraction", ha="left" if left else "right",
-        color=_BELIEVED,
-    )  # fmt: skip
-
-
-def _quantity(name: str) -> str:
-    """``Gap δ``, ``Shaft stiffness``, ``Load Coulomb friction: torque``."""
-    if name == GAP:
-        return "Gap δ"
-    return capitalised(": ".join(map(in_words, name.split("__"))))
 
 
 @stored_figure(

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from datetime import date as Date
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summary_of
-from bayesbl.measurement.summary_types import SnapshotSummary
 from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, used_dates
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
@@ -34,7 +31,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import decimals, route_in_words, significant
+from bayesbl.presentation.words import RAREST, decimals, probability, route_in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE
@@ -218,104 +215,30 @@ def _draw_rows(
     panel.set_xlabel(label)
 
 
-_WIDTH_IN, _PICTURE_ROW_IN, _MARGINS_IN = 3.7, 0.42, 0.95
-_LONGEST_NAME = 18
-
-
-@style.publication_style()
-def answer_picture(parts: Sequence[tuple[str, SnapshotSummary]], decimals: int = 2) -> Figure:
-    """A line per snapshot, large enough to be read on a phone.
-
-    Parameters
-    ----------
-    parts
-        (name, ``summary.json``'s part) of each snapshot in order; ``delta_rad`` may be ``None``.
-    decimals
-        Of the gaps written beside their marks, in mrad.
-    """
-    mpl.rcParams.update(
-        {"font.size": 9.0, "axes.labelsize": 9.0, "xtick.labelsize": 8.0, "ytick.labelsize": 9.0}
-    )
-    figure = style.new_figure(_WIDTH_IN, _MARGINS_IN + _PICTURE_ROW_IN * len(parts))
-    panel = figure.add_subplot(
-        style.grid(figure, 1, 1, left=1.15, right=0.2, top=0.3, bottom=0.48)[0, 0]
-    )
-    limit = next((part["limit_rad"] for _, part in parts if part.get("limit_rad")), None)
-    for row, (_, part) in enumerate(parts):
-        found, own = part["delta_rad"], style.look(row)
-        if found is None:
-            panel.annotate(
-                "withheld", (0.5, row), xycoords=("axes fraction", "data"), ha="center", va="center"
-            )
-            continue
-        low, middle, high = (1e3 * found[key] for key in ("low", "median", "high"))
-        upper_rad = part["delta_upper_bound_rad"]
-        if upper_rad is not None:
-            low, middle, high = 0.0, 1e3 * upper_rad, 1e3 * upper_rad
-        # A tick for the median: a round mark would hide an interval that is narrower than it.
-        panel.plot(
-            [low, high],
-            [row, row],
-            color=own.colour,
-            linewidth=6.0,
-            solid_capstyle="butt",
-            alpha=0.5,
-        )
-        panel.plot([middle], [row], color=own.colour, marker="|", markersize=15.0, mew=1.4)
-        panel.annotate(
-            f"{middle:.{decimals}f}" if upper_rad is None else f"below {significant(middle)}",
-            (middle, row), (0.0, 9.0), textcoords="offset points",
-            ha="center", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
-        )  # fmt: skip
-    if limit is not None:
-        panel.axvline(1e3 * limit, color=style.LIMIT, linewidth=1.2, linestyle=(0.0, (6.0, 2.0)))
-        panel.annotate(
-            "limit", (1e3 * limit, 1.0), (0.0, 3.0), xycoords=("data", "axes fraction"),
-            textcoords="offset points", ha="center", va="bottom",
-        )  # fmt: skip
-    panel.set_ylim(len(parts) - 0.5, -0.7)
-    left, right = panel.get_xlim()
-    panel.set_xlim(left - 0.06 * (right - left), right + 0.06 * (right - left))
-    panel.set_yticks(range(len(parts)), [_shortened(name) or "gap" for name, _ in parts])
-    panel.tick_params(left=False)
-    panel.spines["left"].set_visible(False)
-    panel.grid(axis="x", color=style.NEUTRAL, alpha=0.15, linewidth=0.6)
-    panel.set_xlabel("Gap δ (mrad)")
-    return figure
-
-
-def _shortened(name: str) -> str:
-    return name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 1] + "…"
-
-
 THROUGH = "curve_amplitude_rpm"
 _MOST_SHOWN = 400
 """Draws that are drawn one by one."""
 
 
 @stored_figure(
-    "(a) The gap curve with the draws of the ringing's amplitude pushed through it: above them the "
-    "distribution of the amplitude, beside them that of the gap; (b) the whole curve.",
+    "The gap curve with the draws of the ringing's amplitude pushed through it: above them the "
+    "distribution of the amplitude, beside them that of the gap.",
     30,
     holding("posterior/curve_amplitude_rpm", "curve/delta_rad"),
 )
 def amplitude_to_gap(tree: xr.DataTree) -> Figure:
-    """δ against A with the draws of both, their densities along the axes, and the whole curve."""
+    """δ against A with the draws of both, and their densities along the axes."""
     parts = snapshots(tree, "posterior/curve_amplitude_rpm")
     lines = 2 + len(parts) + ("limit_rad" in tree.attrs)
-    top = 0.28 + style.LINE_IN * ((lines + 1) // 2)
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + 2.9)
-    outer = style.grid(figure, 1, 2, top=top, widths=(1.6, 1.0))
-    joint = outer[0, 0].subgridspec(
+    top = 0.1 + style.LINE_IN * ((lines + 1) // 2)
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + 3.2)
+    joint = style.grid(figure, 1, 1, top=top)[0, 0].subgridspec(
         2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
     )
     main = figure.add_subplot(joint[1, 0])
     above = figure.add_subplot(joint[0, 0], sharex=main)
     side = figure.add_subplot(joint[1, 1], sharey=main)
     _draw_joint(main, above, side, tree, parts)
-    overview = figure.add_subplot(outer[0, 1])
-    _draw_overview(overview, main, tree, parts)
-    style.head_panels([above, overview], ["from amplitude to gap", "the whole curve; grey: (a)"])
     style.legend_over(figure, main, 2)
     return figure
 
@@ -379,16 +302,11 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
         capsize=2.0,
         zorder=3.0,
         label=gap_in_words(tree, snapshot),
-        **_marker(snapshot, index),
+        color=colour,
+        marker=style.look(index).marker,
+        markerfacecolor="white" if snapshot.withheld else colour,
+        linestyle="none",
     )
-
-
-def _marker(snapshot: Snapshot, index: int) -> dict[str, Any]:
-    """The look of a snapshot's point; hollow and grey where δ must not be read."""
-    colour = gap_colour(snapshot, index)
-    face = "white" if snapshot.withheld else colour
-    marker = style.look(index).marker
-    return {"color": colour, "marker": marker, "markerfacecolor": face, "linestyle": "none"}
 
 
 def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
@@ -400,7 +318,7 @@ def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> No
     if snapshot.withheld:
         side.annotate(
             "withheld",
-            (0.75, 1e3 * _median(snapshot, GAP)),
+            (0.75, float(np.median(draws))),
             xycoords=("axes fraction", "data"),
             rotation=90.0,
             va="center",
@@ -429,28 +347,6 @@ def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
             bottom, top = min(bottom, 0.97 * float(limit)), max(top, 1.05 * float(limit))
         setter(factor * bottom, factor * top)
 
-
-def _draw_overview(panel: Axes, main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
-    """The curve over its whole range, with the view of the main panel marked."""
-    (left, right), (bottom, top) = main.get_xlim(), main.get_ylim()
-    panel.add_patch(
-        Rectangle((left, bottom), right - left, top - bottom, color="#e6e6e6", linewidth=0.0)
-    )
-    _draw_curve(panel, tree)
-    style.limit_line(panel, tree)
-    for index, snapshot in enumerate(parts):
-        place = _median(snapshot, AMPLITUDE), 1e3 * _median(snapshot, GAP)
-        panel.plot(*place, **_marker(snapshot, index))
-    panel.set_xlabel("Amplitude of the ringing A (rpm)")
-    panel.set_ylabel("Gap δ (mrad)")
-
-
-def _median(snapshot: Snapshot, name: str) -> float:
-    return float(np.median(snapshot.values("posterior", name)))
-
-
-_RAREST = 0.005
-"""A probability nearer than this to 0 or 1 is given as less than 1 % or more than 99 %."""
 
 _HIGHEST_VIEW = 1.3
 """How far beyond the limit and the gaps is shown: a path that speeds up would hide them."""
@@ -604,11 +500,11 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
     years = np.linspace(0.0, ahead, 300)
     last = _days(used_dates(group))[-1]
     passed = float(reached(group, np.zeros(1))[0])
-    if passed > _RAREST:
+    if passed > RAREST:
         low = passed < 0.2  # no room below
         panel.plot([last], [passed], color=style.MODEL, marker="o")
         panel.annotate(
-            f"passed before {used_dates(group)[-1]}: {_share(passed)}", (last, passed),
+            f"passed before {used_dates(group)[-1]}: {probability(passed)}", (last, passed),
             xytext=(4.0, 6.0 if low else -6.0), textcoords="offset points",
             va="bottom" if low else "top", fontsize=7.0,
         )  # fmt: skip
@@ -621,16 +517,9 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
         panel.plot([day], [share], color=style.NEUTRAL, marker="o")
         early = day < last + 0.5 * DAYS_PER_YEAR * ahead  # no room before
         panel.annotate(
-            f"by {asked}: {_share(share)}", (day, share),
+            f"by {asked}: {probability(share)}", (day, share),
             xytext=(4.0, -4.0) if early else (-4.0, 4.0), textcoords="offset points",
             ha="left" if early else "right", va="top" if early else "bottom", fontsize=7.0,
         )  # fmt: skip
     panel.set_ylim(0.0, 1.03)
     panel.set_ylabel("Probability")
-
-
-def _share(probability: float) -> str:
-    """``68 %``; never 0 % or 100 %, which no number of draws can show."""
-    if probability < _RAREST:
-        return "< 1 %"
-    return "> 99 %" if probability > 1.0 - _RAREST else f"{100.0 * probability:.0f} %"

@@ -20,6 +20,7 @@ from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_
 from bayesbl.presentation.words import decimals
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
+from bayesbl.units import number
 
 FIGURE_UNITS = 10.0
 """Of the last decimal, that an interval in a figure is wide."""
@@ -69,8 +70,8 @@ def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
 def interval_in_words(tree: xr.DataTree, found: Interval) -> str:
     """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
     places = decimals(found, units=FIGURE_UNITS)
-    low, middle, high = (f"{found[k]:.{places}f}" for k in ("low", "median", "high"))
-    return f"{middle} mrad ({interval_name(tree)} {low} to {high})".replace("-", "−")
+    low, middle, high = (number(found[key], places) for key in ("low", "median", "high"))
+    return f"{middle} mrad ({interval_name(tree)} {low} to {high})"
 
 
 def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
@@ -108,17 +109,6 @@ def whole(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
     yield "", (tree,)
 
 
-def each_snapshot(path: str) -> Parts:
-    """One figure per snapshot of the route that holds this; that of a fit has no own name."""
-
-    def parts(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
-        compared = tree.attrs["kind"] == "compare"
-        for snapshot in snapshots(tree, path):
-            yield file_ending(snapshot.name) if compared else "", (snapshot,)
-
-    return parts
-
-
 def file_ending(name: str) -> str:
     """``_wear_before``: the end of the file name of a figure of one recording."""
     return "_" + name.replace(" ", "_")
@@ -138,8 +128,6 @@ class StoredFigure:
         Its place among the figures of a page, smallest first.
     applies
         Whether a result holds what it shows, by groups and variables alone.
-    for_specialists
-        Whether it shows how an answer came about, which nobody needs who only acts on it.
     """
 
     name: str
@@ -148,7 +136,6 @@ class StoredFigure:
     applies: Callable[[xr.DataTree], bool]
     make: Callable[..., Figure]
     parts: Parts = whole
-    for_specialists: bool = False
 
     def __call__(self, *drawn_from: object) -> Figure:
         """The figure in the style of all, from what ``parts`` gives."""
@@ -163,13 +150,12 @@ def stored_figure(
     *,
     name: str = "",
     parts: Parts = whole,
-    for_specialists: bool = False,
 ) -> Callable[[Callable[..., Figure]], StoredFigure]:
     """Make a function a :class:`StoredFigure`, of the function's name unless another is given."""
 
     def declare(make: Callable[..., Figure]) -> StoredFigure:
         own = name or make.__name__
-        return StoredFigure(own, caption, order, applies, make, parts, for_specialists)
+        return StoredFigure(own, caption, order, applies, make, parts)
 
     return declare
 
@@ -188,8 +174,6 @@ def draw_all(
     tree: xr.DataTree,
     folder: Path,
     formats: Sequence[str] = ("png",),
-    *,
-    for_specialists: bool = True,
 ) -> list[Path]:
     """Write every figure that applies to a result.
 
@@ -201,8 +185,6 @@ def draw_all(
         Is made if there is a figure and it is missing.
     formats
         As of :func:`bayesbl.presentation.figures.style.save`.
-    for_specialists
-        Whether those that nobody needs who only acts on the answer are among them.
 
     Returns
     -------
@@ -213,26 +195,32 @@ def draw_all(
     ResultError
         If there is no figure for such a result.
     """
-    found = figures_of(tree)
-    if not found:
+    if not figures_of(tree):
         raise ResultError(
             "There are no figures for a result of this kind.",
             found=tree.attrs.get("kind"),
             expected="a fit, a comparison, a sweep or a diagnosis",
         )
-    written: list[Path] = []
     if not formats:
-        return written
+        return []
+    return [
+        path
+        for stored, ending, figure in drawn(tree)
+        for path in save(figure, folder, stored.name + ending, formats)
+    ]
+
+
+def drawn(tree: xr.DataTree) -> Iterator[tuple[StoredFigure, str, Figure]]:
+    """Each figure of a result with the ending of its file's name, in reading order.
+
+    It is saved before the next one is drawn: a figure holds itself in circles, and up to 15 MB.
+    """
     with publication_style(), _collecting_the_new_alone():
-        for figure in found:
-            if figure.for_specialists and not for_specialists:
-                continue
-            for ending, drawn_from in figure.parts(tree):
-                written += save(figure(*drawn_from), folder, figure.name + ending, formats)
-                # A figure holds itself in circles, and up to 15 MB: freed before the next one.
+        for stored in figures_of(tree):
+            for ending, drawn_from in stored.parts(tree):
+                yield stored, ending, stored(*drawn_from)
                 gc.collect()
                 gc.freeze()
-    return written
 
 
 @contextmanager
@@ -251,35 +239,3 @@ def figures_of(tree: xr.DataTree) -> list[StoredFigure]:
     """The figures that apply to a result, in reading order."""
     known = sorted(declared(figures, StoredFigure), key=lambda figure: figure.order)
     return [figure for figure in known if figure.applies(tree)]
-
-
-def reading_order(
-    stems: Iterable[str], known: Sequence[StoredFigure], snapshots: Sequence[str]
-) -> list[str]:
-    """Stems of figure files in the order of the figures, then snapshot by snapshot."""
-    endings = [file_ending(snapshot) for snapshot in snapshots]
-
-    def place(stem: str) -> tuple[int, int, str]:
-        figure = figure_of(stem, known)
-        if figure is None:
-            return len(known), 0, stem
-        ending = stem.removeprefix(figure.name)
-        at = endings.index(ending) if ending in endings else len(endings)
-        return list(known).index(figure), at, stem
-
-    return sorted(stems, key=place)
-
-
-def caption(stem: str, known: Sequence[StoredFigure]) -> str:
-    """The caption of a figure file; of an unknown figure its name in words."""
-    figure = figure_of(stem, known)
-    if figure is None:
-        return stem.replace("_", " ").capitalize() + "."
-    ending = stem.removeprefix(figure.name).strip("_").replace("_", " ")
-    text = figure.caption
-    return f"{ending}: {text[0].lower()}{text[1:]}" if ending else text
-
-
-def figure_of(stem: str, known: Sequence[StoredFigure]) -> StoredFigure | None:
-    """The figure that a file of this name shows; ``None`` if it is none of these."""
-    return next((f for f in known if stem == f.name or stem.startswith(f"{f.name}_")), None)

@@ -28,7 +28,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import figure_title
 from bayesbl.results.intervals import Interval
-from bayesbl.ringing.symbols import SYMBOLS
 
 SINGLE_COLUMN_IN = 3.4
 DOUBLE_COLUMN_IN = 7.0
@@ -136,19 +135,6 @@ def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         panel.set_title(f"({_letters(index)})  {title}", loc="left", pad=4.0)
 
 
-def legend_above(panel: Axes) -> None:
-    """A legend in one line beside the panel's title, where there is never data."""
-    panel.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=4,
-        columnspacing=0.7,
-        handlelength=1.4,
-        handletextpad=0.4,
-        borderaxespad=0.2,
-    )
-
-
 def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
     """What a panel shows, above all panels."""
     handles, labels = panel.get_legend_handles_labels()
@@ -225,9 +211,9 @@ def grid(
 
 
 def one_panel_each(
-    count: int, height_in: float = 2.1, *, shared: bool = True, above: float = 0.0
+    count: int, height_in: float, *, above: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with one panel per snapshot, at most two in a row, with ``shared`` axes or not.
+    """A figure with one panel per snapshot, at most two in a row, with shared axes.
 
     ``above`` is room for a legend over all of them, in inches.
     """
@@ -235,10 +221,10 @@ def one_panel_each(
     rows = math.ceil(count / columns)
     width = SINGLE_COLUMN_IN if count == 1 else DOUBLE_COLUMN_IN
     figure = new_figure(width, rows * height_in + 0.2 + above)
-    spec = grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35 if shared else 0.55))
+    spec = grid(figure, rows, columns, top=0.3 + above, between=(0.65, 0.35))
     axes: list[Axes] = []
     for i in range(count):
-        first = axes[0] if axes and shared else None
+        first = axes[0] if axes else None
         axes.append(figure.add_subplot(spec[divmod(i, columns)], sharex=first, sharey=first))
     return figure, axes
 
@@ -342,10 +328,6 @@ def rotation_axis(panel: Axes, label: str) -> None:
     panel.set_xlabel(label)
 
 
-_RELATIVE_SPREAD = 2e-3
-"""Values that vary less than this are drawn as differences from a round number near them."""
-
-
 def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
     """A logarithmic axis with ``steps`` of each decade written out, never as powers of ten."""
     name = "x" if isinstance(axis, XAxis) else "y"
@@ -353,60 +335,3 @@ def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None
     axis.set_major_locator(FixedLocator([m * 10.0**k for k in range(-6, 7) for m in steps]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """shown = factor · (stored − reference).
-
-    Attributes
-    ----------
-    symbol
-        As mathtext.
-    unit
-        Of the values shown.
-    """
-
-    symbol: str
-    unit: str
-    factor: float
-    reference: float = 0.0
-    reference_text: str = ""
-
-    def shown(self, stored: FloatArray) -> FloatArray:
-        """Values to draw, same shape as the stored ones."""
-        return self.factor * (stored - self.reference)
-
-    def label(self, between: str = " ") -> str:
-        """``T$_w$ − 3.6 s (ms)``, the unit set apart by ``between``."""
-        return f"{self.symbol}{self.reference_text}{between}({self.unit})"
-
-
-def scale_of(name: str, draws: FloatArray) -> Scale:
-    """The scale on which draws of a symbol, or of δ, are readable."""
-    if name == GAP:
-        return Scale("δ", "mrad", 1e3)
-    symbol = SYMBOLS[name]
-    text = _mathtext(symbol.paper)
-    middle, spread = float(np.median(draws)), float(np.std(draws))
-    if spread > _RELATIVE_SPREAD * abs(middle):
-        return Scale(text, symbol.unit, 1.0)
-    factor, unit = (1e3, "ms") if symbol.unit == "s" and spread < 0.05 else (1.0, symbol.unit)
-    places = max(0, math.ceil(-math.log10(8.0 * spread))) if spread > 0.0 else 6
-    reference = round(middle, places)
-    sign = "−" if reference >= 0.0 else "+"
-    text_of_reference = f" {sign} {abs(reference):.10g}" + (
-        f" {symbol.unit}" if factor != 1.0 else ""
-    )
-    return Scale(text, unit, factor, reference, text_of_reference)
-
-
-def time_constant(decay_rate_per_s: FloatArray) -> str:
-    """``53 ms``: what a reader takes τ for, which is a rate."""
-    return f"{1e3 / float(np.median(decay_rate_per_s)):.3g} ms"
-
-
-def _mathtext(paper: str) -> str:
-    """``T_w`` as T with a subscript."""
-    letter, _, index = paper.partition("_")
-    return f"{letter}$_{{{index}}}$" if index else letter

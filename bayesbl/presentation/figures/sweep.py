@@ -10,15 +10,13 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-from numpy.polynomial import polynomial
 
 from bayesbl.config.bench import parse_bench, reference_bench
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.curve.regression import relative_fit
 from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, stored_figure, values
+from bayesbl.presentation.words import source_in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
@@ -38,11 +36,6 @@ _FILLS: Mapping[str, str] = {
     "bench": "#dcdcdc",
     "regression": "#0072b2",
     "lack_of_fit": "#a6cee3",
-}
-_NAMES: Mapping[str, str] = {
-    "bench": "tolerances of the bench",
-    "regression": "coefficients",
-    "lack_of_fit": "lack of fit",
 }
 
 
@@ -171,7 +164,7 @@ def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
     panel.margins(y=0.1)
     panel.set_ylabel("Departure of δ (%)")
     if panel.get_legend_handles_labels()[0]:
-        style.legend_above(panel)
+        panel.legend(loc="upper right")
 
 
 def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
@@ -207,192 +200,8 @@ def _draw_band(
 ) -> None:
     panel.fill_between(
         knots, low, high, color=_FILLS.get(source, "#f0e0c0"), linewidth=0.0,
-        label=_NAMES.get(source, source.replace("_", " ")),
+        label=source_in_words(source),
     )  # fmt: skip
-
-
-@stored_figure(
-    "How well polynomials of other degrees describe the sweep.", 70, holding("degrees", "sweep")
-)
-def degrees(tree: xr.DataTree) -> Figure:
-    """Departure by degree, along the curve for the degrees around the one used, and evidence."""
-    used = int(tree.attrs["degree"])
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.2)
-    spec = style.grid(figure, 1, 3, between=(0.0, 0.62), widths=(1.0, 1.5, 1.0))
-    by_degree, along, evidence = (figure.add_subplot(spec[0, i]) for i in range(3))
-    _draw_by_degree(by_degree, tree, used)
-    _draw_along(along, tree, used)
-    _draw_evidence(evidence, tree, used)
-    style.head_panels([by_degree, along, evidence], ["", "", ""])
-    return figure
-
-
-def departure_of_degree(tree: xr.DataTree, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Mean amplitude at each gap, and δ of that degree's polynomial over the gap, (g,), percent."""
-    amplitude = values(tree, "sweep", "amplitude_rpm").mean(axis=1)
-    gap = values(tree, "sweep", "gap_rad")
-    fitted = polynomial.polyval(amplitude, relative_fit(amplitude, gap, degree))
-    return amplitude, np.asarray(100.0 * (fitted / gap - 1.0))
-
-
-def _draw_by_degree(panel: Axes, tree: xr.DataTree, used: int) -> None:
-    degree = values(tree, "degrees", "degree")
-    for index, (name, label) in enumerate(
-        (("largest_departure", "largest"), ("rms_departure", "RMS"))
-    ):
-        own = style.look(index)
-        panel.plot(
-            degree, 100.0 * values(tree, "degrees", name), color=own.colour,
-            linestyle=own.dashes, marker=own.marker, label=label,
-        )  # fmt: skip
-    panel.set_yscale("log")
-    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panel.set_ylabel("Departure of δ (%)")
-    _mark_degrees(panel, degree, used)
-    style.legend_above(panel)
-
-
-def _draw_along(panel: Axes, tree: xr.DataTree, used: int) -> None:
-    stored = set(values(tree, "degrees", "degree"))
-    for index, degree in enumerate(d for d in (used - 1, used, used + 1) if d in stored):
-        amplitude, departure = departure_of_degree(tree, degree)
-        own = style.look(index)
-        panel.plot(
-            amplitude, departure, color=own.colour, linestyle=own.dashes,
-            marker=own.marker, markersize=2.5, linewidth=0.8, label=f"degree {degree}",
-        )  # fmt: skip
-    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
-    panel.set_xlabel("Amplitude of the ringing A (rpm)")
-    panel.set_ylabel("Departure of δ (%)")
-    style.legend_above(panel)
-
-
-def _draw_evidence(panel: Axes, tree: xr.DataTree, used: int) -> None:
-    degree, evidence = (values(tree, "degrees", n) for n in ("degree", "log_evidence"))
-    panel.plot(
-        degree, evidence.max() - evidence, color=style.MEASURED, marker="o", linewidth=0.7,
-        markersize=3.0,
-    )  # fmt: skip
-    panel.set_yscale("symlog", linthresh=10.0)
-    panel.yaxis.set_minor_locator(NullLocator())
-    panel.set_ylim(bottom=-1.0)
-    panel.set_ylabel("Log evidence below the best")
-    _mark_degrees(panel, degree, used)
-
-
-def _mark_degrees(panel: Axes, degree: FloatArray, used: int) -> None:
-    style.shade(panel, used - 0.3, used + 0.3)
-    panel.xaxis.set_major_locator(FixedLocator([float(d) for d in degree]))
-    panel.set_xlabel("Degree (shaded: used)")
-
-
-_LEVEL = 0.9
-_SHORT: Mapping[str, str] = {
-    "gear_ratio": "gear ratio N",
-    "motor_inertia_kg_m2": "motor inertia J$_{m}$",
-    "load_inertia_kg_m2": "load inertia J$_{l}$",
-    "shaft_stiffness_nm_per_rad": "shaft stiffness K$_{s}$",
-    "shaft_damping_nm_s_per_rad": "shaft damping D$_{s}$",
-    "gravity_torque_nm": "gravity m g l",
-    "speed_gain_nm_s_per_rad": "speed gain K$_{p}$",
-    "integral_gain_nm_per_rad": "integral gain K$_{i}$",
-    "position_gain_per_s": "position gain",
-    "torque_constant_nm_per_a": "torque constant K$_{t}$",
-    "current_limit_a": "current limit i$_{max}$",
-    "reference_speed_rpm": "reference speed ω$_{ref}$",
-    "stiffness_sharpness_per_rad": "sharpness α",
-}
-
-
-@stored_figure(
-    "The curve over benches within their tolerances.", 80, holding("bench_draws", "sweep")
-)
-def bench_draws(tree: xr.DataTree) -> Figure:
-    """Departure of A from the nominal sweep, a line a draw; its slopes at three gaps."""
-    parameters = tree["bench_draws"].sizes["parameter"]
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, max(2.4, 1.1 + 0.26 * parameters))
-    spec = style.grid(figure, 1, 2, between=(0.0, 1.45))
-    spread, slopes = figure.add_subplot(spec[0, 0]), figure.add_subplot(spec[0, 1])
-    _draw_spread(spread, tree)
-    _draw_slopes(slopes, tree)
-    style.head_panels([spread, slopes], ["", ""])
-    return figure
-
-
-def departure_of_log_amplitude(tree: xr.DataTree) -> FloatArray:
-    """Of each draw from the nominal sweep at each gap, shape (draw, gap)."""
-    group = tree["bench_draws"].to_dataset()
-    return np.asarray(group["departure"].sel(quantity="ln_amplitude").values)
-
-
-def standardised_slopes(tree: xr.DataTree) -> tuple[FloatArray, FloatArray] | None:
-    """Change of ln A as one parameter moves by its whole tolerance, all of them regressed at once.
-
-    Returns
-    -------
-    Slopes and standard errors, each (parameter, gap); ``None`` where there are too few draws.
-    """
-    shifts = values(tree, "bench_draws", "shift")
-    draws, parameters = shifts.shape
-    if draws < parameters + 2:
-        return None
-    design = np.column_stack([np.ones(draws), shifts])
-    departure = departure_of_log_amplitude(tree)
-    solution = np.linalg.lstsq(design, departure, rcond=None)[0]
-    residual = departure - design @ solution
-    variance = (residual**2).sum(axis=0) / (draws - parameters - 1)
-    inverse = np.diag(np.linalg.inv(design.T @ design))
-    return np.asarray(solution[1:]), np.sqrt(np.asarray(inverse[1:, None] * variance))
-
-
-def _draw_spread(panel: Axes, tree: xr.DataTree) -> None:
-    gap = 1e3 * values(tree, "sweep", "gap_rad")
-    percent = 100.0 * np.expm1(departure_of_log_amplitude(tree))
-    edges = (0.5 - 0.5 * _LEVEL, 0.5 + 0.5 * _LEVEL)
-    low, high = np.quantile(percent, edges, axis=0)
-    panel.fill_between(
-        gap, low, high, color=style.BAND, linewidth=0.0, label=f"{100.0 * _LEVEL:g} % of the draws"
-    )
-    for index, line in enumerate(percent):
-        panel.plot(
-            gap, line, color=style.MODEL, linewidth=0.35, alpha=0.7,
-            label=f"{len(percent)} bench draws" if index == 0 else None,
-        )  # fmt: skip
-    panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
-    style.plain_log_axis(panel.xaxis)
-    panel.set_xlim(gap[0], gap[-1])
-    panel.set_xlabel("Gap δ (mrad)")
-    panel.set_ylabel("Departure of A from the nominal bench (%)")
-    style.legend_above(panel)
-
-
-def _draw_slopes(panel: Axes, tree: xr.DataTree) -> None:
-    names = [str(n) for n in tree["bench_draws"].to_dataset()["parameter"].values]
-    found = standardised_slopes(tree)
-    if found is None:
-        panel.set_axis_off()
-        why = f"too few draws for {len(names)} slopes"
-        panel.text(0.5, 0.5, why, ha="center", transform=panel.transAxes)
-        return
-    slopes, errors = (100.0 * part for part in found)
-    gap = values(tree, "sweep", "gap_rad")
-    order = np.argsort(np.abs(slopes).mean(axis=1))
-    rows = np.arange(len(names))
-    for index, column in enumerate((0, gap.size // 2, gap.size - 1)):
-        own = style.look(index)
-        panel.errorbar(
-            slopes[order, column], rows + 0.22 * (1 - index), xerr=errors[order, column],
-            color=own.colour, marker=own.marker, markersize=3.5, linestyle="none",
-            elinewidth=0.7, label=f"{1e3 * gap[column]:.2g} mrad",
-        )  # fmt: skip
-    for row in rows[1:]:
-        panel.axhline(row - 0.5, color="#e6e6e6", linewidth=0.6, zorder=0.0)
-    panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6)
-    panel.set_yticks(rows, [_SHORT.get(names[i], names[i].replace("_", " ")) for i in order])
-    panel.tick_params(axis="y", length=0.0)
-    panel.set_ylim(-0.5, len(names) - 0.5)
-    panel.set_xlabel("Change of A for one tolerance (%)")
-    style.legend_above(panel)
 
 
 @stored_figure(
