@@ -42,6 +42,8 @@ class ArrayTable:
         Why the values of a column are not read, by its name; its array is empty.
     repairs
         What was left out as the file was read, in words, and how many times.
+    lines
+        Of a text, the line that each row is in, from 1, shape (n,).
     """
 
     file: str
@@ -50,6 +52,7 @@ class ArrayTable:
     clocks: Mapping[str, str] = field(default_factory=dict)
     withheld: Mapping[str, str] = field(default_factory=dict)
     repairs: Mapping[str, int] = field(default_factory=dict)
+    lines: NDArray[np.int64] | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -67,7 +70,8 @@ class ArrayTable:
 
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
-        return f'sample {row + 1}, column "{self.columns[column]}"'
+        which = f"sample {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+        return f'{which}, column "{self.columns[column]}"'
 
     def without_values(self) -> ArrayTable:
         """Its names and places alone."""

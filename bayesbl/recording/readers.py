@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bayesbl.arguments import File, checked
 from bayesbl.errors import RecordingError, UnavailableError
+from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import (
     CHANNELS,
     LOAD_POSITION,
@@ -26,7 +27,7 @@ from bayesbl.recording.channels import (
     ColumnSpec,
     did_you_mean_file,
 )
-from bayesbl.recording.columns import Column, Table, choose_columns, stamps_and_values
+from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
 from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
 from bayesbl.recording.lost_samples import bridge, without_lost
@@ -142,7 +143,7 @@ def _ordinal(number: int) -> str:
     return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path) -> ArrayTable:
     """The columns of a file, before anything is mapped.
 
     Raises
@@ -155,7 +156,7 @@ def read_table(path: str | Path) -> Table:
 
 
 def _values(
-    path: Path, table: Table, time_column: Column, others: Sequence[Column]
+    path: Path, table: ArrayTable, time_column: Column, others: Sequence[Column]
 ) -> tuple[FloatArray, FloatArray]:
     """Time in the file's own unit, shape (n,), and channels in theirs, shape (n, c).
 
@@ -188,7 +189,7 @@ def _values(
 
 
 def _wrong_time_unit(
-    path: Path, table: Table, column: Column, found: str, expected: str
+    path: Path, table: ArrayTable, column: Column, found: str, expected: str
 ) -> RecordingError:
     return RecordingError(
         "Time is not in the unit that was stated for it.",
@@ -200,7 +201,7 @@ def _wrong_time_unit(
 
 
 def _seconds(
-    path: Path, table: Table, column: Column, time: FloatArray, rows: NDArray[np.int64]
+    path: Path, table: ArrayTable, column: Column, time: FloatArray, rows: NDArray[np.int64]
 ) -> FloatArray:
     """Time of the rows, in seconds; a late start is taken off."""
     backward = np.flatnonzero(time[1:] <= time[:-1])
@@ -255,7 +256,7 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _parsed(path: Path) -> tuple[Table, str]:
+def _parsed(path: Path) -> tuple[ArrayTable, str]:
     """The table in a file, and the SHA-256 of the file."""
     data = _read_bytes(path)
     format_ = _format_of(path)
@@ -297,7 +298,7 @@ def _format_of(path: Path) -> Format:
     return known[suffix]
 
 
-def _check_length(path: Path, table: Table, column: Column, stamps: int) -> None:
+def _check_length(path: Path, table: ArrayTable, column: Column, stamps: int) -> None:
     if stamps < MINIMUM_SAMPLES:
         raise RecordingError(
             "The recording is too short.",
@@ -308,7 +309,9 @@ def _check_length(path: Path, table: Table, column: Column, stamps: int) -> None
         )
 
 
-def _check_finite(path: Path, table: Table, others: Sequence[Column], values: FloatArray) -> None:
+def _check_finite(
+    path: Path, table: ArrayTable, others: Sequence[Column], values: FloatArray
+) -> None:
     """Refuse a column without a number; single missing values are bridged later."""
     for column, series in zip(others, values.T, strict=True):
         if np.isnan(series).all():

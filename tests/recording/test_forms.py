@@ -14,7 +14,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import ready_for_fit
 from bayesbl.recording.columns import stamps_and_values
-from bayesbl.recording.formats import csv
+from bayesbl.recording import text_table
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
@@ -129,9 +129,9 @@ def test_how_large_the_blocks_of_a_text_are_changes_nothing(
     path = tmp_path / "a.csv"
     for name, content in {**SPACED, **MARKS, **ENCODED, **LEFT_OUT, **MORE_COLUMNS}.items():
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-        monkeypatch.setattr(csv, "_BLOCK_BYTES", 1 << 20)
+        monkeypatch.setattr(text_table, "_BLOCK_BYTES", 1 << 20)
         whole, place = read_recording(path), read_table(path).place(500, 0)
-        monkeypatch.setattr(csv, "_BLOCK_BYTES", 70)
+        monkeypatch.setattr(text_table, "_BLOCK_BYTES", 70)
         cut = read_recording(path)
         np.testing.assert_array_equal(cut.time_s, whole.time_s, name)
         np.testing.assert_array_equal(cut.motor_speed_rpm, whole.motor_speed_rpm, name)
