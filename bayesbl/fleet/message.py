@@ -15,8 +15,8 @@ from collections.abc import Callable, Mapping
 from datetime import date as Date
 from typing import Any, NoReturn
 
+from bayesbl.config.sections import LONGEST_NAME
 from bayesbl.errors import shortened
-from bayesbl.fleet.inventory import is_joint_name
 from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 
 SCHEMA = 2
@@ -31,6 +31,7 @@ REPLIES = "stored"
 """Last level of the topic that ``collect`` answers on, below that of a message."""
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")
+_JOINT = re.compile(rf"\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}")
 _DEVICE = re.compile(r"[A-Za-z0-9._-]{1,100}")
 
 
@@ -83,7 +84,7 @@ def decoded(message: bytes) -> tuple[str, Any, str]:
 
 def require_joint(name: object) -> None:
     """Raise ``ValueError`` where no joint may be called so."""
-    if not isinstance(name, str) or not is_joint_name(name):
+    if not isinstance(name, str) or not _JOINT.fullmatch(name):
         raise ValueError(f"{shortened(str(name))!r} is no name of a joint")
 
 

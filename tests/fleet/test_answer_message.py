@@ -19,7 +19,7 @@ from bayesbl.fleet.message import (
 )
 from bayesbl.fleet.plant_tables import recording_row
 
-JOINT = Joint("R1-J2", limit_rad=1.2e-3)
+JOINT = Joint(joint="R1-J2", limit_rad=1.2e-3)
 WHICH = {"joint": "R1-J2", "date": "2025-01-01", "file": "a.csv", "sha256": "a" * 64}
 GAP = np.random.default_rng(1).normal(1e-3, 1e-5, 500)
 

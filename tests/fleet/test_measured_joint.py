@@ -44,7 +44,7 @@ def job(tmp_path):
         file.write_text(day)
         found.append(Found("J1", day, str(file)))
     return JointJob(
-        Joint("J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3),
+        Joint(joint="J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3),
         tuple(found),
         tuple(sha256(day.encode()).hexdigest() for day in DATES),
         file_sha256(CONFIGS / "bench_tolerances.toml"),

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from bayesbl.errors import RecordingError
+from bayesbl.recording import text_table
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import ready_for_fit
 from bayesbl.recording.columns import stamps_and_values
-from bayesbl.recording import text_table
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
