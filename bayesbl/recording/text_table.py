@@ -25,9 +25,17 @@ from pathlib import Path
 import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
-from bayesbl.recording.array_table import AnyArray, ArrayTable, numbered
+from bayesbl.recording.array_table import LONGEST_TEXT, AnyArray, ArrayTable, numbered
+from bayesbl.recording.cells import (
+    MISSING,
+    decimal_mark,
+    is_bare_number,
+    is_number,
+    is_value,
+    number_in,
+    parted,
+)
 from bayesbl.recording.input_bytes import require_memory
-from bayesbl.recording.timestamps import is_date
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import is_unit, spelled
 
@@ -35,18 +43,6 @@ _SEPARATORS = ("\t", ";", ",", "|", " ")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
-_MISSING = frozenset(
-    "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
-    "|#num!|-|--|---|?|missing".split("|")
-)
-_PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
-_GROUPED = {
-    mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[{other}'’\u00a0\u202f ]\d{{3}})+(?:[{mark}]\d*)?")
-    for mark, other in ((".", ","), (",", "."))
-}
-_WITH_UNIT = re.compile(r"([+\-−]?\d[^\sA-Za-z]*(?:[eE][+-]?\d+)?)\s?([^\d\s.,:+\-/].*)")
-"""As exports write durations and formatted values: ``0.001 sec``, ``1500.2 rpm``."""
-
 MOST_ABOVE = 50
 """Lines that are not blank in which the first sample is looked for."""
 MOST_COLUMNS = 1000
@@ -127,32 +123,6 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def number_in(cell: str, mark: str) -> float | None:
-    """The number that a cell holds, NaN for a missing one; ``None`` if it is text."""
-    text = cell.replace("−", "-")
-    if mark == "," and "," in text:
-        if _PLAIN[","].fullmatch(text):
-            return float(text.replace(",", "."))
-    elif mark == "." or "." not in text:
-        try:
-            if text.isascii() and "_" not in text:  # float() reads "1_000"; no instrument does
-                return float(text)
-        except ValueError:
-            pass
-    if text.lower() in _MISSING:
-        return float("nan")
-    if _GROUPED[mark].fullmatch(text):
-        plain = re.sub(r"[^\d+.,-]", "", text).replace("." if mark == "," else ",", "")
-        return float(plain.replace(",", "."))
-    return None
-
-
-def _parted(cell: str) -> tuple[str, str]:
-    """A cell's number and the unit behind it; the cell where there is none that is known."""
-    held = _WITH_UNIT.fullmatch(cell)
-    return (held[1], held[2]) if held and is_unit(spelled(held[2])) else (cell, "")
-
-
 def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
     """The unit that a column's cells state.
 
@@ -162,7 +132,7 @@ def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
         If they state several: a value is then another multiple of its unit than the one above it.
     """
     cells = [row[column] for row in rows if column < len(row)]
-    units = {_parted(cell)[1] for cell in cells if _is_value(cell)}
+    units = {parted(cell)[1] for cell in cells if is_value(cell)}
     if len(units) > 1:
         raise RecordingError(
             "The cells of a column are in different units.",
@@ -172,22 +142,6 @@ def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
             expected="one unit for the whole column, in its name",
         )
     return next(iter(units), "")
-
-
-def _is_number(cell: str) -> bool:
-    """Whether it may be a number with either mark, bare or before its unit; never if missing."""
-    return _is_bare_number(_parted(cell)[0])
-
-
-def _is_bare_number(cell: str) -> bool:
-    return any(
-        (value := number_in(cell, mark)) is not None and (value == value or cell.lower() == "nan")
-        for mark in ".,"
-    )
-
-
-def _is_value(cell: str) -> bool:
-    return _is_number(cell) or is_date(cell)
 
 
 def layout_of(
@@ -247,7 +201,7 @@ def layout_of(
     begin = written[first]
     if found is None:
         nearest = cut[above[-1]] if above else []
-        if len(nearest) > 1 and not any(map(_is_number, nearest)):
+        if len(nearest) > 1 and not any(map(is_number, nearest)):
             raise RecordingError(
                 "This line does not have one cell for each column.",
                 file=file,
@@ -282,7 +236,7 @@ def _header_of(
     """The last of the rows above the samples that belongs to the header, names, and units if any.
 
     Names are a row of as many cells as the samples have (``widths``) without a number; a row of
-    units may follow them.
+    units may stand below them, or above.
     """
     named: list[int] = []
     for i, cells in enumerate(above):
@@ -290,18 +244,23 @@ def _header_of(
             cells.pop()
         if not any(cells):
             continue
-        if len(cells) in widths and not any(map(_is_bare_number, cells)):
+        if len(cells) in widths and not any(map(is_bare_number, cells)):
             named.append(i)
         elif len(cells) > 1:
             named.clear()
     if not named:
         return None
-    bare = [cell.strip("[]() ") for cell in above[named[-1]]]
-    has_units = len(named) > 1 and any(is_unit(spelled(cell)) for cell in bare)
-    names = above[named[-2] if has_units else named[-1]]
+    names = above[named[-1]]
+    before = above[named[-2]] if len(named) > 1 else []
+    below, on_top = ([cell.strip("[]() ") for cell in row] for row in (names, before))
+    of_below, of_top = ([cell for cell in row if is_unit(spelled(cell))] for row in (below, on_top))
+    units: list[str] = []
+    if before and of_below and len(of_below) >= len(of_top):
+        names, units = before, below
+    elif len(set(of_top)) > 1 and len(of_top) == sum(map(bool, on_top)):
+        units = on_top
     names = [name or f"column {i}" for i, name in enumerate(names, 1)]
-    units = tuple(bare[: len(names)]) if has_units else ()
-    return named[-1], tuple(numbered(names)), units
+    return named[-1], tuple(numbered(names)), tuple(units[: len(names)])
 
 
 def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int | None:
@@ -312,11 +271,11 @@ def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int |
 
     def is_sample(cells: Sequence[str]) -> bool:
         here = [cells[i] for i in values] if len(cells) > values[-1] else []
-        return any(map(_is_value, here)) and all(
-            cell.lower() in _MISSING or _is_value(cell) for cell in here
+        return any(map(is_value, here)) and all(
+            cell.lower() in MISSING or is_value(cell) for cell in here
         )
 
-    followed = [any(map(_is_value, row)) for row in rows[1:]] + [True]
+    followed = [any(map(is_value, row)) for row in rows[1:]] + [True]
     pairs = zip(rows, followed, strict=True)
     return next((i for i, (row, on) in enumerate(pairs) if on and is_sample(row)), None)
 
@@ -347,30 +306,12 @@ def _value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
     values: list[int] = []
     share = 0.0
     for column, cells in enumerate(zip(*rows, strict=True)):
-        held = [cell for cell in cells if cell.lower() not in _MISSING]
-        good = sum(map(_is_value, held))
+        held = [cell for cell in cells if cell.lower() not in MISSING]
+        good = sum(map(is_value, held))
         share += (good + len(cells) - len(held)) / len(cells) / len(rows[0])
         if good >= 0.5 * len(held) if held else any(cells):
             values.append(column)
     return values, share
-
-
-def decimal_mark(file: Path, cells: Sequence[str]) -> str:
-    """Whether numbers have a decimal comma or a decimal point, by all of them together."""
-    cells = [number for cell in cells if _is_number(number := _parted(cell)[0])]
-    if not any("," in cell for cell in cells):
-        return "."
-    fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
-    if fits["."] == fits[","]:
-        example = next(cell for cell in cells if "," in cell)
-        raise RecordingError(
-            "A comma may be a decimal comma here, or part thousands.",
-            file=file,
-            found=repr(shortened(example)),
-            expected=f"{example.replace(',', '.')} or {example.replace(',', '')}: numbers without "
-            "marks between thousands",
-        )
-    return "," if fits[","] > fits["."] else "."
 
 
 def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTable:
@@ -404,9 +345,9 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
     places: list[AnyArray] = []
     counts = Counter({"control character left out": control} if control else {})
     incomplete: list[tuple[int, int]] = []
-    rows, index = 0, 0
+    rows, index, held = 0, 0, 0
     for block in _blocks(text):
-        require_memory(file, len(text) + 8.0 * (width + 2) * rows, f"{rows} lines, or more")
+        require_memory(file, len(text) + 2.0 * held, f"{rows} lines, or more")
         if index - rows > rows + _MOST_SKIPPED:
             raise _no_table(file, [])
         lines = block[max(0, layout.begin - index) :]
@@ -425,6 +366,7 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
             places.append(np.arange(first, index))
             series = [np.ascontiguousarray(values) for values in read.T]
         rows += places[-1].size
+        held += sum(values.nbytes for values in (places[-1], *series))
         for part, values in zip(parts, series, strict=bool(series)):
             part.append(values)
     if incomplete and incomplete[-1][0] == index - 1:
@@ -497,11 +439,11 @@ def _cut(
         elif tuple(cells) in layout.header:
             kind = "repeated header left out"
         elif len(cells) == width and (
-            any(map(_is_value, cells)) or all(cell.lower() in _MISSING for cell in cells)
+            any(map(is_value, cells)) or all(cell.lower() in MISSING for cell in cells)
         ):
             samples[index] = cells
             continue
-        elif any(map(_is_number, cells)):
+        elif any(map(is_number, cells)):
             kind = _INCOMPLETE
             incomplete.append((index, len(cells)))
         elif len(cells) == width and set(cells) & set(layout.names):
@@ -523,12 +465,13 @@ def _series(cells: Sequence[str], mark: str, unit: str) -> AnyArray:
     writes numbers."""
     numbers = [number_in(cell, mark) for cell in cells]
     for i, cell in enumerate(cells):
-        if numbers[i] is None and unit and (parted := _parted(cell))[1] == unit:
-            numbers[i] = number_in(parted[0], mark)
+        if numbers[i] is None and unit:
+            number, stated = parted(cell)
+            numbers[i] = number_in(number, mark) if stated == unit else None
     if None not in numbers:
         return np.array(numbers, dtype=float)
     texts = [
         cell if number is None else "" if number != number else repr(number)
         for cell, number in zip(cells, numbers, strict=True)
     ]
-    return np.array([text.encode() for text in texts])
+    return np.array([text.encode()[:LONGEST_TEXT] for text in texts])

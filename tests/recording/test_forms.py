@@ -150,6 +150,31 @@ def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
         read_recording(path)
 
 
+def test_units_count_in_a_line_above_the_names_as_in_one_below(tmp_path: Path) -> None:
+    for head in ("ms;1/min\nt;n", "t;n\nms;1/min"):
+        path = tmp_path / "a.csv"
+        path.write_text(text([f"{1e3 * t:.0f};{n}" for t, n in PAIRS], head))
+        read = read_recording(
+            path, columns={"time_s": ColumnSpec("t"), "motor_speed_rpm": ColumnSpec("n")}
+        )
+        np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+        np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+
+
+def test_a_group_of_columns_above_the_names_is_no_unit(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows(), "A,A\n" + ",".join(NAMES)))
+    np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
+
+
+def test_one_long_cell_does_not_make_every_cell_long(tmp_path: Path) -> None:
+    lines = [f"{row},{'x' * (100_000 if i == 5 else 1)}" for i, row in enumerate(rows())]
+    path = tmp_path / "a.csv"
+    path.write_text(text(lines, "time_s,motor_speed_rpm,state"))
+    assert read_table(path).arrays["state"].nbytes < 1e6
+    assert read_recording(path).samples == COUNT
+
+
 def test_what_is_left_out_is_told_once_with_its_count(tmp_path: Path) -> None:
     lines = rows()
     lines[200:200] = ["# one", ",".join(NAMES), "# two"]

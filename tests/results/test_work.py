@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import math
 import os
-import sys
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -178,7 +177,6 @@ def test_work_without_its_problem_belongs_to_nothing(tmp_path):
         assert kept.recall("work", 1, Work) is None
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no locks there")
 def test_file_system_without_locks_can_be_written_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
