@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
@@ -26,7 +26,7 @@ from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.files import load_file
-from bayesbl.config.sections import Section, Tolerance, as_tuple, refuse, require_different
+from bayesbl.config.sections import Items, Section, Tolerance, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.channels import did_you_mean
@@ -212,7 +212,7 @@ class _NoiseEntry(Section):
 
     sd: float
     kind: Literal["white", "ar", "student_t"] = "white"
-    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    coefficients: Items[float] = ()
     degrees_of_freedom: float | None = Field(default=None, gt=2.0)
 
     @model_validator(mode="after")
@@ -422,8 +422,8 @@ class GapSection(Section):
     δ (1 + Σ_k cosine[k] cos kθ_l + sine[k] sin kθ_l), two harmonics at most.
     """
 
-    cosine: Annotated[tuple[EffectValue, ...], BeforeValidator(as_tuple)] = ()
-    sine: Annotated[tuple[EffectValue, ...], BeforeValidator(as_tuple)] = ()
+    cosine: Items[EffectValue] = ()
+    sine: Items[EffectValue] = ()
 
     @model_validator(mode="after")
     def _two_harmonics(self) -> Self:
@@ -492,10 +492,10 @@ class LearnedTorqueSection(_LearnedSection):
     variable: Variable
     period: float = Field(gt=0.0)
     constant_nm: float = 0.0
-    cosine_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-    sine_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+    cosine_nm: Items[float]
+    sine_nm: Items[float]
     reverses: bool = False
-    sd_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    sd_nm: Items[float] = ()
 
     def learned(self) -> LearnedTorque:
         """As the bench takes it."""
@@ -510,9 +510,9 @@ class EncoderErrorSection(_LearnedSection):
     """
 
     period_rad: float = Field(gt=0.0)
-    cosine_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-    sine_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-    sd_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    cosine_rad: Items[float]
+    sine_rad: Items[float]
+    sd_rad: Items[float] = ()
 
     def learned(self) -> EncoderError:
         """As the bench takes it."""
@@ -528,7 +528,7 @@ class BenchFile(Section):
     gap_form: Literal["arctan", "dead_zone"] = "arctan"
     parameters: dict[Annotated[str, AfterValidator(_parameter_name)], ParameterEntry]
     measurement: MeasurementSection = MeasurementSection()
-    effects: Annotated[tuple[EffectEntry, ...], BeforeValidator(as_tuple)] = ()
+    effects: Items[EffectEntry] = ()
     belt: BeltSection | None = None
     arm: ArmSection | None = None
     base: BaseSection | None = None

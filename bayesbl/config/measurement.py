@@ -22,6 +22,7 @@ from bayesbl.config.sections import (
     CurveSource,
     GapBoundsFromZero,
     Interval,
+    Items,
     Model,
     Positive,
     RecordedConfig,
@@ -29,7 +30,6 @@ from bayesbl.config.sections import (
     Section,
     SnapshotRecording,
     Tolerance,
-    as_tuple,
     differently_named,
     refuse,
 )
@@ -296,7 +296,7 @@ class SnapshotConfig(RecordedConfig):
     most_recordings: ClassVar[int | None] = None
 
     joint: Joint = Field(default_factory=Joint)
-    recordings: Annotated[tuple[SnapshotRecording, ...], BeforeValidator(as_tuple)]
+    recordings: Items[SnapshotRecording]
     estimator: Estimator = Field(default_factory=Estimator)
     posterior: Posterior = Field(default_factory=Posterior)
     interval: Interval = Field(default_factory=Interval)

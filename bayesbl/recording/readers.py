@@ -24,6 +24,7 @@ from bayesbl.recording.channels import (
     MOTOR_POSITION,
     MOTOR_SPEED,
     REFERENCE_POSITION,
+    REFERENCE_SPEED,
     ColumnSpec,
     did_you_mean_file,
 )
@@ -32,10 +33,18 @@ from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
 from bayesbl.recording.lost_samples import bridge, without_lost
 from bayesbl.recording.own_process import parsed_apart
-from bayesbl.recording.repairs import held, mended_clock, new_values, told, unwrapped
+from bayesbl.recording.repairs import (
+    held,
+    mended_clock,
+    new_values,
+    told,
+    unwrapped,
+    without_strays,
+)
 from bayesbl.recording.types import FloatArray, Recording, Source
 
 POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
+REFERENCES = (REFERENCE_SPEED, REFERENCE_POSITION)
 
 MINIMUM_SAMPLES = 16
 """Fewer samples than this are no recording, whatever the task."""
@@ -96,14 +105,18 @@ def read_recording(
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
         values = values[rows]
     del stamped
+    strays = [""] * len(others)
     for i, column in enumerate(others):
+        called = CHANNELS.get(column.channel, column.channel)
         if column.channel in POSITIONS:
-            called = CHANNELS[column.channel]
             values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
+        if column.channel not in (REFERENCES if even else (*REFERENCES, *POSITIONS)):
+            strays[i] = without_strays(values[:, i], repairs, called)
 
     def place(row: int, column: int | None) -> str:
-        index = time_column.index if column is None else others[column].index
-        return table.place(int(rows[row]), index)
+        if column is None:
+            return table.place(int(rows[row]), time_column.index)
+        return table.place(int(rows[row]), others[column].index) + strays[column]
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
         joined = bridge if even else without_lost

@@ -13,7 +13,6 @@ import pytest
 from bayesbl.errors import RecordingError
 from bayesbl.recording import text_table
 from bayesbl.recording.channels import ColumnSpec
-from bayesbl.recording.checks import ready_for_fit
 from bayesbl.recording.columns import stamps_and_values
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
@@ -404,14 +403,19 @@ def test_a_log_on_change_is_held_and_a_slower_channel_is_not(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("stray", [32767.0, -32768.0])
-def test_single_strays_of_the_current_are_left_out(stray: float, tmp_path: Path) -> None:
-    current = np.round(4.0 + np.random.default_rng(3).normal(0, 0.3, COUNT), 3)
-    current[[100, 400]] = stray
-    columns = {"time_s": TIME, "motor_speed_rpm": SPEED, "motor_current_a": current}
-    mended = ready_for_fit(recorded(tmp_path, columns))
+@pytest.mark.parametrize("channel", ["motor_current_a", "motor_torque_nm", "motor_speed_rpm"])
+def test_single_strays_are_left_out_of_a_motion_too(
+    channel: str, stray: float, tmp_path: Path
+) -> None:
+    wave = np.sin(40.0 * TIME)
+    measured = np.round(4.0 * wave + np.random.default_rng(3).normal(0, 0.3, COUNT), 3)
+    measured[[100, 400]] = stray
+    columns = {"time_s": TIME, "motor_speed_rpm": SPEED, "reference_speed_rpm": 4.0 * wave}
+    mended = recorded(tmp_path, {**columns, channel: measured})
     assert mended.excluded is not None
     assert np.flatnonzero(mended.excluded).tolist() == [100, 400]
-    assert np.abs(mended.channels["motor_current_a"]).max() < 10.0
+    assert np.abs(mended.channels[channel]).max() < 10.0
+    assert any("2 × stray sample" in note for note in mended.notes)
 
 
 # Units
