@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl.config.files import load_file
 from bayesbl.config.sections import (
@@ -16,6 +16,7 @@ from bayesbl.config.sections import (
     OutputPath,
     Positive,
     Section,
+    as_tuple,
     refuse,
     require_different,
     two_angles,
@@ -82,7 +83,7 @@ class TorqueRampMotion(Section):
     """The motor's torque to and fro with the output held: some cycles at each amplitude."""
 
     kind: Literal["torque_ramp"]
-    torque_nm: Annotated[Items[Positive], Field(min_length=1)]
+    torque_nm: Annotated[tuple[Positive, ...], Field(min_length=1), BeforeValidator(as_tuple)]
     cycles: int = Field(default=5, ge=1)
     period_s: Positive = 4.0
     start_angle_rad: float = 0.0
@@ -142,7 +143,9 @@ class SimulateFile(Section):
     run: SimulateRun = SimulateRun()
     bench: BenchSource
     truth_file: str | None = Field(default=None, min_length=1)
-    recordings: Annotated[Items[SimulatedRecording], Field(min_length=1)]
+    recordings: Annotated[
+        tuple[SimulatedRecording, ...], Field(min_length=1), BeforeValidator(as_tuple)
+    ]
 
     @field_validator("recordings")
     @classmethod
