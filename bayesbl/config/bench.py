@@ -25,11 +25,11 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
+from bayesbl.config.diagnose import bench_parameter
 from bayesbl.config.files import load_file
 from bayesbl.config.sections import Items, Section, Tolerance, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.noise.process import NoiseModel
-from bayesbl.recording.channels import did_you_mean
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 ARCMIN_PER_RAD = 60.0 * 180.0 / math.pi
@@ -145,16 +145,6 @@ def _total_inertia(bench: Values) -> float:
 REFERENCE_BENCH = "reference_bench.toml"
 AVERAGING = effect_named("speed_averaging")
 LONGEST_AVERAGE_S = AVERAGING.parameter("time_s").high
-
-
-def _parameter_name(name: str) -> str:
-    if name not in PARAMETER_INFO:
-        refuse(
-            "There is no such bench parameter." + did_you_mean(name, PARAMETER_INFO),
-            found=name,
-            expected="one of " + ", ".join(PARAMETER_INFO),
-        )
-    return name
 
 
 def _effect_name(name: str) -> str:
@@ -526,7 +516,7 @@ class BenchFile(Section):
     kind: Literal["bench"]
     drive: Literal["two_mass", "rigid"] = "two_mass"
     gap_form: Literal["arctan", "dead_zone"] = "arctan"
-    parameters: dict[Annotated[str, AfterValidator(_parameter_name)], ParameterEntry]
+    parameters: dict[Annotated[str, AfterValidator(bench_parameter)], ParameterEntry]
     measurement: MeasurementSection = MeasurementSection()
     effects: Items[EffectEntry] = ()
     belt: BeltSection | None = None

@@ -62,7 +62,7 @@ def is_bare_number(cell: str) -> bool:
 
 
 def is_value(cell: str) -> bool:
-    return is_number(cell) or is_date(cell)
+    return is_date(cell) or is_number(cell)
 
 
 def decimal_mark(file: Path, cells: Sequence[str]) -> str:

@@ -36,6 +36,7 @@ from bayesbl.recording.cells import (
     parted,
 )
 from bayesbl.recording.input_bytes import require_memory
+from bayesbl.recording.timestamps import is_date
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import is_unit, spelled
 
@@ -463,7 +464,8 @@ def _cut(
 def _series(cells: Sequence[str], mark: str, unit: str) -> AnyArray:
     """Numbers, shape (n,), NaN for missing ones; text where a cell is none, other cells as Python
     writes numbers."""
-    numbers = [number_in(cell, mark) for cell in cells]
+    are_dates = is_date(cells[0])
+    numbers = [None if are_dates else number_in(cell, mark) for cell in cells]
     for i, cell in enumerate(cells):
         if numbers[i] is None and unit:
             number, stated = parted(cell)
