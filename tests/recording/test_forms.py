@@ -698,6 +698,21 @@ def test_a_workbook_may_have_titles_units_text_and_faults(tmp_path: Path) -> Non
     assert "number written as text" in read.notes[0]
 
 
+def test_decimal_commas_as_text_in_a_workbook_are_told_from_its_numbers(tmp_path: Path) -> None:
+    import openpyxl
+
+    path = tmp_path / "a.xlsx"
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(list(NAMES))
+    for t, n in PAIRS:
+        sheet.append([float(t), f"{n:.3f}".replace(".", ",")])
+    book.save(path)
+    read = read_recording(path)
+    np.testing.assert_array_equal(read.time_s, TIME)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+
+
 def test_times_of_day_in_a_workbook_are_times(tmp_path: Path) -> None:
     import datetime
 
