@@ -487,16 +487,9 @@ def _units(
         found |= _of_position(pairs)
     if REFERENCE_SPEED in values:
         asked = float(np.nanmean(np.abs(values[REFERENCE_SPEED])))
-        if known := found.get(MOTOR_SPEED):
-            speed *= conversion_factor(MOTOR_SPEED, known[0])
-            fixed = {
-                **chosen,
-                MOTOR_SPEED: replace(chosen[MOTOR_SPEED], stated=StatedUnit("", "rpm")),
-            }
-            found |= _of_reference(_agreeing(fixed, speed, asked, REFERENCE_SPEED, 1.0))
-            found[MOTOR_SPEED] = known
-        else:
-            found |= _of_reference(_agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0))
+        pairs = _agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0)
+        known = found.get(MOTOR_SPEED, (None,))[0]
+        found = _of_reference([pair for pair in pairs if known in (None, pair[0])]) | found
     return found
 
 
