@@ -46,7 +46,9 @@ def simulated(
     for number in range(joints):
         gearbox, median = list(TYPES.items())[number % 3]
         rate = median * np.exp(0.4 * generator.standard_normal())
-        joint = Joint(f"R{number // 6 + 1:03d}-J{number % 6 + 1}", gearbox, limit_rad=1.2e-3)
+        joint = Joint(
+            joint=f"R{number // 6 + 1:03d}-J{number % 6 + 1}", gearbox=gearbox, limit_rad=1.2e-3
+        )
         start = generator.uniform(2e-4, 8e-4)
         days = [date(2024, 1, 1) + timedelta(days=30 * n) for n in range(recordings)]
         years = np.array([(day - days[0]).days / 365.25 for day in days])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-import sys
 
 import bayesbl
 
@@ -42,11 +41,10 @@ def test_a_cache_in_a_temporary_folder_is_the_users_alone(tmp_path, monkeypatch)
     compiled._use_temporary_folder()
     (folder,) = tmp_path.iterdir()
     assert str(folder) == numba.config.CACHE_DIR
-    if sys.platform != "win32":
-        folder.chmod(0o777)
-        numba.config.CACHE_DIR = ""
-        compiled._use_temporary_folder()
-        assert not numba.config.CACHE_DIR
+    folder.chmod(0o777)
+    numba.config.CACHE_DIR = ""
+    compiled._use_temporary_folder()
+    assert not numba.config.CACHE_DIR
 
 
 def test_a_full_disk_costs_the_cache_and_not_the_answer(tmp_path, monkeypatch) -> None:

@@ -238,8 +238,7 @@ def fleet_command(
     json: Json = False,
 ) -> None:
     """Measure what is new of many joints, and write their tables and pages."""
-    options: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
-    run_file(config, force, json, kind="fleet", **options, scheduler=scheduler)
+    run_file(kind="fleet", **locals())
 
 
 def check_command(config: ConfigPath) -> None:
@@ -388,11 +387,7 @@ def fit_command(
     check_sampler: CheckSampler = False,
 ) -> None:
     """Measure the gap in one recording."""
-    given = {"out": out, "seed": seed, "curve": curve, "limit": limit, "limit_rad": limit_rad}
-    given |= {"route": route, "bench": bench}
-    given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
-    given |= {"start_from": start_from, "check_sampler": check_sampler or None}
-    _measure("fit", [recording], config, given, force, json)
+    _measure("fit", [recording], _given(locals(), "recording"))
 
 
 def compare_command(
@@ -430,27 +425,24 @@ def compare_command(
             found=f"{first} alone",
             expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
         )
-    given: dict[str, Any] = {"out": out, "seed": seed, "curve": curve}
-    given |= {"limit": limit, "limit_rad": limit_rad, "route": route, "bench": bench}
-    given |= {"gear_ratio": gear_ratio, "level": level, "workers": workers}
-    given |= {"start_from": start_from, "check_sampler": check_sampler or None}
-    given |= {"before": before, "dates": dates or ()}
-    _measure("compare", [first, *later], config, given, force, json)
+    given = _given(locals(), "first", "later", "dates", "quoted")
+    _measure("compare", [first, *later], given, dates or ())
+
+
+def _given(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
+    """A command's options by name; a flag that is not set does not stand against a file's."""
+    return {k: None if v is False else v for k, v in options.items() if k not in without}
 
 
 def _measure(
-    kind: str,
-    recordings: Sequence[Path],
-    config: Path | None,
-    given: dict[str, Any],
-    force: bool,
-    json: bool,
+    kind: str, recordings: Sequence[Path], given: dict[str, Any], dates: Sequence[date] = ()
 ) -> None:
     from bayesbl.config.loading import config_from_options
 
-    loaded = config_from_options(kind, recordings, config, **given)
+    config, force, json = (given.pop(name) for name in ("config", "force", "json"))
+    loaded = config_from_options(kind, recordings, config, dates, **given)
     with guessing_columns(f"init {given_files(recordings)}", config):
-        run_config(loaded, force, json, config)
+        run_config(loaded, bool(force), bool(json), config)
 
 
 _WATCHED = "_watched"
@@ -630,18 +622,11 @@ def plan_command(
     json: Json = False,
 ) -> None:
     """Rank motions within limits by how well they would tell the gap."""
+    options = _given(locals(), "config", "force", "json")
+    if out is None and config is None:
+        options["out"] = Path("results", "plan")
     from bayesbl.config.loading import config_from_options
 
-    options: dict[str, Any] = {
-        "bench": bench,
-        "range_rad": range_rad,
-        "speed_rpm": speed_rpm,
-        "acceleration_rpm_per_s": acceleration_rpm_per_s,
-        "duration_s": duration_s,
-        "gap_rad": gap_rad,
-        "out": Path("results", "plan") if out is None and config is None else out,
-        "workers": workers,
-    }
     run_config(config_from_options("plan", (), config, **options), force, json, config)
 
 
@@ -708,10 +693,9 @@ def identify_command(
     workers: Workers = None,
 ) -> None:
     """Find the bench of a joint from its data sheet and recordings, with the gap."""
-    given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
-    given |= {"bench": bench, "level": level}
-    if effects is not None:
-        given["effects"] = effects if effects == "catalogue" else effects.split(",")
+    given = _given(locals(), "inputs", "dates", "config", "force", "json")
+    if effects not in (None, "catalogue"):
+        given["effects"] = effects.split(",")
     from bayesbl.config.loading import config_from_options
 
     if _is_configuration(inputs):
@@ -736,8 +720,7 @@ def diagnose_command(
     workers: Workers = None,
 ) -> None:
     """Find what a bench lacks that recordings show."""
-    given: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
-    given |= {"bench": bench, "level": level}
+    given = _given(locals(), "inputs", "config", "force", "json")
     if _is_configuration(inputs):
         run_file(inputs[0], force, json, kind="diagnose", **given)
         return

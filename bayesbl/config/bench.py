@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
@@ -25,11 +25,11 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
+from bayesbl.config.diagnose import bench_parameter
 from bayesbl.config.files import load_file
-from bayesbl.config.sections import Section, Tolerance, as_tuple, refuse, require_different
+from bayesbl.config.sections import Items, Section, Tolerance, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.noise.process import NoiseModel
-from bayesbl.recording.channels import did_you_mean
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 ARCMIN_PER_RAD = 60.0 * 180.0 / math.pi
@@ -147,16 +147,6 @@ AVERAGING = effect_named("speed_averaging")
 LONGEST_AVERAGE_S = AVERAGING.parameter("time_s").high
 
 
-def _parameter_name(name: str) -> str:
-    if name not in PARAMETER_INFO:
-        refuse(
-            "There is no such bench parameter." + did_you_mean(name, PARAMETER_INFO),
-            found=name,
-            expected="one of " + ", ".join(PARAMETER_INFO),
-        )
-    return name
-
-
 def _effect_name(name: str) -> str:
     try:
         effect_named(name)
@@ -212,7 +202,7 @@ class _NoiseEntry(Section):
 
     sd: float
     kind: Literal["white", "ar", "student_t"] = "white"
-    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    coefficients: Items[float] = ()
     degrees_of_freedom: float | None = Field(default=None, gt=2.0)
 
     @model_validator(mode="after")
@@ -422,8 +412,8 @@ class GapSection(Section):
     δ (1 + Σ_k cosine[k] cos kθ_l + sine[k] sin kθ_l), two harmonics at most.
     """
 
-    cosine: Annotated[tuple[EffectValue, ...], BeforeValidator(as_tuple)] = ()
-    sine: Annotated[tuple[EffectValue, ...], BeforeValidator(as_tuple)] = ()
+    cosine: Items[EffectValue] = ()
+    sine: Items[EffectValue] = ()
 
     @model_validator(mode="after")
     def _two_harmonics(self) -> Self:
@@ -492,10 +482,10 @@ class LearnedTorqueSection(_LearnedSection):
     variable: Variable
     period: float = Field(gt=0.0)
     constant_nm: float = 0.0
-    cosine_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-    sine_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+    cosine_nm: Items[float]
+    sine_nm: Items[float]
     reverses: bool = False
-    sd_nm: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    sd_nm: Items[float] = ()
 
     def learned(self) -> LearnedTorque:
         """As the bench takes it."""
@@ -510,9 +500,9 @@ class EncoderErrorSection(_LearnedSection):
     """
 
     period_rad: float = Field(gt=0.0)
-    cosine_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-    sine_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
-    sd_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    cosine_rad: Items[float]
+    sine_rad: Items[float]
+    sd_rad: Items[float] = ()
 
     def learned(self) -> EncoderError:
         """As the bench takes it."""
@@ -526,9 +516,9 @@ class BenchFile(Section):
     kind: Literal["bench"]
     drive: Literal["two_mass", "rigid"] = "two_mass"
     gap_form: Literal["arctan", "dead_zone"] = "arctan"
-    parameters: dict[Annotated[str, AfterValidator(_parameter_name)], ParameterEntry]
+    parameters: dict[Annotated[str, AfterValidator(bench_parameter)], ParameterEntry]
     measurement: MeasurementSection = MeasurementSection()
-    effects: Annotated[tuple[EffectEntry, ...], BeforeValidator(as_tuple)] = ()
+    effects: Items[EffectEntry] = ()
     belt: BeltSection | None = None
     arm: ArmSection | None = None
     base: BaseSection | None = None

@@ -11,11 +11,11 @@ from bayesbl.config.sections import (
     ChannelName,
     GapBounds,
     Interval,
+    Items,
     Positive,
     RecordedConfig,
     Section,
     SnapshotRecording,
-    as_tuple,
     differently_named,
     refuse,
 )
@@ -66,8 +66,8 @@ class Compared(Section):
     """
 
     method: Method = "forward"
-    channels: Annotated[tuple[ChannelName, ...], BeforeValidator(as_tuple)] = ()
-    known_torque: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
+    channels: Items[ChannelName] = ()
+    known_torque: Items[str] = ()
     load_angle_known: bool = False
     motor_angle_known: bool = False
     cutoff_hz: Positive | None = None
@@ -89,9 +89,7 @@ class Unknowns(Section):
     """``[unknowns]``: what is fitted in any case."""
 
     gap_rad: GapBounds | None = None
-    bench_parameters: Annotated[
-        tuple[Annotated[str, AfterValidator(bench_parameter)], ...], BeforeValidator(as_tuple)
-    ] = ()
+    bench_parameters: Items[Annotated[str, AfterValidator(bench_parameter)]] = ()
 
 
 class DiagnosedRecording(SnapshotRecording):
@@ -118,9 +116,7 @@ class DiagnoseConfig(RecordedConfig):
     bench: BenchSource
     comparison: Compared = Field(default_factory=Compared)
     unknowns: Unknowns = Field(default_factory=Unknowns)
-    recordings: Annotated[
-        tuple[DiagnosedRecording, ...], BeforeValidator(as_tuple), AfterValidator(differently_named)
-    ]
+    recordings: Annotated[Items[DiagnosedRecording], AfterValidator(differently_named)]
     candidates: Candidates = Field(default_factory=Candidates)
     interval: Interval = Field(default_factory=Interval)
 

@@ -14,10 +14,10 @@ from bayesbl.config.sections import (
     GapBoundsFromZero,
     InputPath,
     Interval,
+    Items,
     Model,
     RecordedConfig,
     Section,
-    as_tuple,
     refuse,
     require_different,
     resolve,
@@ -73,7 +73,7 @@ class FleetSection(Section):
     joints: Annotated[InputPath, BeforeValidator(_table)]
     recordings: Annotated[str, BeforeValidator(_source_of_recordings)]
     pool_by: str | None = None
-    covariates: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
+    covariates: Items[str] = ()
     decide_before: Date | None = None
 
     @model_validator(mode="after")

@@ -11,10 +11,10 @@ from bayesbl.config.sections import (
     GapBounds,
     InputPath,
     Interval,
+    Items,
     RecordedConfig,
     Section,
     SnapshotRecording,
-    as_tuple,
     differently_named,
     refuse,
 )
@@ -67,11 +67,7 @@ class IdentifyConfig(RecordedConfig):
     kind: Literal["identify"]
     bench: InputPath
     identify: Identify = Field(default_factory=Identify)
-    recordings: Annotated[
-        tuple[IdentifiedRecording, ...],
-        BeforeValidator(as_tuple),
-        AfterValidator(differently_named),
-    ]
+    recordings: Annotated[Items[IdentifiedRecording], AfterValidator(differently_named)]
     interval: Interval = Field(default_factory=Interval)
 
     @property

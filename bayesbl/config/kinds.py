@@ -7,14 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.fleet import FleetConfig
@@ -25,11 +18,11 @@ from bayesbl.config.sections import (
     ClusterRun,
     InputPath,
     Interval,
+    Items,
     Model,
     Positive,
     RunConfig,
     Section,
-    as_tuple,
     refuse,
     require_different,
     resolve,
@@ -99,7 +92,7 @@ class SweepConfig(RunConfig):
 class Limits(Section):
     """``[limits]``: load angles, speed and acceleration of the motor, rests, length."""
 
-    range_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (-0.5, 0.5)
+    range_rad: Items[float] = (-0.5, 0.5)
     speed_rpm: Positive = 1500.0
     acceleration_rpm_per_s: Positive = 6000.0
     dwell_s: float = Field(default=0.15, ge=0.0)
@@ -137,10 +130,7 @@ class StudyConfig(RunConfig):
     kind: Literal["study"]
     run: ClusterRun
     study: InputPath
-    rows: Annotated[
-        tuple[Annotated[dict[str, Any], AfterValidator(_resolve_row)], ...],
-        BeforeValidator(as_tuple),
-    ]
+    rows: Items[Annotated[dict[str, Any], AfterValidator(_resolve_row)]]
 
     @field_validator("rows")
     @classmethod

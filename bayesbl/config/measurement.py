@@ -7,7 +7,14 @@ from dataclasses import asdict
 from datetime import date as Date
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from bayesbl import units
 from bayesbl.config.sections import (
@@ -15,6 +22,7 @@ from bayesbl.config.sections import (
     CurveSource,
     GapBoundsFromZero,
     Interval,
+    Items,
     Model,
     Positive,
     RecordedConfig,
@@ -22,7 +30,6 @@ from bayesbl.config.sections import (
     Section,
     SnapshotRecording,
     Tolerance,
-    as_tuple,
     differently_named,
     refuse,
 )
@@ -73,6 +80,24 @@ LARGEST_LIMIT_RAD = 0.05
 """Nearly 3°: more than any joint whose gap can be measured by its ringing."""
 
 
+def _a_gap(limit_rad: float) -> float:
+    if limit_rad > LARGEST_LIMIT_RAD:
+        text = f"{limit_rad:g}"
+        meant = ""
+        if limit_rad <= 1e3 * LARGEST_LIMIT_RAD:
+            meant = f" Did you mean {text}e-3 rad = {text} mrad?"
+        refuse(
+            f"limit_rad = {text} is {1e3 * limit_rad:.6g} mrad "
+            f"({math.degrees(limit_rad):.3g}°).{meant}",
+            expected=f"a gap in rad, at most {LARGEST_LIMIT_RAD:g}",
+        )
+    return limit_rad
+
+
+LimitRad = Annotated[Positive, AfterValidator(_a_gap)]
+StatedLimit = Annotated[Limit, BeforeValidator(_limit_of_text)]
+
+
 class Drift(Section):
     """An entry of ``[joint.may_drift]``: half-width of a uniform prior, as a bench tolerance is."""
 
@@ -109,26 +134,11 @@ class Joint(Section):
 
     gear_ratio: Positive | None = None
     rated_torque_nm: Positive | None = None
-    limit_rad: Positive | None = None
-    limit: Annotated[Limit, BeforeValidator(_limit_of_text)] | None = None
+    limit_rad: LimitRad | None = None
+    limit: StatedLimit | None = None
     decide_before: Date | None = None
     may_drift: dict[str, Drift] = Field(default_factory=dict)
     drift: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
-
-    @field_validator("limit_rad")
-    @classmethod
-    def _a_gap(cls, limit_rad: float | None) -> float | None:
-        if limit_rad is not None and limit_rad > LARGEST_LIMIT_RAD:
-            text = f"{limit_rad:g}"
-            meant = ""
-            if limit_rad <= 1e3 * LARGEST_LIMIT_RAD:
-                meant = f" Did you mean {text}e-3 rad = {text} mrad?"
-            refuse(
-                f"limit_rad = {text} is {1e3 * limit_rad:.6g} mrad "
-                f"({math.degrees(limit_rad):.3g}°).{meant}",
-                expected=f"a gap in rad, at most {LARGEST_LIMIT_RAD:g}",
-            )
-        return limit_rad
 
     @model_validator(mode="after")
     def _date_of_a_limit(self) -> Self:
@@ -286,7 +296,7 @@ class SnapshotConfig(RecordedConfig):
     most_recordings: ClassVar[int | None] = None
 
     joint: Joint = Field(default_factory=Joint)
-    recordings: Annotated[tuple[SnapshotRecording, ...], BeforeValidator(as_tuple)]
+    recordings: Items[SnapshotRecording]
     estimator: Estimator = Field(default_factory=Estimator)
     posterior: Posterior = Field(default_factory=Posterior)
     interval: Interval = Field(default_factory=Interval)

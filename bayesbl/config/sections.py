@@ -130,6 +130,11 @@ def as_tuple(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
+T = TypeVar("T")
+Items = Annotated[tuple[T, ...], BeforeValidator(as_tuple)]
+"""A list of the file."""
+
+
 def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
     if not bounds[0] < bounds[1]:
         refuse("The range is empty.", expected="[low, high] with low < high")
@@ -301,9 +306,7 @@ class SnapshotRecording(Section):
 
     name: Name
     file: InputPath
-    files: Annotated[tuple[InputPath, ...], BeforeValidator(as_tuple)] | None = Field(
-        default=None, min_length=1
-    )
+    files: Items[InputPath] | None = Field(default=None, min_length=1)
     date: Date | None = None
     repaired: bool = False
     reference_speed_rpm: float | None = None

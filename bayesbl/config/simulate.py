@@ -11,6 +11,7 @@ from bayesbl.config.files import load_file
 from bayesbl.config.sections import (
     SHORTEST_WAY_RAD,
     BenchSource,
+    Items,
     Name,
     OutputPath,
     Positive,
@@ -21,7 +22,7 @@ from bayesbl.config.sections import (
     two_angles,
 )
 
-Angles = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+Angles = Items[float]
 
 
 class _PointToPoint(Section):

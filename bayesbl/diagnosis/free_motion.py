@@ -430,7 +430,7 @@ def asked_of(task: Task) -> Asked:
     require_rigid(task)
     config, bench, compared = task.config, task.bench, task.config.comparison
     channel = compared_channel(task, CHANNELS, "There is no motion to compare.")
-    recordings = even_recordings(task, [(channel,)] * len(task.recordings), ())
+    recordings = even_recordings(task, ())
     task.require_no_known_torque("Free motion has no torque but the bench's own.")
     unknown = config.unknowns.bench_parameters
     gravity = bench.value(GRAVITY) > 0.0

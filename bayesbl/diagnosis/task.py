@@ -12,7 +12,7 @@ from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.recording.checks import require_channels, require_unclipped, without_rails
+from bayesbl.recording.checks import require_channels, require_unclipped
 from bayesbl.recording.types import BoolArray, Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
@@ -93,19 +93,9 @@ def parts_of(uses: Sequence[Use], middle: int) -> list[tuple[Use, slice]]:
     return list(zip(uses, rows, strict=True))
 
 
-def sound(
-    recording: Recording, channels: Sequence[str], unclipped: Sequence[str] = ()
-) -> Recording:
-    """The recording with strays of these channels excluded and noted.
-
-    Raises
-    ------
-    RecordingError
-        If there are too many, or the peaks of an ``unclipped`` channel are cut off.
-    """
+def unclipped(recording: Recording, channels: Sequence[str]) -> Recording:
+    """The recording; raises ``RecordingError`` where the peaks of a channel are cut off."""
     for channel in channels:
-        recording = without_rails(recording, channel)
-    for channel in unclipped:
         require_unclipped(recording, channel)
     return recording
 

@@ -14,21 +14,31 @@ import re
 import tempfile
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import date as Date
 from datetime import datetime
 from glob import glob
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn, Self, TypeVar
 
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from bayesbl.config.files import problems_of
 from bayesbl.config.fleet import FleetSection, is_address
-from bayesbl.config.measurement import LARGEST_LIMIT_RAD
-from bayesbl.config.sections import LONGEST_NAME, PUBLISHED, RESULT_FILE
+from bayesbl.config.measurement import LimitRad, StatedLimit
+from bayesbl.config.sections import BASE_DIRECTORY, BenchSource, CurveSource, Name, Positive, refuse
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file
 from bayesbl.recording.input_bytes import read_input, require_size
 from bayesbl.results.atomic import PrivateFolder
-from bayesbl.units import Limit, LimitError
 
 
 def listed(pattern: str) -> Iterator[str]:
@@ -91,25 +101,31 @@ def _told(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".rstrip(" .:")
 
 
-_NAME = re.compile(rf"\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}")
-
-OF_JOINT = (
-    "joint",
-    "gearbox",
-    "bench",
-    "curve",
-    "limit",
-    "limit_rad",
-    "cost_at_limit",
-    "gear_ratio",
-    "in_service_since",
-    "repaired",
-)
-"""Columns of the inventory that mean something here; every other is a covariate."""
+def _date_of(value: object) -> str:
+    day = value.date() if isinstance(value, datetime) else value
+    return (day if isinstance(day, Date) else Date.fromisoformat(str(day))).isoformat()
 
 
-@dataclass(frozen=True, slots=True)
-class Joint:
+def _day(value: object) -> str:
+    try:
+        return _date_of(value)
+    except ValueError:
+        refuse("This is no date.", expected="a date such as 2026-03-01, or nothing")
+
+
+_Day = Annotated[str, BeforeValidator(_day)]
+
+
+class _Row(BaseModel):
+    """A row of a table, whose cells may be numbers or text."""
+
+    model_config = ConfigDict(coerce_numbers_to_str=True, allow_inf_nan=False)
+
+
+_File = AfterValidator(str)
+
+
+class Joint(_Row):
     """A row of the inventory.
 
     Attributes
@@ -122,24 +138,60 @@ class Joint:
         What it costs if the joint reaches its limit; in one currency for all.
     repaired
         Date of the last repair: what was recorded on it or later is of the repaired joint.
-    covariates
-        Every other column, number or text.
     """
 
-    name: str
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: Name = Field(alias="joint")
     gearbox: str = ""
-    bench: str | None = None
-    curve: str | None = None
-    limit_rad: float | None = None
-    cost_at_limit: float | None = None
-    gear_ratio: float | None = None
-    in_service_since: str | None = None
-    repaired: str | None = None
-    covariates: Mapping[str, float | str] = field(default_factory=dict)
+    bench: Annotated[BenchSource, _File] | None = None
+    curve: Annotated[CurveSource, _File] | None = None
+    limit: StatedLimit | None = None
+    stated_limit_rad: LimitRad | None = Field(default=None, alias="limit_rad")
+    cost_at_limit: Positive | None = None
+    gear_ratio: Positive | None = None
+    in_service_since: _Day | None = None
+    repaired: _Day | None = None
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        if self.bench is not None and self.curve is not None:
+            both = "bench and curve"
+            refuse("A joint has one of them.", found=both, expected="either", at=("curve",))
+        if self.limit is not None and self.stated_limit_rad is not None:
+            both = "limit and limit_rad"
+            refuse("There are two limits.", found=both, expected="one limit", at=("limit",))
+        if self.limit is not None and self.limit.of == "lost_motion":
+            expected = "a limit of play or delta in a fleet"
+            refuse("Lost motion needs a bench's stiffness.", expected=expected, at=("limit",))
+        return self
+
+    @property
+    def limit_rad(self) -> float | None:
+        """Of δ."""
+        return self.stated_limit_rad if self.limit is None else self.limit.stated().delta_rad()
+
+    @property
+    def covariates(self) -> dict[str, float | str]:
+        """Every other column, number or text."""
+        return {key: _covariate(value) for key, value in (self.model_extra or {}).items()}
 
     def group(self, column: str) -> str:
         """What the joint has in a column that joints are pooled by."""
         return self.gearbox if column == "gearbox" else str(self.covariates.get(column, ""))
+
+
+OF_JOINT = tuple(field.alias or name for name, field in Joint.model_fields.items())
+"""Columns of the inventory that mean something here; every other is a covariate."""
+
+
+class _RecordingRow(_Row):
+    """A row of the table of recordings."""
+
+    joint: str
+    date: Any
+    file: str
+    reference_speed_rpm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +227,7 @@ def read_joints(section: FleetSection) -> list[Joint]:
     """
     file = section.joints
     rows = _rows(file, "joints")
-    joints = [_joint(row, file, number) for number, row in enumerate(rows, start=1)]
+    joints = [_valid(Joint, row, file, number) for number, row in enumerate(rows, start=1)]
     if not joints:
         raise ConfigError("The inventory has no joint.", file=file, expected="a row a joint")
     seen: dict[str, str] = {}
@@ -287,11 +339,6 @@ def state_of(status: os.stat_result) -> FileState:
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
-def is_joint_name(text: str) -> bool:
-    """Whether a joint may be called so: the name of its page, so no path and no markup."""
-    return _NAME.fullmatch(text) is not None
-
-
 def digest_of_file(file: str) -> tuple[str | None, str | None]:
     """SHA-256 of a file's bytes, or why it cannot be read."""
     try:
@@ -341,16 +388,13 @@ def _glob_escaped(text: str) -> str:
 
 def _by_table(section: FleetSection) -> Iterator[Found]:
     file = Path(section.recordings)
-    for number, row in enumerate(_rows(file, "recordings"), start=1):
-        for column in ("joint", "date", "file"):
-            if row.get(column) in (None, ""):
-                _refuse(file, number, column, "nothing", "joint, date and file in every row")
-        speed = _number(row.get("reference_speed_rpm"), file, number, "reference_speed_rpm")
-        if is_address(str(row["file"])):
-            yield _dated(str(row["joint"]), row["date"], str(row["file"]), speed)
+    for number, given in enumerate(_rows(file, "recordings"), start=1):
+        row = _valid(_RecordingRow, given, file, number)
+        if is_address(row.file):
+            yield _dated(row.joint, row.date, row.file, row.reference_speed_rpm)
             continue
-        path = Path(os.path.normpath(file.parent / os.path.expanduser(str(row["file"]))))
-        one = _dated(str(row["joint"]), row["date"], str(path), speed)
+        path = Path(os.path.normpath(file.parent / os.path.expanduser(row.file)))
+        one = _dated(row.joint, row.date, str(path), row.reference_speed_rpm)
         if one.reason is None and not path.is_file():
             one = replace(one, reason=f"There is no such file.{did_you_mean_file(path)}")
         yield _within(file.parent if path.is_relative_to(file.parent) else path.parent, one)
@@ -365,57 +409,6 @@ def _dated(joint: str, date: object, file: str, speed: float | None = None) -> F
     return Found(joint, day, file, speed)
 
 
-def _date_of(value: object) -> str:
-    day = value.date() if isinstance(value, datetime) else value
-    return (day if isinstance(day, Date) else Date.fromisoformat(str(day))).isoformat()
-
-
-def _joint(row: Mapping[str, Any], file: Path, number: int) -> Joint:
-    name = str(row.get("joint") or "")
-    if not is_joint_name(name):
-        expected = (
-            f"at most {LONGEST_NAME} letters, digits, spaces and . , + - _, a letter or digit first"
-        )
-        _refuse(file, number, "joint", name or "nothing", expected)
-    limit = _limit_rad(row, file, number)
-    bench, curve = (_file(row.get(column), file, number, column) for column in ("bench", "curve"))
-    if bench and curve:
-        _refuse(file, number, "curve", f"{curve} beside a bench", "a bench or a curve")
-    return Joint(
-        name,
-        str(row.get("gearbox") or ""),
-        bench,
-        curve,
-        limit,
-        _number(row.get("cost_at_limit"), file, number, "cost_at_limit"),
-        _number(row.get("gear_ratio"), file, number, "gear_ratio"),
-        _day(row.get("in_service_since"), file, number, "in_service_since"),
-        _day(row.get("repaired"), file, number, "repaired"),
-        {key: _covariate(v) for key, v in row.items() if key not in OF_JOINT and v is not None},
-    )
-
-
-def _limit_rad(row: Mapping[str, Any], file: Path, number: int) -> float | None:
-    """Of δ, from ``limit_rad`` or from ``limit`` as data sheets state it."""
-    limit = _number(row.get("limit_rad"), file, number, "limit_rad")
-    column, found = "limit_rad", f"{limit:g}" if limit is not None else ""
-    if stated := str(row.get("limit") or "").strip():
-        column, found = "limit", stated
-        if limit is not None:
-            _refuse(file, number, column, f"{stated} beside limit_rad", "one limit")
-        try:
-            parsed = Limit.parse(stated)
-        except LimitError as error:
-            _refuse(file, number, column, error.found, error.expected)
-        if parsed.of == "lost_motion":
-            _refuse(file, number, column, stated, "a limit of play or delta in a fleet")
-        limit = parsed.delta_rad()
-    if limit is not None and limit > LARGEST_LIMIT_RAD:
-        expected = f"a gap δ of at most {LARGEST_LIMIT_RAD:g} rad (1.2e-3 = 1.2 mrad)"
-        _refuse(file, number, column, found, expected)
-    return limit
-
-
 def _covariate(value: object) -> float | str:
     try:
         return float(value)  # type: ignore[arg-type]
@@ -423,38 +416,24 @@ def _covariate(value: object) -> float | str:
         return str(value)
 
 
-def _number(value: object, file: Path, row: int, column: str) -> float | None:
-    if value in (None, "") or value != value:  # a table's missing number is nan
-        return None
+_R = TypeVar("_R", bound=_Row)
+
+
+def _valid(model: type[_R], row: Mapping[str, Any], file: Path, number: int) -> _R:
+    """A row as it is declared; an empty cell, or a table's missing number, is no value.
+
+    Raises
+    ------
+    ConfigError
+        Naming file, row and column.
+    """
+    given = {key: v for key, v in row.items() if v not in (None, "") and v == v}
     try:
-        found = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        _refuse(file, row, column, str(value), "a number with a decimal point, or nothing")
-    if not 0.0 < found < float("inf") and column != "reference_speed_rpm":
-        _refuse(file, row, column, str(value), "a number greater than 0, or nothing")
-    return found
-
-
-def _day(value: object, file: Path, row: int, column: str) -> str | None:
-    if value in (None, ""):
-        return None
-    try:
-        return _date_of(value)
-    except ValueError:
-        _refuse(file, row, column, str(value), "a date such as 2026-03-01, or nothing")
-
-
-def _file(value: object, file: Path, row: int, column: str) -> str | None:
-    if value in (None, ""):
-        return None
-    if column == "curve" and value == PUBLISHED:
-        return PUBLISHED
-    path = Path(os.path.normpath(file.parent / os.path.expanduser(str(value))))
-    path = path / RESULT_FILE if path.is_dir() else path
-    if not path.is_file():
-        expected = f"an existing file, relative to {file.parent}" + did_you_mean_file(path)
-        _refuse(file, row, column, str(path), expected)
-    return str(path)
+        return model.model_validate(given, context={BASE_DIRECTORY: file.parent})
+    except ValidationError as error:
+        first, *_ = problems_of(error, model, "")
+        where = f"row {number}, {(first.where or '').strip('[]')}"
+        raise ConfigError(first.problem, file=file, **first.details() | {"where": where}) from None
 
 
 def _refuse(file: Path, row: int, column: str, found: str, expected: str) -> NoReturn:

@@ -7,23 +7,25 @@ the device that measured it, sent as a message, and a file where it is collected
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
-from bayesbl.errors import UserError, shortened
+from bayesbl.errors import UserError
 from bayesbl.fleet.measured_joint import JointJob, RecordingAnswer
 from bayesbl.fleet.message import (
     LARGEST_MESSAGE_BYTES,
+    Day,
+    Digest,
+    JointName,
+    Part,
     encoded,
-    require_date,
-    require_digest,
-    require_joint,
+    valid,
 )
 from bayesbl.measurement.joint_features import folded_signal
 from bayesbl.measurement.routes import measurer_of
@@ -92,8 +94,6 @@ MOST_ROTATIONS, MOST_COEFFICIENTS = 1_000_000, 100
 
 _LARGEST = 1e30
 _LITTLE_ENDIAN = np.dtype("<f4")
-_PARTS = {"joint", "date", "sha256", "rotation_s", "rotations", "channels"}
-_OF_A_CHANNEL = {"mean", "noise_sd", "noise_coefficients"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +155,37 @@ def encoded_rotation(rotation: MeanRotation, device: str) -> bytes | None:
     return message if len(message) <= LARGEST_MESSAGE_BYTES else None
 
 
+def _numbers(given: object) -> FloatArray:
+    """A row of them, as :func:`encoded_rotation` writes it."""
+    if not isinstance(given, str):
+        raise ValueError("it is no text")
+    values = np.frombuffer(base64.b64decode(given, validate=True), _LITTLE_ENDIAN)
+    if values.size < 2 or not np.all(np.isfinite(values)):
+        raise ValueError("it is no row of numbers")
+    return values.astype(float)
+
+
+_Name = Annotated[str, Field(pattern=f"^({'|'.join(REPEATING)})$")]
+_Number = Annotated[float, Field(gt=-_LARGEST, lt=_LARGEST)]
+
+
+class _Channel(Part):
+    mean: Annotated[Any, AfterValidator(_numbers)]
+    noise_sd: Annotated[_Number, Field(ge=0.0)]
+    noise_coefficients: Annotated[
+        list[_Number], Field(max_length=MOST_COEFFICIENTS), AfterValidator(np.array)
+    ]
+
+
+class _Rotation(Part):
+    joint: JointName
+    date: Day
+    sha256: Digest
+    rotation_s: Annotated[_Number, Field(gt=0.0)]
+    rotations: Annotated[int, Field(ge=2, le=MOST_ROTATIONS)]
+    channels: Annotated[dict[_Name, _Channel], Field(min_length=1)]
+
+
 def decoded_rotation(given: Any, device: str) -> MeanRotation:
     """The mean rotation that a message of this kind holds.
 
@@ -163,29 +194,11 @@ def decoded_rotation(given: Any, device: str) -> MeanRotation:
     ValueError
         If something in it cannot be, with a reason that may be printed.
     """
-    if not _has(given, _PARTS):
-        raise ValueError("it has other parts than a mean rotation")
-    require_joint(given["joint"])
-    require_date(given["date"])
-    require_digest(given["sha256"])
-    rotations = given["rotations"]
-    if type(rotations) is not int or not 2 <= rotations <= MOST_ROTATIONS:
-        raise ValueError("rotations is no number of rotations")
-    channels = given["channels"]
-    if not isinstance(channels, dict) or not channels or not channels.keys() <= set(REPEATING):
-        raise ValueError("it has no channels, or others than are known")
-    found = {name: _channel(name, own) for name, own in channels.items()}
-    if len({own.mean.size for own in found.values()}) > 1:
+    found = valid(_Rotation, given)
+    channels = {name: MeanChannel(**dict(own)) for name, own in found.channels.items()}
+    if len({own.mean.size for own in channels.values()}) > 1:
         raise ValueError("its channels are not equally long")
-    return MeanRotation(
-        given["joint"],
-        given["date"],
-        given["sha256"],
-        _positive("rotation_s", given["rotation_s"]),
-        rotations,
-        found,
-        device,
-    )
+    return MeanRotation(**dict(found) | {"channels": channels}, device=device)
 
 
 def store_rotation(rotation: MeanRotation, output: Path) -> None:
@@ -218,39 +231,3 @@ def store_rotation(rotation: MeanRotation, output: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path, durable=True) as temporary:
         pyarrow.parquet.write_table(pyarrow.table(columns).replace_schema_metadata(told), temporary)
-
-
-def _has(content: Any, keys: set[str]) -> bool:
-    return isinstance(content, dict) and content.keys() == keys
-
-
-def _channel(name: str, given: Any) -> MeanChannel:
-    if not _has(given, _OF_A_CHANNEL) or not isinstance(given["mean"], str):
-        raise ValueError(f"{name} has other parts than a mean and its noise")
-    try:
-        mean = np.frombuffer(base64.b64decode(given["mean"], validate=True), _LITTLE_ENDIAN)
-    except (binascii.Error, ValueError):
-        raise ValueError(f"the mean of {name} is no row of numbers") from None
-    coefficients = given["noise_coefficients"]
-    if not isinstance(coefficients, list) or len(coefficients) > MOST_COEFFICIENTS:
-        raise ValueError(f"{name} has no such coefficients of its noise")
-    phi = np.array([_finite("a coefficient", value) for value in coefficients])
-    if mean.size < 2 or not np.all(np.isfinite(mean)):
-        raise ValueError(f"the mean of {name} is no row of numbers")
-    sd = _finite("noise_sd", given["noise_sd"])
-    if sd < 0.0:
-        raise ValueError(f"the noise of {name} is negative")
-    return MeanChannel(mean.astype(float), sd, phi)
-
-
-def _finite(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
-        raise ValueError(f"{name} = {shortened(repr(value))} is no number, or too large")
-    return float(value)
-
-
-def _positive(name: str, value: object) -> float:
-    number = _finite(name, value)
-    if not number > 0.0:
-        raise ValueError(f"{name} is not positive")
-    return number

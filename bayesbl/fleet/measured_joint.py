@@ -157,7 +157,7 @@ class JointJob:
     def files(self) -> list[str]:
         """Of the joint, beside its recordings."""
         named = (self.joint.bench, None if self.of_curve is None else self.joint.curve)
-        return [file for file in named if file is not None]
+        return [str(file) for file in named if file is not None]
 
     @property
     def names(self) -> list[str]:
@@ -342,8 +342,8 @@ def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
     states = []
     for file, sha256 in (*told, *named):
         if file is not None and sha256 is not None:
-            state = file_state(file)
-            if state is None or digest_of_file(file)[0] != sha256:
+            state = file_state(str(file))
+            if state is None or digest_of_file(str(file))[0] != sha256:
                 return []
             states.append(state)
     return states

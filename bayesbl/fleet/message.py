@@ -11,12 +11,14 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import date as Date
-from typing import Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from bayesbl.config.sections import LONGEST_NAME
 from bayesbl.errors import shortened
-from bayesbl.fleet.inventory import is_joint_name
 from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 
 SCHEMA = 2
@@ -30,8 +32,41 @@ STORED, REFUSED = "stored", "refused"
 REPLIES = "stored"
 """Last level of the topic that ``collect`` answers on, below that of a message."""
 
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 _DEVICE = re.compile(r"[A-Za-z0-9._-]{1,100}")
+
+
+class Part(BaseModel):
+    """What a message holds: nothing is converted, and nothing more is in it."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+
+def _day(text: str) -> str:
+    if Date.fromisoformat(text).isoformat() != text:
+        raise ValueError("it is not written as 2026-03-01")
+    return text
+
+
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+JointName = Annotated[str, Field(pattern=rf"^\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}$")]
+Day = Annotated[str, AfterValidator(_day)]
+_P = TypeVar("_P", bound=Part)
+
+
+def valid(model: type[_P], given: Any) -> _P:
+    """A part of a message as it is declared.
+
+    Raises
+    ------
+    ValueError
+        With a reason that may be printed.
+    """
+    try:
+        return model.model_validate(given)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(shortened(f"{where}: {first['msg']}", 200)) from None
 
 
 def encoded(kind: str, given: object, device: str) -> bytes:
@@ -81,28 +116,6 @@ def decoded(message: bytes) -> tuple[str, Any, str]:
     return kind, given, device
 
 
-def require_joint(name: object) -> None:
-    """Raise ``ValueError`` where no joint may be called so."""
-    if not isinstance(name, str) or not is_joint_name(name):
-        raise ValueError(f"{shortened(str(name))!r} is no name of a joint")
-
-
-def require_digest(sha256: object) -> None:
-    """Raise ``ValueError`` for what is no SHA-256 in hexadecimal digits."""
-    if not isinstance(sha256, str) or not _SHA256.fullmatch(sha256):
-        raise ValueError("sha256 is no digest")
-
-
-def require_date(date: object) -> None:
-    """Raise ``ValueError`` for what is no date such as 2026-03-01."""
-    try:
-        day = Date.fromisoformat(str(date)).isoformat()
-    except ValueError:
-        day = ""
-    if day != date:
-        raise ValueError(f"{shortened(str(date))!r} is no date")
-
-
 def _no_number(text: str) -> NoReturn:
     raise ValueError(f"{text} is no number")
 
@@ -121,9 +134,7 @@ LONGEST_TEXT = 10_000
 
 LARGEST_RPM = 1e6
 
-OUTCOMES = frozenset({"converged", "usable", "withheld", "no_curve", "refused", "failed"})
-
-_REQUIRED = ("joint", "date", "file", "outcome")
+OUTCOMES = ("converged", "usable", "withheld", "no_curve", "refused", "failed")
 
 _GAP = (
     *(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")),
@@ -137,6 +148,30 @@ def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
     return encoded(ANSWER, {name: row[name] for name in row if _is_given(row[name])}, device)
 
 
+def _column(name: str, kind: str) -> Any:
+    """Of a row: noise alone may ring with a negative amplitude, gaps are positive."""
+    if kind == "string":
+        return Annotated[str, Field(max_length=LONGEST_TEXT, pattern=r"^[^\x00]*$")]
+    if kind == "bool":
+        return bool
+    low, high = 0.0, 1.0 if name.startswith("probability") else math.pi
+    if name.startswith("amplitude"):
+        low, high = -LARGEST_RPM, LARGEST_RPM
+    return Annotated[float, Field(ge=low, le=high)]
+
+
+_Given = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT, pattern=r"^[^\x00]+$")]
+_COLUMNS: dict[str, Any] = {
+    name: (_column(name, kind) | None, None)
+    for name, (kind, _) in RECORDING_COLUMNS.items()
+    if name != "device"
+}
+_COLUMNS |= {name: (_Given, ...) for name in ("date", "file")}
+_COLUMNS |= {"joint": (JointName, ...), "outcome": (Literal[OUTCOMES], ...)}
+_COLUMNS |= {"sha256": (Digest | None, None)}
+_Row = create_model("_Row", __base__=Part, **_COLUMNS)
+
+
 def decoded_answer(given: Any, device: str) -> dict[str, Any]:
     """The row that a message of this kind holds, every column in it.
 
@@ -145,72 +180,20 @@ def decoded_answer(given: Any, device: str) -> dict[str, Any]:
     ValueError
         If something in it cannot be, with a reason that may be printed.
     """
-    if not isinstance(given, dict):
-        raise ValueError("it holds no row")
-    unknown = sorted(given.keys() - (RECORDING_COLUMNS.keys() - {"device"}))
-    if unknown:
-        raise ValueError(f"there is no column {shortened(unknown[0])!r}")
-    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS)
-    for name, value in given.items():
-        row[name] = _VALUES[RECORDING_COLUMNS[name][0]](name, value)
-    _require_names(row)
+    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS) | dict(valid(_Row, given))
+    if row["outcome"] != "refused":  # which it may be just for its date
+        valid(_Dated, {"sha256": row["sha256"], "date": row["date"]})
     _require_gap(row)
     return row | {"device": device}
 
 
+class _Dated(Part):
+    sha256: Digest
+    date: Day
+
+
 def _is_given(value: object) -> bool:
     return value is not None and not (isinstance(value, float) and not math.isfinite(value))
-
-
-def _text(name: str, value: object) -> str:
-    if not isinstance(value, str) or len(value) > LONGEST_TEXT or "\0" in value:
-        raise ValueError(f"{name} is no text of at most {LONGEST_TEXT} characters")
-    try:
-        value.encode()
-    except UnicodeEncodeError:
-        raise ValueError(f"{name} is no text") from None
-    return value
-
-
-def _flag(name: str, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} is neither true nor false")
-    return value
-
-
-def _number(name: str, value: object) -> float:
-    """Within what it can be: noise alone may ring with a negative amplitude, gaps are positive."""
-    low, largest = 0.0, 1.0 if name.startswith("probability") else math.pi
-    if name.startswith("amplitude"):
-        low, largest = -LARGEST_RPM, LARGEST_RPM
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name} is no number")
-    if not low <= value <= largest:
-        raise ValueError(f"{name} = {shortened(str(value))} is not within {low:g} and {largest:g}")
-    return float(value)
-
-
-_VALUES: Mapping[str, Callable[[str, object], object]] = {
-    "string": _text,
-    "bool": _flag,
-    "double": _number,
-}
-
-
-def _require_names(row: Mapping[str, Any]) -> None:
-    for name in _REQUIRED:
-        if not row[name]:
-            raise ValueError(f"{name} is missing")
-    require_joint(row["joint"])
-    if row["outcome"] not in OUTCOMES:
-        raise ValueError(f"{shortened(row['outcome'])!r} is no outcome")
-    if row["sha256"] is not None:
-        require_digest(row["sha256"])
-    if row["outcome"] == "refused":
-        return  # perhaps just for its date
-    if row["sha256"] is None:
-        raise ValueError("sha256 is missing")
-    require_date(row["date"])
 
 
 def _require_gap(row: Mapping[str, Any]) -> None:

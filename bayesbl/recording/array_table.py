@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.cells import number_in
 from bayesbl.recording.channels import TIME
 from bayesbl.recording.timestamps import is_date, seconds_of_calendar, seconds_of_dates
 from bayesbl.recording.types import FloatArray
 
 AnyArray = NDArray[Any]
 
-_LONGEST_TEXT = 60
+LONGEST_TEXT = 60
 """Of a cell: dates are shorter, and messages quote less."""
 
 
@@ -42,6 +43,8 @@ class ArrayTable:
         Why the values of a column are not read, by its name; its array is empty.
     repairs
         What was left out as the file was read, in words, and how many times.
+    lines
+        Of a text, the line that each row is in, from 1, shape (n,).
     """
 
     file: str
@@ -50,6 +53,7 @@ class ArrayTable:
     clocks: Mapping[str, str] = field(default_factory=dict)
     withheld: Mapping[str, str] = field(default_factory=dict)
     repairs: Mapping[str, int] = field(default_factory=dict)
+    lines: NDArray[np.int64] | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -67,7 +71,8 @@ class ArrayTable:
 
     def place(self, row: int, column: int) -> str:
         """Where a value is, in words."""
-        return f'sample {row + 1}, column "{self.columns[column]}"'
+        which = f"sample {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+        return f'{which}, column "{self.columns[column]}"'
 
     def without_values(self) -> ArrayTable:
         """Its names and places alone."""
@@ -150,18 +155,16 @@ class ArrayTable:
             text = _text(value)
             if text == "":
                 continue
-            try:
-                if "_" in text or not text.isascii():  # float() reads more than instruments write
-                    raise ValueError
-                numbers[row] = float(text)
-            except ValueError:
+            number = number_in(text, ".")
+            if number is None:
                 raise RecordingError(
                     "There is text in a column of numbers.",
                     file=self.file,
                     where=self.place(row, column),
                     found=repr(shortened(text)),
                     expected="a number",
-                ) from None
+                )
+            numbers[row] = number
         return numbers
 
     def plain_arrays(self) -> Iterator[AnyArray]:
@@ -170,7 +173,7 @@ class ArrayTable:
             if not values.dtype.hasobject:
                 yield np.ascontiguousarray(values)
             else:
-                texts = [shortened(_text(value), _LONGEST_TEXT) for value in values.tolist()]
+                texts = [shortened(_text(value), LONGEST_TEXT) for value in values.tolist()]
                 yield np.array(texts, dtype=np.str_)
 
 

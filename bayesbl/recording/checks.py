@@ -24,13 +24,7 @@ from bayesbl.recording.channels import (
     TIME,
     did_you_mean,
 )
-from bayesbl.recording.lost_samples import (
-    GRID_TOLERANCE,
-    LONGEST_LOSS_S,
-    MOST_LOST,
-    deviation_from_grid,
-    runs,
-)
+from bayesbl.recording.lost_samples import GRID_TOLERANCE, deviation_from_grid, runs
 from bayesbl.recording.moving import moves
 from bayesbl.recording.repairs import new_values
 from bayesbl.recording.types import FloatArray, Recording
@@ -74,12 +68,9 @@ WHAT_A_MOTION_NEEDS = (
 CONSTANT_RANGE = 1e-6
 """A signal that varies by less than this part of its size is constant."""
 
-DETACHED_RANGES = 1.0
-"""A rail lies farther from the other values than these lie from one another, by this factor."""
-
 
 def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Recording:
-    """The recording as a fit of the speed's disturbance pattern takes it, strays excluded.
+    """The recording as a fit of the speed's disturbance pattern takes it, with a speed.
 
     A recording of a motion, with its reference, is asked for neither one speed nor rotations.
 
@@ -95,12 +86,9 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
-    if MOTOR_CURRENT in recording.channels:
-        recording = without_rails(recording, MOTOR_CURRENT)
     if moves(recording):
         require_varying(recording, MOTOR_SPEED)
         return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
-    recording = without_rails(recording, MOTOR_SPEED)
     require_varying(recording, MOTOR_SPEED)
     require_alive(recording, (MOTOR_POSITION,))
     require_plausible_speed_unit(recording)
@@ -509,61 +497,6 @@ def _other_unit(ratio: float, channel: str) -> str:
     return ""
 
 
-def without_rails(recording: Recording, channel: str) -> Recording:
-    """The recording with samples at a detached rail bridged, excluded and noted.
-
-    A rail that the signal only jumps to (a dropout to 0, an overflow to 65535) says nothing about
-    the speed, and leaving it out costs nothing. A limit that cuts the peaks of the ringing off is
-    another matter: fitted without the clipped samples the amplitude changes, as the waveform is not
-    exact (by 1 to 3 standard deviations on the example recordings).
-
-    Raises
-    ------
-    RecordingError
-        If the signal stays at a rail for too long, or for too many samples.
-    """
-    values = recording.channels[channel]
-    at_rail = np.zeros(values.size, dtype=bool)
-    rails: list[float] = []
-    # Both ends may have one; a third value would be noise of another kind.
-    for _ in range(2):
-        rail = _detached_value(values[~at_rail])
-        if rail is None:
-            break
-        rails.append(rail)
-        at_rail |= values == rail
-    if not rails:
-        return recording
-    begins, ends = runs(at_rail)
-    longest = int(np.argmax(ends - begins))
-    name = CHANNELS.get(channel, channel)
-    rail_text = " and ".join(f"{rail:.6g}" for rail in rails)
-    length = float(ends[longest] - begins[longest]) * recording.sampling_period_s
-    if length > LONGEST_LOSS_S or at_rail.mean() > MOST_LOST:
-        raise RecordingError(
-            f"The {name} sits at a limit, far from all its other values.",
-            file=recording.place,
-            where=f"{channel} from {recording.time_s[begins[longest]]:.6g} s",
-            found=f"{at_rail.sum()} samples at {rail_text}, up to {length:.3g} s in a row",
-            expected=f"at most {LONGEST_LOSS_S:g} s in a row and {100.0 * MOST_LOST:g} % in all",
-        )
-    repaired = values.copy()
-    repaired[at_rail] = np.interp(
-        recording.time_s[at_rail], recording.time_s[~at_rail], values[~at_rail]
-    )
-    excluded = at_rail if recording.excluded is None else recording.excluded | at_rail
-    note = (
-        f"{at_rail.sum()} samples of the {name} are at {rail_text}, far from all others, "
-        f"the first at {recording.time_s[begins[0]]:.6g} s: left out of the fit."
-    )
-    return replace(
-        recording,
-        channels={**recording.channels, channel: repaired},
-        excluded=excluded,
-        notes=(*recording.notes, note),
-    )
-
-
 def require_unclipped(recording: Recording, channel: str) -> None:
     """The signal does not run into a limit of its sensor or of its number format.
 
@@ -592,18 +525,6 @@ def require_unclipped(recording: Recording, channel: str) -> None:
                 expected="a signal that does not reach the limit of its sensor; record again with "
                 "a wider range, or cut the file to a part that stays inside it",
             )
-
-
-def _detached_value(values: FloatArray) -> float | None:
-    """The extreme value that lies apart from all others; ``None`` if there is none."""
-    levels = np.unique(values)
-    if levels.size < 12:
-        return None
-    for extreme, near, far in ((-1, -2, 0), (0, 1, -1)):
-        apart = abs(levels[extreme] - levels[near])
-        if apart > DETACHED_RANGES * abs(levels[near] - levels[far]):
-            return float(levels[extreme])
-    return None
 
 
 def _samples_at_limit(values: FloatArray) -> int:

@@ -6,11 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
@@ -37,36 +37,6 @@ COUNTED = frozenset(("sample", "samples"))
 _COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
 
 
-class Table(Protocol):
-    """What a file format must offer: named columns of numbers, and the place of each cell."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names as in the file."""
-
-    @property
-    def repairs(self) -> Mapping[str, int]:
-        """What was left out as the file was read, in words, and how many times."""
-
-    def numbers(self, columns: Sequence[int]) -> FloatArray:
-        """Values of some columns, shape (samples, len(columns)); missing ones are NaN."""
-
-    def timestamps(self, column: int) -> FloatArray | None:
-        """Seconds since the first stamp where a column holds dates, else ``None``."""
-
-    def unit(self, column: int) -> str | None:
-        """The unit that the file states for a column."""
-
-    def clock(self, column: int) -> int | None:
-        """The column that holds a column's time in s, where the file ties them together."""
-
-    def place(self, row: int, column: int) -> str:
-        """Where a value is, in words."""
-
-    def without_values(self) -> Table:
-        """Its names and places alone."""
-
-
 @dataclass(frozen=True, slots=True)
 class Column:
     """A column of the file, the channel it becomes, and the unit it comes in.
@@ -87,7 +57,7 @@ class Column:
         return -size if self.reversed else size
 
 
-def choose_columns(path: Path, table: Table, specs: Mapping[str, ColumnSpec]) -> list[Column]:
+def choose_columns(path: Path, table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[Column]:
     """Time first, then the mapped columns, then those that already have a channel's name.
 
     Where the file ties columns to clocks, time is that of the mapped columns unless it is mapped.
@@ -165,7 +135,7 @@ class StatedUnit:
         return replace(self, unit=None, unknown=self.unknown or self.ending or self.unit)
 
 
-def stated_unit(table: Table, index: int, name: str | None = None) -> StatedUnit:
+def stated_unit(table: ArrayTable, index: int, name: str | None = None) -> StatedUnit:
     """The unit in the file, else in the brackets of the column's name, else at the name's end.
 
     ``n [rad/s]``, ``n / rad/s``, ``n_rad_per_s``, ``nRadPerS``. Whatever looks like a unit and is
@@ -183,7 +153,7 @@ def stated_unit(table: Table, index: int, name: str | None = None) -> StatedUnit
 
 
 def stamps_and_values(
-    table: Table, time: int, columns: Sequence[int] = ()
+    table: ArrayTable, time: int, columns: Sequence[int] = ()
 ) -> tuple[FloatArray, FloatArray]:
     """Numbers of a column of time, shape (n,), and of others, shape (n, c).
 
@@ -247,7 +217,7 @@ def _ending(name: str) -> StatedUnit:
     return StatedUnit(name, None, last if last in _QUESTIONS else None)
 
 
-def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
+def _mapped(path: Path, table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
     if not is_mappable(channel):
         raise RecordingError(
             "A column is mapped to a channel that does not exist."
@@ -286,7 +256,7 @@ def _mapped(path: Path, table: Table, channel: str, spec: ColumnSpec) -> Column:
     return replace(column, note=note)
 
 
-def _is_of_dates(table: Table, index: int, channel: str) -> bool:
+def _is_of_dates(table: ArrayTable, index: int, channel: str) -> bool:
     """Whether what looks like a unit is the form of a date: ``time [hh:mm:ss]``."""
     return channel == TIME and table.timestamps(index) is not None
 

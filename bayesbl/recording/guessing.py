@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import (
     CHANNELS,
     LOAD_POSITION,
@@ -29,7 +29,7 @@ from bayesbl.recording.channels import (
     REFERENCE_SPEED,
     TIME,
 )
-from bayesbl.recording.columns import COUNTED, StatedUnit, Table, stamps_and_values, stated_unit
+from bayesbl.recording.columns import COUNTED, StatedUnit, stamps_and_values, stated_unit
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
     RPM_PER_RAD_PER_S,
@@ -131,7 +131,7 @@ class Guess:
 class _Named:
     """What a column's name and the file say of it."""
 
-    table: Table
+    table: ArrayTable
     index: int
     name: str
     words: frozenset[str]
@@ -170,7 +170,7 @@ class _Named:
         return there.size > 2 and bool(np.all(np.diff(there) > 0.0))
 
 
-def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> Guess:
+def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None) -> Guess:
     """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
 
     Raises
@@ -195,7 +195,6 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
         if found is None:
             raise _missing(path, table, TIME, "time")
         chosen[TIME] = found
-    _read_together(chosen)
     if MOTOR_SPEED not in chosen:
         chosen |= _pair_of_positions(named, chosen)
     both = _is_of_two_encoders(chosen)
@@ -226,18 +225,7 @@ def guess_columns(path: str | Path, table: Table, joint: str | None = None) -> G
     )
 
 
-def _read_together(chosen: Mapping[str, _Named]) -> None:
-    """The values of time and channels in one pass over the file; alone where one holds text."""
-    time = chosen[TIME]
-    others = [column for column in chosen.values() if column is not time]
-    with suppress(RecordingError):
-        stamps, values = stamps_and_values(time.table, time.index, [c.index for c in others])
-        for column, series in zip((time, *others), (stamps, *values.T), strict=True):
-            series[~np.isfinite(series)] = np.nan
-            vars(column).setdefault("values", series)  # as cached_property keeps it
-
-
-def _of_joint(path: str | Path, table: Table, joint: str | None) -> list[_Named]:
+def _of_joint(path: str | Path, table: ArrayTable, joint: str | None) -> list[_Named]:
     """The columns of the chosen joint, or of the only one; all of them where no name has a joint.
 
     What stands before the last slash is the joint, and does not tell what a column holds.
@@ -382,7 +370,7 @@ def _mean_speed_rpm(
     return RPM_PER_RAD_PER_S * float(way.sum()) / lasted if lasted > 0.0 else None
 
 
-def _named(table: Table, index: int, group: str = "") -> _Named:
+def _named(table: ArrayTable, index: int, group: str = "") -> _Named:
     """A column; ``group``: of its joint, which stands before its own name."""
     name = table.columns[index]
     stated = stated_unit(table, index, name.removeprefix(f"{group}/"))
@@ -499,16 +487,9 @@ def _units(
         found |= _of_position(pairs)
     if REFERENCE_SPEED in values:
         asked = float(np.nanmean(np.abs(values[REFERENCE_SPEED])))
-        if known := found.get(MOTOR_SPEED):
-            speed *= conversion_factor(MOTOR_SPEED, known[0])
-            fixed = {
-                **chosen,
-                MOTOR_SPEED: replace(chosen[MOTOR_SPEED], stated=StatedUnit("", "rpm")),
-            }
-            found |= _of_reference(_agreeing(fixed, speed, asked, REFERENCE_SPEED, 1.0))
-            found[MOTOR_SPEED] = known
-        else:
-            found |= _of_reference(_agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0))
+        pairs = _agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0)
+        known = found.get(MOTOR_SPEED, (None,))[0]
+        found = _of_reference([pair for pair in pairs if known in (None, pair[0])]) | found
     return found
 
 
@@ -606,7 +587,7 @@ def _series(path: str | Path, column: _Named) -> FloatArray:
     return values
 
 
-def _missing(path: str | Path, table: Table, channel: str, what: str) -> RecordingError:
+def _missing(path: str | Path, table: ArrayTable, channel: str, what: str) -> RecordingError:
     return RecordingError(
         f"No column looks like {what}.",
         file=path,

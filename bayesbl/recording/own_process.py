@@ -3,7 +3,8 @@ costs that file alone.
 
 A fresh interpreter, not a fork: the program may have threads of numba, Arrow or Dask, whose state a
 fork would copy half way, and ``multiprocessing`` is closed to Dask's workers and runs the user's
-script again. The file's bytes go in by a pipe, so the child opens no path, and columns come back.
+script again. The file's bytes go in by a pipe, so the child opens no path, and columns come back
+by a file that has no name.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ import re
 import signal
 import subprocess
 import sys
-import threading
+import tempfile
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, BinaryIO
+from typing import IO, TYPE_CHECKING, Any
 
 from bayesbl.errors import RecordingError, UnavailableError, UserError, shortened
 from bayesbl.libraries import absent
@@ -37,7 +38,10 @@ SPARE_MB = 700.0
 _PROGRAM = (
     "import json, sys; request = json.loads(sys.argv[1]); sys.path[:] = request['path'];"
     "from bayesbl.recording.own_process import answer; answer(request)"
+    # A library's own end may hang or crash after all is said.
+    "; import os; os._exit(0)"
 )
+_WHOLE = "a whole {kind} file; save it again, or as CSV"
 _IN_MEMORY = re.compile("[\"']?<_io.BytesIO[^>]*>[\"']?")
 """What libraries call a file by that they were given in memory."""
 
@@ -61,64 +65,40 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
         "file": str(file),
         "memory": memory_bytes() + int(1e6 * SPARE_MB),
     }
-    child = subprocess.Popen(
-        # Isolated: what is imported is what this process would import, not what a folder holds.
-        [sys.executable, "-I", "-c", _PROGRAM, json.dumps(request)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, **_ONE_THREAD},
-    )
-    assert child.stdin is not None
-    assert child.stdout is not None
-    late = threading.Event()
-
-    def end() -> None:
-        late.set()
-        child.kill()
-
-    timer = threading.Timer(LONGEST_S, end)
-    feeder = threading.Thread(target=_feed, args=(child.stdin, data), daemon=True)
-    timer.start()
-    feeder.start()
-    answer: ArrayTable | RecordingError | None = None
-    try:
-        with suppress(EOFError, ValueError, KeyError, TypeError), child.stdout:
-            answer = _received(child.stdout)
-    finally:
-        if answer is None and not late.is_set():
-            with suppress(subprocess.TimeoutExpired):  # it is about to die by itself
-                child.wait(1.0)
-        child.kill()
-        child.wait()
-        timer.cancel()
-        feeder.join()
-    if isinstance(answer, RecordingError):
-        raise answer
-    if answer is None:
-        raise _broken(format_.name, file, late.is_set(), child.returncode)
-    return answer
+    with tempfile.TemporaryFile() as told:
+        try:
+            ended = subprocess.run(
+                # Isolated: what is imported is what this process would, not what a folder holds.
+                [sys.executable, "-I", "-c", _PROGRAM, json.dumps(request)],
+                input=data,
+                stdout=told,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, **_ONE_THREAD},
+                timeout=LONGEST_S,
+            )
+        except subprocess.TimeoutExpired:
+            raise UnavailableError(  # a quieter machine may end it
+                f"Reading this file as {format_.name} takes too long.",
+                file=file,
+                found=f"no end after {LONGEST_S:g} s",
+                expected=_WHOLE.format(kind=format_.name),
+            ) from None
+        told.seek(0)
+        with suppress(EOFError, ValueError, KeyError, TypeError):
+            return _received(told)
+    raise _broken(format_.name, file, ended.returncode)
 
 
-def _feed(stream: BinaryIO, data: bytes) -> None:
-    with suppress(OSError), stream:  # a child that has died, or has seen enough
-        stream.write(data)
-
-
-def _broken(kind: str, file: Path, late: bool, status: int) -> RecordingError:
-    kept: type[RecordingError] = RecordingError
-    if late:
-        kept = UnavailableError  # a quieter machine may end it
-        problem = f"Reading this file as {kind} takes too long."
-        found = f"no end after {LONGEST_S:g} s"
-    else:
-        problem = f"The library that reads {kind} breaks down on this file."
-        found = f"{signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        if status == -getattr(signal, "SIGKILL", 0):
-            kept = UnavailableError
-            found += ", as where the system is out of memory"
+def _broken(kind: str, file: Path, status: int) -> RecordingError:
+    found = f"{signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+    # Of the machine, not of the file: no memory, or no room for what is read.
+    passes = {-signal.SIGKILL: ", as where the system is out of memory", os.EX_IOERR: ", no room"}
+    kept = UnavailableError if status in passes else RecordingError
     return kept(
-        problem, file=file, found=found, expected=f"a whole {kind} file; save it again, or as CSV"
+        f"The library that reads {kind} breaks down on this file.",
+        file=file,
+        found=found + passes.get(status, ""),
+        expected=_WHOLE.format(kind=kind),
     )
 
 
@@ -155,19 +135,15 @@ def answer(request: dict[str, object]) -> None:
             expected=f"a whole {kind} file"
             + (f", or {format_.otherwise}" if format_.otherwise else ""),
         )
-    with suppress(BrokenPipeError), stream:
-        _send(stream, result)
+    try:
+        with stream:
+            _send(stream, result)
+    except OSError:
+        os._exit(os.EX_IOERR)
 
 
 _ERROR = ("problem", "file", "where", "found", "expected")
 _NAMED = ("file", "units", "clocks", "withheld", "repairs")
-
-
-class _Pipe:
-    """A stream of which NumPy does not think that it is a file with places."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self.read, self.write = stream.read, stream.write
 
 
 def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
@@ -182,20 +158,20 @@ def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
     head: dict[str, object] = {key: getattr(result, key) for key in _NAMED}
     stream.write(json.dumps({**head, "columns": list(result.arrays)}).encode() + b"\n")
     for values in result.plain_arrays():
-        write_array(_Pipe(stream), values, allow_pickle=False)
+        write_array(stream, values, allow_pickle=False)
 
 
-def _received(stream: IO[bytes]) -> ArrayTable | RecordingError:
+def _received(stream: IO[bytes]) -> ArrayTable:
     head = json.loads(stream.readline())
     if "problem" in head:
         kind = UnavailableError if head.pop("is_unavailable") else RecordingError
-        return kind(head.pop("problem"), **head)
+        raise kind(head.pop("problem"), **head)
     from numpy.lib.format import read_array
 
     from bayesbl.recording.array_table import ArrayTable
 
     names = head.pop("columns")
-    arrays = {name: read_array(_Pipe(stream), allow_pickle=False) for name in names}
+    arrays = {name: read_array(stream, allow_pickle=False) for name in names}
     return ArrayTable(arrays=arrays, **head)
 
 

@@ -17,24 +17,34 @@ from numpy.typing import NDArray
 
 from bayesbl.arguments import File, checked
 from bayesbl.errors import RecordingError, UnavailableError
+from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.channels import (
     CHANNELS,
     LOAD_POSITION,
     MOTOR_POSITION,
     MOTOR_SPEED,
     REFERENCE_POSITION,
+    REFERENCE_SPEED,
     ColumnSpec,
     did_you_mean_file,
 )
-from bayesbl.recording.columns import Column, Table, choose_columns, stamps_and_values
+from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
 from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
 from bayesbl.recording.lost_samples import bridge, without_lost
 from bayesbl.recording.own_process import parsed_apart
-from bayesbl.recording.repairs import held, mended_clock, new_values, told, unwrapped
+from bayesbl.recording.repairs import (
+    held,
+    mended_clock,
+    new_values,
+    told,
+    unwrapped,
+    without_strays,
+)
 from bayesbl.recording.types import FloatArray, Recording, Source
 
 POSITIONS = (MOTOR_POSITION, LOAD_POSITION, REFERENCE_POSITION)
+REFERENCES = (REFERENCE_SPEED, REFERENCE_POSITION)
 
 MINIMUM_SAMPLES = 16
 """Fewer samples than this are no recording, whatever the task."""
@@ -95,14 +105,18 @@ def read_recording(
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
         values = values[rows]
     del stamped
+    strays = [""] * len(others)
     for i, column in enumerate(others):
+        called = CHANNELS.get(column.channel, column.channel)
         if column.channel in POSITIONS:
-            called = CHANNELS[column.channel]
             values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
+        if column.channel not in (REFERENCES if even else (*REFERENCES, *POSITIONS)):
+            strays[i] = without_strays(values[:, i], repairs, called)
 
     def place(row: int, column: int | None) -> str:
-        index = time_column.index if column is None else others[column].index
-        return table.place(int(rows[row]), index)
+        if column is None:
+            return table.place(int(rows[row]), time_column.index)
+        return table.place(int(rows[row]), others[column].index) + strays[column]
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
         joined = bridge if even else without_lost
@@ -142,7 +156,7 @@ def _ordinal(number: int) -> str:
     return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path) -> ArrayTable:
     """The columns of a file, before anything is mapped.
 
     Raises
@@ -155,7 +169,7 @@ def read_table(path: str | Path) -> Table:
 
 
 def _values(
-    path: Path, table: Table, time_column: Column, others: Sequence[Column]
+    path: Path, table: ArrayTable, time_column: Column, others: Sequence[Column]
 ) -> tuple[FloatArray, FloatArray]:
     """Time in the file's own unit, shape (n,), and channels in theirs, shape (n, c).
 
@@ -188,7 +202,7 @@ def _values(
 
 
 def _wrong_time_unit(
-    path: Path, table: Table, column: Column, found: str, expected: str
+    path: Path, table: ArrayTable, column: Column, found: str, expected: str
 ) -> RecordingError:
     return RecordingError(
         "Time is not in the unit that was stated for it.",
@@ -200,7 +214,7 @@ def _wrong_time_unit(
 
 
 def _seconds(
-    path: Path, table: Table, column: Column, time: FloatArray, rows: NDArray[np.int64]
+    path: Path, table: ArrayTable, column: Column, time: FloatArray, rows: NDArray[np.int64]
 ) -> FloatArray:
     """Time of the rows, in seconds; a late start is taken off."""
     backward = np.flatnonzero(time[1:] <= time[:-1])
@@ -255,7 +269,7 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _parsed(path: Path) -> tuple[Table, str]:
+def _parsed(path: Path) -> tuple[ArrayTable, str]:
     """The table in a file, and the SHA-256 of the file."""
     data = _read_bytes(path)
     format_ = _format_of(path)
@@ -297,7 +311,7 @@ def _format_of(path: Path) -> Format:
     return known[suffix]
 
 
-def _check_length(path: Path, table: Table, column: Column, stamps: int) -> None:
+def _check_length(path: Path, table: ArrayTable, column: Column, stamps: int) -> None:
     if stamps < MINIMUM_SAMPLES:
         raise RecordingError(
             "The recording is too short.",
@@ -308,7 +322,9 @@ def _check_length(path: Path, table: Table, column: Column, stamps: int) -> None
         )
 
 
-def _check_finite(path: Path, table: Table, others: Sequence[Column], values: FloatArray) -> None:
+def _check_finite(
+    path: Path, table: ArrayTable, others: Sequence[Column], values: FloatArray
+) -> None:
     """Refuse a column without a number; single missing values are bridged later."""
     for column, series in zip(others, values.T, strict=True):
         if np.isnan(series).all():

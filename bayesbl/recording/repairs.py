@@ -40,6 +40,9 @@ _SLOWEST = 20
 _ENOUGH = 1_000_000
 """Samples that tell it, of a longer recording."""
 
+_FEWEST_LEVELS = 12
+"""Different values of a signal whose largest or smallest may be a stray."""
+
 _ELSEWHERE = 0.05
 """Share of the change at new values that may be between them, where these are made up."""
 
@@ -215,6 +218,26 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
     whole: FloatArray = position.copy()
     whole[there] += added * turn * abs(unit) * np.sign(unit)
     return whole
+
+
+def without_strays(values: FloatArray, repairs: Counter[str], name: str) -> str:
+    """Take values, shape (n,), out that lie farther from all others than these from one another.
+
+    They become NaN. A signal jumps to such a rail (a dropout to 0, an overflow to 65535) and says
+    nothing there; a limit that cuts peaks off is next to other values. Which they were, in words.
+    """
+    strays: list[float] = []
+    # Both ends may have one; a third value would be noise of another kind.
+    for _ in range(2):
+        levels = np.unique(values[np.isfinite(values)])
+        ends = (levels[[-1, -2, 0]], levels[[0, 1, -1]]) if levels.size >= _FEWEST_LEVELS else ()
+        rail = next((float(e) for e, near, far in ends if abs(e - near) > abs(near - far)), None)
+        if rail is None:
+            break
+        repairs[f"stray sample of the {name} ({rail:.6g}) left out"] += int(np.sum(values == rail))
+        values[values == rail] = np.nan
+        strays.append(rail)
+    return f", {' and '.join(f'{s:.6g}' for s in strays)} far from all others" if strays else ""
 
 
 def new_values(speed: FloatArray) -> tuple[slice, str] | None:

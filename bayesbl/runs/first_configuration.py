@@ -6,11 +6,10 @@ import json
 import os
 import shlex
 import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 
-from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.files import require_text_names
 from bayesbl.config.sections import name_of, names_of
 from bayesbl.errors import ConfigError
@@ -199,125 +198,8 @@ def relative(file: Path, path: Path) -> str:
     return Path(os.path.relpath(file, path.parent)).as_posix()
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
-    """Where a parameter comes from.
-
-    Attributes
-    ----------
-    told
-        Where it stands, or how to weigh or estimate it.
-    usual
-        By size of robot; empty where it has none.
-    example
-        The entry, in a unit as it is printed.
-    given
-        Whether the entry stands as it is: most joints need no other.
-    """
-
-    told: str
-    usual: str
-    example: str
-    given: bool = False
-
-
-SOURCES: Mapping[str, Source] = {
-    "gear_ratio": Source(
-        "Gear ratio N: on the gearbox's type plate, times any belt or bevel stage in front of it. "
-        "Exact: no tolerance.",
-        "50 to 200",
-        "{value = 120}",
-    ),
-    "motor_inertia_kg_m2": Source(
-        "J_m: the motor's data sheet (rotor inertia), plus brake, coupling, and the gearbox's own "
-        "inertia at its input, which its data sheet gives.",
-        "small arm 0.1 to 1 kg cm2, 10 kg payload 1 to 10, 200 kg payload 10 to 100",
-        '{value = 12.1, unit = "kg cm2", relative_tolerance = 0.15}',
-    ),
-    "load_inertia_kg_m2": Source(
-        "J_l: everything that turns behind the gear, arm and payload included: CAD, or Σ m r² of "
-        "its parts. It depends on the pose of the joints behind: keep that in all recordings.",
-        "small arm 0.1 to 2 kg m2, 10 kg payload 1 to 20, 200 kg payload 50 to 1500",
-        '{value = 20.0, unit = "kg m2", relative_tolerance = 0.25}',
-    ),
-    "shaft_stiffness_nm_per_rad": Source(
-        "K_s, seen at the load: the gearbox's data sheet (torsional stiffness, N m/arcmin; or "
-        "its inverse, arcmin/N m). Bearings and castings in series make the joint softer, by a "
-        "fifth to a half.",
-        "small arm 2 to 10 N m/arcmin, 10 kg payload 10 to 50, 200 kg payload 100 to 1000",
-        '{value = 35.0, unit = "N m/arcmin", relative_tolerance = 0.25}',
-    ),
-    "shaft_damping_nm_s_per_rad": Source(
-        "D_s, seen at the load: on no data sheet, and smaller at a light touch. Leave its "
-        "tolerance wide: recordings show it well, and a narrow one biases the gap.",
-        "damping ratio 0.005 to 0.2",
-        '{value = 0.1, unit = "damping ratio", relative_tolerance = 0.95}',
-    ),
-    "gravity_torque_nm": Source(
-        "m g l: gravity's torque about the axis with the arm level. Mass times lever arm (unit "
-        "kg m) from CAD; or torque_constant × current × gear ratio near level, the mean of moving "
-        "up and down slowly, so that friction cancels.",
-        "small arm 2 to 30 N m, 10 kg payload 20 to 300, 200 kg payload 500 to 10000",
-        '{value = 43.0, unit = "kg m", relative_tolerance = 0.2}',
-    ),
-    "torque_constant_nm_per_a": Source(
-        "K_t: the motor's data sheet, for the current that is recorded. If the drive records peak "
-        "current and the data sheet means effective current, it is off by a factor of 1.41.",
-        "0.1 to 1.5 N m/A",
-        '{value = 0.5, unit = "N m/A", relative_tolerance = 0.1}',
-    ),
-    "speed_gain_nm_s_per_rad": Source(
-        "K_p of the speed controller: the drive's parameter list (speed controller gain). In "
-        'N m s/rad; "A s/rad" or "A/rpm" are multiplied by the torque constant; "1/s" is a '
-        "bandwidth, multiplied by all inertia at the motor. Read it from the drive: no other value "
-        "affects the gap as much.",
-        "small arm 0.005 to 0.05 N m s/rad, 10 kg payload 0.05 to 0.5, 200 kg payload 0.5 to 5",
-        '{value = 0.185, unit = "N m s/rad", relative_tolerance = 0.1}',
-    ),
-    "integral_gain_nm_per_rad": Source(
-        'K_i of the speed controller. Drives give the reset time instead (unit "ms"): K_i is K_p '
-        "over it.",
-        "reset time 5 to 50 ms",
-        '{value = 23.0, unit = "ms", relative_tolerance = 0.1}',
-    ),
-    "position_gain_per_s": Source(
-        'Gain of the position controller around it (Kv; "1/s", or "m/min/mm"): 0 where the '
-        "joint is run in speed control.",
-        "10 to 50 1/s",
-        "{value = 0.0}",
-        given=True,
-    ),
-    "current_limit_a": Source(
-        "i_max: the drive's largest current, in the same measure as the recorded one. The "
-        "recordings must stay below it.",
-        "",
-        '{value = 30.0, unit = "A"}',
-    ),
-    "reference_speed_rpm": Source(
-        "The motor's speed in most recordings; of others, the mean speed counts unless the "
-        "recording states one. For strokes, the speed that they reach.",
-        "500 to 3000 rpm",
-        "{value = 2000.0}",
-    ),
-}
-
-HEAD = """\
-# Data sheet of a joint. In each line under [parameters], enter your number, its printed unit and
-# how far it may be off, and delete the # in front. Friction needs no line: it is always fitted.
-# Then
-#
-#     bayesbl check {file}
-#     bayesbl identify FORWARD REVERSE SLOWER --bench {file}
-#
-# relative_tolerance = 0.25 is ± 25 %: values beyond it count as impossible, so be generous. A value
-# without a tolerance counts as exact.
-
-schema = 1
-kind = "bench"
-drive = "two_mass"
-
-[parameters]
-"""
+FIRST_BENCH = "joint.toml"
+"""Beside this module: a bench file to fill in, under the name that it speaks of itself by."""
 
 
 def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> Path:
@@ -328,52 +210,8 @@ def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> 
     UserError
         If the file is there and ``force`` is not given, or cannot be written.
     """
-    path = Path(out) if out is not None else Path("joint.toml")
+    path = Path(out) if out is not None else Path(FIRST_BENCH)
     require_new(path, "bench file", force)
-    write_text(first_bench(path.name), path)
+    text = resources.files("bayesbl.runs").joinpath(FIRST_BENCH).read_text("utf-8")
+    write_text(text.replace(FIRST_BENCH, path.name), path)
     return path
-
-
-DRIVE = """\
-# Sampling time of the drive's speed controller (its manual: 62.5 µs to 4 ms). It matters above
-# 100 µs. If a bus or torque filter adds dead time, state delay_periods too: the periods from
-# reading the encoder to the torque (1 by default).
-# [[effects]]
-# name = "sampled_control"
-# parameters = {period_s = {value = 250e-6}}
-
-# A belt between motor and gear: its stiffness at the motor (N m/rad: the belt's data sheet, or
-# (2 π f)² J of its frequency f), and how much of J_m is behind it (driven pulley, reducer's input).
-# [belt]
-# stiffness_nm_per_rad = {value = 80.0, relative_tolerance = 0.5}
-# damping_nm_s_per_rad = {value = 0.02, relative_tolerance = 0.9}
-# reducer_inertia_kg_m2 = {value = 4e-4, relative_tolerance = 0.3}
-
-# An arm or payload that bends: the part of J_l and m g l behind its spring. [base] is the same for
-# what the joint is mounted on, without gravity_share.
-# [arm]
-# stiffness_nm_per_rad = {value = 4e4, relative_tolerance = 0.5}
-# damping_nm_s_per_rad = {value = 60.0, relative_tolerance = 0.9}
-# inertia_kg_m2 = {value = 5.0, relative_tolerance = 0.3}
-# gravity_share = {value = 0.5, tolerance = 0.3}
-
-# If the recorded speed is not the one that the controller uses: a mean over speed_filter_s, or the
-# encoder's position, differentiated from sample to sample (speed_source = "encoder").
-# [measurement]
-# encoder_counts = 16384
-# speed_filter_s = 4e-3
-"""
-
-
-def first_bench(file: str) -> str:
-    """The bench file as text; ``file`` is its name."""
-    entries = "\n".join(_entry(name, source) for name, source in SOURCES.items())
-    return HEAD.format(file=file) + "\n" + entries + "\n" + DRIVE
-
-
-def _entry(name: str, source: Source) -> str:
-    told = f"{source.told} Usual: {source.usual}." if source.usual else source.told
-    unit = PARAMETER_INFO[name].unit
-    without = "" if "unit" in source.example or not unit else f"    # {unit}"
-    sign = "" if source.given else "# "
-    return f"{commented(told)}\n{sign}{name} = {source.example}{without}\n"

@@ -28,7 +28,7 @@ from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.channels import ColumnSpec
-from bayesbl.recording.checks import is_constant
+from bayesbl.recording.checks import is_constant, with_speed
 from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.moving import is_one_speed, moves
 from bayesbl.recording.readers import read_recording, read_table
@@ -38,7 +38,6 @@ from bayesbl.recording.types import (
     MOTOR_POSITION,
     MOTOR_SPEED,
     MOTOR_TORQUE,
-    FloatArray,
     Recording,
 )
 from bayesbl.results.identified import bench_from
@@ -50,7 +49,6 @@ from bayesbl.runs.first_configuration import (
     relative,
     require_writable,
 )
-from bayesbl.units import RPM_PER_RAD_PER_S
 
 FEWEST_SETTINGS = 3
 """Directions and speeds to fit on: Coulomb friction, viscous friction and an offset of the torque
@@ -112,7 +110,7 @@ def guess_diagnosis(
         channels, why = _channels(bench, method, recordings)
         found.append(Choice(("comparison", "channels"), channels, why))
     found += [c for c in _unknowns(bench, method, channels) if c.place[1] not in said]
-    speeds = [_speed(recording) for recording in recordings]
+    speeds = [float(_with_speed(one).motor_speed_rpm.mean()) for one in recordings]
     for i, (use, why) in enumerate(_uses(bench, method, recordings, all(steady), speeds)):
         name = recordings[i].name
         found.append(Choice((name, "use"), use, why))
@@ -143,33 +141,28 @@ def toml(value: object) -> str:
 
 def _turns_evenly(recording: Recording) -> bool:
     """Whether the motor turns at one speed: the reference does not vary, nor do parts differ."""
-    return not moves(recording) and is_one_speed(_speeds(recording), recording.sampling_period_s)
+    speed = _with_speed(recording).motor_speed_rpm
+    return not moves(recording) and is_one_speed(speed, recording.sampling_period_s)
 
 
-def _speeds(recording: Recording) -> FloatArray:
-    """Speed of the motor, rpm, shape (n,) or (n − 1,).
+def _with_speed(recording: Recording) -> Recording:
+    """The recording with the motor's speed, or that of its position.
 
     Raises
     ------
     RecordingError
         If there is neither speed nor position.
     """
-    if MOTOR_SPEED in recording.channels:
-        return recording.motor_speed_rpm
-    if MOTOR_POSITION in recording.channels:
-        steps: FloatArray = np.diff(recording.channels[MOTOR_POSITION])
-        return steps / recording.sampling_period_s * RPM_PER_RAD_PER_S
-    raise RecordingError(
-        "There is neither position nor speed of the motor, so nothing to compare a bench with.",
-        file=recording.place,
-        found=", ".join(recording.channels),
-        expected=f"{MOTOR_SPEED} or {MOTOR_POSITION}; `bayesbl init --diagnose` looks for them "
-        "under other names",
-    )
-
-
-def _speed(recording: Recording) -> float:
-    return float(_speeds(recording).mean())
+    found = with_speed(recording)
+    if MOTOR_SPEED not in found.channels:
+        raise RecordingError(
+            "There is neither position nor speed of the motor, so nothing to compare a bench with.",
+            file=recording.place,
+            found=", ".join(recording.channels),
+            expected=f"{MOTOR_SPEED} or {MOTOR_POSITION}; `bayesbl init --diagnose` looks for them "
+            "under other names",
+        )
+    return found
 
 
 def _everywhere(recordings: Sequence[Recording], channels: Sequence[str]) -> list[str]:

@@ -5,7 +5,6 @@ What a recording says is made of its content here, where it is not about what it
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 import threading
@@ -147,7 +146,6 @@ def test_the_service_that_is_shipped_deletes_nothing():
 # Links.
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 def test_links_that_leave_the_folder_are_not_read(plant, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside")
     (outside / "2025-01-01.csv").write_text("root:secret:0:0")
@@ -175,7 +173,6 @@ def test_links_that_leave_the_folder_are_not_read(plant, tmp_path_factory):
     assert (outside / "2025-01-01.csv").read_text() == "root:secret:0:0"
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 @pytest.mark.parametrize("name", [".plant.kept", ".watched.growing"])
 def test_a_planted_link_costs_no_foreign_file(plant, tmp_path_factory, name):
     outside = tmp_path_factory.mktemp("outside")
@@ -333,6 +330,5 @@ def test_an_outbox_is_readable_by_its_owner_alone(plant, broker):
     with patch.object(watching, "LAST_SENT_WAIT_S", 0.0):
         watched(plant, publish=address, credentials=ANN)
     (file,) = outbox(plant)
-    if os.name != "nt":
-        assert file.stat().st_mode & 0o77 == 0
-        assert file.parent.stat().st_mode & 0o77 == 0
+    assert file.stat().st_mode & 0o77 == 0
+    assert file.parent.stat().st_mode & 0o77 == 0

@@ -374,7 +374,6 @@ def test_a_bug_is_told_with_its_traceback_and_status_1(monkeypatch, capsys):
 
 
 @pytest.mark.long
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of another kind")
 def test_ctrl_c_ends_with_1_and_leaves_no_output(tmp_path):
     arguments = ["compare", BEFORE, AFTER, "--out", tmp_path / "results" / "out"]
     process = subprocess.Popen(
@@ -399,7 +398,6 @@ def test_ctrl_c_ends_with_1_and_leaves_no_output(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.skipif(sys.platform == "win32", reason="pipes of another kind")
 def test_no_standard_output_costs_no_answer(tmp_path):
     config = tmp_path / "simulate.toml"
     config.write_text(
@@ -412,7 +410,6 @@ def test_no_standard_output_costs_no_answer(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.skipif(sys.platform == "win32", reason="pipes of another kind")
 def test_a_closed_pipe_is_quiet(compared):
     process = subprocess.Popen(
         [sys.executable, "-m", "bayesbl", "inspect", str(compared)],

@@ -44,7 +44,7 @@ def job(tmp_path):
         file.write_text(day)
         found.append(Found("J1", day, str(file)))
     return JointJob(
-        Joint("J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3),
+        Joint(joint="J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3),
         tuple(found),
         tuple(sha256(day.encode()).hexdigest() for day in DATES),
         file_sha256(CONFIGS / "bench_tolerances.toml"),
@@ -120,12 +120,17 @@ def test_gaps_by_different_routes_are_not_mixed(job):
     assert wear.used == (1, 2, 3)
 
 
+def other_joint(job, **given):
+    """The job's joint with other cells in its row of the inventory."""
+    return Joint(**job.joint.model_dump(by_alias=True, exclude_none=True) | given)
+
+
 def test_only_what_was_recorded_since_the_repair_counts(job):
-    repaired = replace(job, joint=replace(job.joint, repaired="2025-12-01"))
+    repaired = replace(job, joint=other_joint(job, repaired="2025-12-01"))
     _, wear = measure_joint(repaired)
     assert wear.used == (2, 3)
     assert wear.reason is None
-    late = replace(job, joint=replace(job.joint, repaired="2026-06-01"))
+    late = replace(job, joint=other_joint(job, repaired="2026-06-01"))
     _, wear = measure_joint(late)
     assert wear.rate_rad_per_year is None
     assert "since the repair; there is one" in str(wear.reason)
@@ -140,20 +145,20 @@ def test_a_gap_that_fell_leaves_no_rate(job):
 
 
 def test_a_date_that_cannot_be_is_the_reason_and_no_error(job):
-    joint = replace(job.joint, in_service_since="2026-01-01")
+    joint = other_joint(job, in_service_since="2026-01-01")
     _, wear = measure_joint(replace(job, joint=joint))
     assert "cannot have begun to work after" in str(wear.reason)
 
 
 def test_the_bench_of_the_paper_gives_no_date(job):
-    joint = replace(job.joint, bench=None, curve="published")
+    joint = other_joint(job, bench=None, curve="published")
     _, wear = measure_joint(replace(job, joint=joint))
     assert "paper's test bench" in str(wear.reason)
 
 
 def test_addresses_follow_what_decides_the_numbers(job):
     """The limit decides no gap; a name, a speed and the file do."""
-    same = replace(job, joint=replace(job.joint, limit_rad=2e-3, covariates={"load": 3.0}))
+    same = replace(job, joint=other_joint(job, limit_rad=2e-3, load=3.0))
     assert same.problem_of(0, None) == job.problem_of(0, None)
     assert same.problem() != job.problem()
     other = replace(job, sha256=("f" * 64, *job.sha256[1:]))

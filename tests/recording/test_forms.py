@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from bayesbl.errors import RecordingError
+from bayesbl.recording import text_table
 from bayesbl.recording.channels import ColumnSpec
-from bayesbl.recording.checks import ready_for_fit
 from bayesbl.recording.columns import stamps_and_values
-from bayesbl.recording.formats import csv
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
@@ -129,9 +128,9 @@ def test_how_large_the_blocks_of_a_text_are_changes_nothing(
     path = tmp_path / "a.csv"
     for name, content in {**SPACED, **MARKS, **ENCODED, **LEFT_OUT, **MORE_COLUMNS}.items():
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-        monkeypatch.setattr(csv, "_BLOCK_BYTES", 1 << 20)
+        monkeypatch.setattr(text_table, "_BLOCK_BYTES", 1 << 20)
         whole, place = read_recording(path), read_table(path).place(500, 0)
-        monkeypatch.setattr(csv, "_BLOCK_BYTES", 70)
+        monkeypatch.setattr(text_table, "_BLOCK_BYTES", 70)
         cut = read_recording(path)
         np.testing.assert_array_equal(cut.time_s, whole.time_s, name)
         np.testing.assert_array_equal(cut.motor_speed_rpm, whole.motor_speed_rpm, name)
@@ -148,6 +147,31 @@ def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
     path.write_text(text(lines))
     with pytest.raises(RecordingError, match=r"in different units.*ms and s"):
         read_recording(path)
+
+
+def test_units_count_in_a_line_above_the_names_as_in_one_below(tmp_path: Path) -> None:
+    for head in ("ms;1/min\nt;n", "t;n\nms;1/min"):
+        path = tmp_path / "a.csv"
+        path.write_text(text([f"{1e3 * t:.0f};{n}" for t, n in PAIRS], head))
+        read = read_recording(
+            path, columns={"time_s": ColumnSpec("t"), "motor_speed_rpm": ColumnSpec("n")}
+        )
+        np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+        np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+
+
+def test_a_group_of_columns_above_the_names_is_no_unit(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows(), "A,A\n" + ",".join(NAMES)))
+    np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
+
+
+def test_one_long_cell_does_not_make_every_cell_long(tmp_path: Path) -> None:
+    lines = [f"{row},{'x' * (100_000 if i == 5 else 1)}" for i, row in enumerate(rows())]
+    path = tmp_path / "a.csv"
+    path.write_text(text(lines, "time_s,motor_speed_rpm,state"))
+    assert read_table(path).arrays["state"].nbytes < 1e6
+    assert read_recording(path).samples == COUNT
 
 
 def test_what_is_left_out_is_told_once_with_its_count(tmp_path: Path) -> None:
@@ -379,14 +403,19 @@ def test_a_log_on_change_is_held_and_a_slower_channel_is_not(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("stray", [32767.0, -32768.0])
-def test_single_strays_of_the_current_are_left_out(stray: float, tmp_path: Path) -> None:
-    current = np.round(4.0 + np.random.default_rng(3).normal(0, 0.3, COUNT), 3)
-    current[[100, 400]] = stray
-    columns = {"time_s": TIME, "motor_speed_rpm": SPEED, "motor_current_a": current}
-    mended = ready_for_fit(recorded(tmp_path, columns))
+@pytest.mark.parametrize("channel", ["motor_current_a", "motor_torque_nm", "motor_speed_rpm"])
+def test_single_strays_are_left_out_of_a_motion_too(
+    channel: str, stray: float, tmp_path: Path
+) -> None:
+    wave = np.sin(40.0 * TIME)
+    measured = np.round(4.0 * wave + np.random.default_rng(3).normal(0, 0.3, COUNT), 3)
+    measured[[100, 400]] = stray
+    columns = {"time_s": TIME, "motor_speed_rpm": SPEED, "reference_speed_rpm": 4.0 * wave}
+    mended = recorded(tmp_path, {**columns, channel: measured})
     assert mended.excluded is not None
     assert np.flatnonzero(mended.excluded).tolist() == [100, 400]
-    assert np.abs(mended.channels["motor_current_a"]).max() < 10.0
+    assert np.abs(mended.channels[channel]).max() < 10.0
+    assert any("2 × stray sample" in note for note in mended.notes)
 
 
 # Units
@@ -667,6 +696,21 @@ def test_a_workbook_may_have_titles_units_text_and_faults(tmp_path: Path) -> Non
     kept = ~read.excluded
     np.testing.assert_array_equal(read.motor_speed_rpm[kept], SPEED[kept])
     assert "number written as text" in read.notes[0]
+
+
+def test_decimal_commas_as_text_in_a_workbook_are_told_from_its_numbers(tmp_path: Path) -> None:
+    import openpyxl
+
+    path = tmp_path / "a.xlsx"
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(list(NAMES))
+    for t, n in PAIRS:
+        sheet.append([float(t), f"{n:.3f}".replace(".", ",")])
+    book.save(path)
+    read = read_recording(path)
+    np.testing.assert_array_equal(read.time_s, TIME)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
 
 
 def test_times_of_day_in_a_workbook_are_times(tmp_path: Path) -> None:

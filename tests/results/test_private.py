@@ -19,8 +19,6 @@ from bayesbl.results.atomic import PrivateFolder, replacing
 from bayesbl.results.folder import new_result, require_free
 from bayesbl.results.work import WorkStore
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no owners of folders there")
-
 AS_NOBODY = pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root makes another's folder"
 )

@@ -21,7 +21,7 @@ from bayesbl.diagnosis.closed_loop.findings import (
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.rigid.speed_loop import METHOD as RIGID
-from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, refused, sound
+from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, refused, unclipped
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
@@ -124,7 +124,7 @@ def forward_problem(
     task.require_no_known_torque("The forward comparison knows no torque from outside.")
     config, bench = task.config, task.bench
     channels = _channels(task)
-    recordings = [sound(r, channels, _unclipped(bench, r, channels)) for r in task.recordings]
+    recordings = [unclipped(r, _unclipped(bench, r, channels)) for r in task.recordings]
     used: list[Observed] = []
     held_out: list[Observed] = []
     notes = notes_of(recordings)

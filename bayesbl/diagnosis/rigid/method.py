@@ -63,7 +63,6 @@ from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
     MOTOR_POSITION,
-    MOTOR_SPEED,
     MOTOR_TORQUE,
     Recording,
 )
@@ -94,7 +93,7 @@ def asked_of(task: Task) -> Asked:
     load = channel == LOAD_POSITION
     # A joint may rest at the end of its way: only what drives it is asked not to stand still.
     driving = [channel] if channel in (MOTOR_TORQUE, MOTOR_CURRENT) else []
-    recordings = even_recordings(task, [_read(r, channel) for r in task.recordings], driving)
+    recordings = even_recordings(task, driving)
     _require_position(config, recordings, load)
     unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
     unit_tolerance = _tolerance_of_unit(task, channel)
@@ -197,12 +196,6 @@ def _not_compared(recordings: Sequence[Recording], gear_ratio: float, cutoff_hz:
         "gear ratio, noise of both included. An effect that shows there alone would not have "
         "been seen."
     )
-
-
-def _read(recording: Recording, channel: str) -> tuple[str, ...]:
-    """What is compared, and what the motion is taken from."""
-    moved = [c for c in (MOTOR_POSITION, MOTOR_SPEED) if c in recording.channels]
-    return (channel, *moved[:1])
 
 
 def compared(

@@ -11,7 +11,15 @@ from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
-from bayesbl.diagnosis.task import USES_OF, Task, parts_of, piece_of, refused, require_enough, sound
+from bayesbl.diagnosis.task import (
+    USES_OF,
+    Task,
+    parts_of,
+    piece_of,
+    refused,
+    require_enough,
+    unclipped,
+)
 from bayesbl.errors import RecordingError
 from bayesbl.progress import StageProgress
 from bayesbl.recording.evenly import even
@@ -56,12 +64,9 @@ def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> s
     return asked[0]
 
 
-def even_recordings(
-    task: Task, read: Sequence[Sequence[str]], unclipped: Sequence[str]
-) -> list[Recording]:
-    """Recordings on an even grid, strays of the channels ``read`` of each excluded."""
-    pairs = zip(task.recordings, read, strict=True)
-    return [even(sound(recording, channels, unclipped), UNEVEN) for recording, channels in pairs]
+def even_recordings(task: Task, whole: Sequence[str]) -> list[Recording]:
+    """Recordings on an even grid; the peaks of the channels ``whole`` must not be cut off."""
+    return [even(unclipped(recording, whole), UNEVEN) for recording in task.recordings]
 
 
 def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:

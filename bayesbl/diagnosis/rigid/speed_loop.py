@@ -833,7 +833,7 @@ def loop_setting(task: Task) -> Setting:
         )
     task.require_channels_of([MOTOR_SPEED])
     turning = []
-    recordings = even_recordings(task, [(MOTOR_SPEED,)] * len(task.recordings), (MOTOR_SPEED,))
+    recordings = even_recordings(task, (MOTOR_SPEED,))
     values = loop_values(bench)
     response = partial(speed_of_torque, values)
     load_order = 1.0 / bench.value("gear_ratio") if bench.value("gravity_torque_nm") else None

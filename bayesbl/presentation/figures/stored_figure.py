@@ -104,6 +104,17 @@ Parts = Callable[[xr.DataTree], Iterable[tuple[str, tuple[object, ...]]]]
 """From a result to the ending of each file's name and what its figure is drawn from."""
 
 
+def each_snapshot(path: str) -> Parts:
+    """One figure per snapshot of the route that holds this; that of a fit has no own name."""
+
+    def parts(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
+        compared = tree.attrs["kind"] == "compare"
+        for snapshot in snapshots(tree, path):
+            yield file_ending(snapshot.name) if compared else "", (snapshot,)
+
+    return parts
+
+
 def whole(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
     """One figure of the whole result."""
     yield "", (tree,)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from bayesbl.declared import declared
 
 if TYPE_CHECKING:
-    from bayesbl.recording.columns import Table
+    from bayesbl.recording.array_table import ArrayTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Format:
 
     name: str
     suffixes: tuple[str, ...]
-    read: Callable[[Path, bytes], Table]
+    read: Callable[[Path, bytes], ArrayTable]
     library: str = ""
     signatures: tuple[tuple[int, bytes], ...] = ()
     otherwise: str = ""

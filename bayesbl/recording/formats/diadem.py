@@ -16,13 +16,13 @@ from bayesbl.recording.formats import Format
 from bayesbl.recording.formats.csv import read_csv
 
 if TYPE_CHECKING:
-    from bayesbl.recording.columns import Table
+    from bayesbl.recording.array_table import ArrayTable
 
 _BEGIN, _END = b"#BEGINCHANNELHEADER", b"#ENDCHANNELHEADER"
 BESIDE = ".r64"
 
 
-def read_dat(file: Path, data: bytes) -> Table:
+def read_dat(file: Path, data: bytes) -> ArrayTable:
     """Channels of a header and the samples that follow it in ``data``.
 
     Raises

@@ -32,11 +32,13 @@ _ALIKE = 0.8
 
 def form_of_events(lines: Sequence[str]) -> re.Pattern[str] | None:
     """How most lines write an event, if they do; a name is wanted where a line may be a table's."""
+    from bayesbl.recording.cells import number_in
+
     written = [line.strip() for line in lines if line.strip()]
     for form in _FORMS:
         events = [event for line in written if (event := form.fullmatch(line))]
         of_one = form is _FORMS[-1] and any(len(line.split()) > 3 for line in written)
-        numbers = [event for event in events if plain_number(event["value"]) is not None]
+        numbers = [event for event in events if number_in(event["value"], ".") is not None]
         if len(numbers) >= max(2.0, _ALIKE * len(written)) and not of_one:
             return form
     return None
@@ -50,6 +52,7 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
     import numpy as np
 
     from bayesbl.recording.array_table import ArrayTable
+    from bayesbl.recording.cells import number_in
     from bayesbl.recording.timestamps import is_date, seconds_of_dates
 
     stamps: list[str] = []
@@ -58,7 +61,7 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
     repairs: Counter[str] = Counter()
     for number, line in enumerate(lines, 1):
         event = form.fullmatch(line.strip())
-        value = plain_number(event["value"]) if event else None
+        value = number_in(event["value"], ".") if event else None
         if event is None or value is None:
             repairs["line that is no event left out"] += bool(line.strip())
             continue
@@ -84,11 +87,3 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
         columns[name] = each[last][begin:]
         repairs["value of an event log, held until the next"] += int(np.isnan(each[begin:]).sum())
     return ArrayTable(str(file), {"time_s": rows[begin:], **columns}, repairs=repairs)
-
-
-def plain_number(text: str) -> float | None:
-    """The number that a text is, with a decimal point; ``None`` if it is none."""
-    try:
-        return float(text) if text.isascii() and "_" not in text else None
-    except ValueError:
-        return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -12,25 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
-from bayesbl.recording.formats.csv import (
-    MOST_ABOVE,
-    decimal_mark,
-    first_sample,
-    header_of,
-    number_in,
-    unnamed,
-    value_columns,
-)
 from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
+    from bayesbl.recording.array_table import ArrayTable, Group
 
 _MOST_COLUMNS = 1000
 _MOST_LINES = 2**20
 """Excel's own. A damaged file may number a line as it likes, and those before it would be made."""
 
-_MIDDLE = 200
+_HEAD, _MIDDLE = 400, 200
 
 _CELL_BYTES = 64.0
 """A number as Python holds it, with its place in a list."""
@@ -64,35 +56,45 @@ def _check_size(file: Path, data: bytes) -> None:
 
 
 def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
+    """A sheet, as the text that it would be: numbers of cells with all their digits."""
     from bayesbl.recording.array_table import Group
+    from bayesbl.recording.cells import decimal_mark, number_in
+    from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of_text
 
     rows = list(_rows(file, sheet))
+    while rows and not _is_written(rows[-1]):
+        rows.pop()
+    middle = list(filter(_is_written, rows))
+    middle = middle[len(middle) // 2 :][:_MIDDLE]
+    mark = decimal_mark(file, [cell for row in middle for cell in row if isinstance(cell, str)])
     width = max(map(len, rows), default=0)
-    middle = [_texts(row, width) for row in rows[len(rows) // 2 :][:_MIDDLE]]
-    values, _ = value_columns(middle) if middle else ([], 0.0)
-    above = [_texts(row, width) for row in rows[: MOST_ABOVE + 1]]
-    first = first_sample(above, values) if values else None
-    if first is None:  # a sheet of remarks
+    lines = ["\t".join([_text(c, mark) for c in row] + [""] * (width - len(row))) for row in rows]
+    text = "\n".join(lines).encode()
+    try:
+        some = middle_of(text)
+        layout = layout_of(file, lines[:_HEAD], some, len(lines), "\t", fewest=1, mark=mark)
+    except NoTable:  # a sheet of remarks
         return Group(sheet.title, {})
-    found = header_of(above[:first], {width})
-    begin, names, units = found or (first - 1, unnamed(width), ())
-    mark = decimal_mark(file, middle, values)
-    columns = {
-        name: _array([row[i] if i < len(row) else None for row in rows[begin + 1 :]], mark, repairs)
-        for i, name in enumerate(names)
-        if name
-    }
-    stated = dict(zip(names, units, strict=False))
-    return Group(sheet.title, columns, units={n: u for n, u in stated.items() if n and u})
+    table = table_of_text(file, text, layout)
+    cells = (cell for row in rows[layout.begin :] for cell in row if isinstance(cell, str))
+    written_as_text = sum((number := number_in(c, mark)) == number is not None for c in cells)
+    repairs.update({"number written as text": written_as_text}, **table.repairs)
+    return Group(sheet.title, table.arrays, units=table.units)
 
 
-def _texts(row: Sequence[object], width: int) -> list[str]:
-    cells = ["" if cell is None else str(cell).strip() for cell in row]
-    return cells + [""] * (width - len(cells))
+def _is_written(row: Sequence[object]) -> bool:
+    return any(cell is not None for cell in row)
+
+
+def _text(cell: object, mark: str) -> str:
+    """A cell as text, in one line and without a quotation mark, which would open a cell."""
+    if isinstance(cell, float):
+        return repr(cell).replace(".", mark)
+    return "" if cell is None else re.sub(r'[\s"]+', " ", str(cell)).strip()
 
 
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
-    """Rows that are not blank. What the sheet says of its own size is not believed."""
+    """All rows. What the sheet says of its own size is not believed."""
     sheet.reset_dimensions()
     cells = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
@@ -106,32 +108,7 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
             )
         cells += len(row)
         require_memory(file, _CELL_BYTES * cells, f"{cells} cells, or more")
-        if any(cell is not None for cell in row):
-            yield row
-
-
-def _array(cells: Sequence[Any], mark: str, repairs: Counter[str]) -> AnyArray:
-    """Numbers with empty cells as NaN, dates as dates; anything else as it is."""
-    from datetime import datetime
-
-    import numpy as np
-
-    if all(cell is None or isinstance(cell, datetime) for cell in cells):
-        return np.array(cells, dtype="datetime64[us]")
-    numbers = [_number(cell, mark) for cell in cells]
-    if any(number is None for number in numbers):
-        return np.array(cells, dtype=object)
-    written = sum(isinstance(cell, str) and n == n for cell, n in zip(cells, numbers, strict=True))
-    repairs["number written as text"] += written
-    return np.array(numbers, dtype=np.float64)
-
-
-def _number(cell: Any, mark: str) -> float | None:
-    if cell is None:
-        return float("nan")
-    if isinstance(cell, str):
-        return number_in(cell.strip(), mark)
-    return float(cell) if type(cell) in (int, float) else None
+        yield row
 
 
 FORMAT = Format(

@@ -7,16 +7,16 @@ group ends before the others, or repeats its samples to fill the lines.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError, shortened
-from bayesbl.recording.formats.event_log import plain_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from bayesbl.recording.array_table import ArrayTable, Group
+    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
     from bayesbl.recording.types import FloatArray
 
 _SEPARATORS = "\t;,"
@@ -44,18 +44,18 @@ def is_scope_export(text: str) -> bool:
     return bool(_BEGIN.match(text)) and bool(_KNOWN_LINE.search(text[:100_000]))
 
 
-def read_scope_export(file: Path, text: str) -> ArrayTable:
+def read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
     """Every channel with its clock; a unit only where no scale leaves open what it belongs to.
 
     Raises
     ------
     RecordingError
-        If its channels have no times, or a line holds anything but numbers.
+        If its channels have no times, or there is text among these.
     """
-    from bayesbl.recording.array_table import table_of_groups
+    from bayesbl.recording.array_table import numbered, table_of_groups
+    from bayesbl.recording.text_table import Layout, table_of_text
 
-    lines = text.split("\n")
-    separator = text[4]
+    separator = lines[0][4]
     head = [[cell.strip() for cell in line.split(separator)] for line in lines[:_LONGEST_HEADER]]
     about = [i for i, cells in enumerate(head) if cells[0] in _KEYS]
     known = {head[i][0]: head[i] for i in about}  # the later "Name" is the channels'
@@ -69,70 +69,41 @@ def read_scope_export(file: Path, text: str) -> ArrayTable:
             found=shortened(", ".join(known["Name"])),
             expected="a line of channels' names with a column of times before each group",
         )
-    numbers = _numbers(file, lines, about[-1] + 1, separator, width)
-    groups = list(_groups(known, starts, numbers))
-    return table_of_groups(file, groups)
+    body = [*[""] * (about[-1] + 1), *_padded(lines[about[-1] + 1 :], separator, width)]
+    layout = Layout(separator, tuple(numbered(known["Name"])))
+    table = table_of_text(file, "\n".join(body).encode(), layout)
+    return replace(
+        table_of_groups(file, list(_groups(known, starts, table))), repairs=table.repairs
+    )
 
 
-def _numbers(
-    file: Path, lines: Sequence[str], begin: int, separator: str, width: int
-) -> FloatArray:
-    """The samples, shape (lines, width); NaN where a slower group has none, and in a text channel.
-
-    Raises
-    ------
-    RecordingError
-        At the first text in a column that holds numbers too.
-    """
-    import numpy as np
-
-    places: list[int] = []
-    rows: list[list[str]] = []
-    for index in range(begin, len(lines)):
-        line = lines[index].strip("\r\n ")
-        if line == "EOF":
+def _padded(lines: Sequence[str], separator: str, width: int) -> Iterator[str]:
+    """Lines of samples with a decimal point and a cell for every column."""
+    for line in lines:
+        if line.strip("\r\n ") == "EOF":
             break
-        if line.strip(separator):
-            cells = (line if separator == "," else line.replace(",", ".")).split(separator)
-            rows.append([*cells[:width], *[""] * (width - len(cells))])
-            places.append(index + 1)
-    values = np.full((len(rows), width), np.nan)
-    for column in range(width):
-        texts = [row[column].strip() for row in rows]
-        held = [(row, plain_number(text)) for row, text in enumerate(texts) if text]
-        bad = next((row for row, number in held if number is None), None)
-        if bad is None:
-            for row, number in held:
-                values[row, column] = number
-        elif any(number is not None for _, number in held):
-            raise RecordingError(
-                "There is text among the samples of this export of TwinCAT Scope.",
-                file=file,
-                where=f"line {places[bad]}",
-                found=repr(shortened(texts[bad])),
-                expected="a number",
-            )
-    return values
+        cells = (line if separator == "," else line.replace(",", ".")).split(separator)
+        yield separator.join([*cells[:width], *[""] * (width - len(cells))])
 
 
 def _groups(
-    known: Mapping[str, Sequence[str]], starts: Sequence[int], numbers: FloatArray
+    known: Mapping[str, Sequence[str]], starts: Sequence[int], table: ArrayTable
 ) -> Iterator[Group]:
     """Channels that have the same times; a line that only repeats a time is left out."""
     import numpy as np
 
     from bayesbl.recording.array_table import Group, numbered
 
-    starting = set(starts)
-    channels = [column for column in range(numbers.shape[1]) if column not in starting]
+    width = len(table.columns)
+    channels = [column for column in range(width) if column not in starts]
     names = dict(
         zip(channels, numbered([known["Name"][column] for column in channels]), strict=True)
     )
     times: list[FloatArray] = []
-    columns: list[dict[str, FloatArray]] = []
+    columns: list[dict[str, AnyArray]] = []
     units: dict[str, str] = {}
-    for start, end in zip(starts, [*starts[1:], numbers.shape[1]], strict=True):
-        stamps = numbers[:, start]
+    for start, end in zip(starts, [*starts[1:], width], strict=True):
+        stamps = table.numbers([start])[:, 0]
         kept = np.isfinite(stamps) & (stamps != np.concatenate([[np.nan], stamps[:-1]]))
         time = stamps[kept]
         if time.size and time[0] >= _FILETIME:
@@ -143,7 +114,7 @@ def _groups(
             columns.append({})
         for column in range(start + 1, end):
             name = names[column]
-            columns[same][name] = numbers[kept, column]
+            columns[same][name] = table.arrays[table.columns[column]][kept]
             units[name] = _unit(known, column)
     for number, (time, held) in enumerate(zip(times, columns, strict=True), 1):
         yield Group(f"clock {number}", held, time / 1e3, {n: units[n] for n in held})

@@ -1,0 +1,479 @@
+"""Text as a table of numbers: what is no sample is left out and counted, what is one is read whole.
+
+The policy, for every dialect alike:
+
+* the separator is the one that cuts the middle of the file into equal rows of numbers;
+* names are the last line above the samples with a name for each cell, units a line of units below;
+* lines that are no samples (comments, repeated headers, text, a cut last line) are left out; so are
+  incomplete lines, as lost samples, up to :data:`MOST_INCOMPLETE` of all;
+* one decimal mark holds for the whole file, and thousands are grouped in threes by another mark;
+* everything else is refused with its line and column.
+
+The text is gone through once, in blocks of lines, so that memory is that of the file and its
+numbers; a block of nothing but numbers is read by NumPy.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayesbl.errors import RecordingError, shortened
+from bayesbl.recording.array_table import LONGEST_TEXT, AnyArray, ArrayTable, numbered
+from bayesbl.recording.cells import (
+    MISSING,
+    decimal_mark,
+    is_bare_number,
+    is_number,
+    is_value,
+    number_in,
+    parted,
+)
+from bayesbl.recording.input_bytes import require_memory
+from bayesbl.recording.timestamps import is_date
+from bayesbl.recording.types import FloatArray
+from bayesbl.units import is_unit, spelled
+
+_SEPARATORS = ("\t", ";", ",", "|", " ")
+_BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
+_COMMENT = ("#", "%", "//")
+_REMARKS = ("comment", "comments", "kommentar")
+MOST_ABOVE = 50
+"""Lines that are not blank in which the first sample is looked for."""
+MOST_COLUMNS = 1000
+"""A file may have more if it has as many lines."""
+MOST_INCOMPLETE = 0.05
+"""Share of lines without one cell for each column, up to which they are lost samples."""
+
+_INCOMPLETE = "incomplete line left out, as a lost sample"
+_BLOCK_BYTES = 1 << 20
+_MIDDLE_LINES, _MIDDLE_BYTES = 200, 1 << 16
+_MOST_SKIPPED = 1_000_000
+"""Lines that are no samples, beyond as many as samples."""
+
+EXPECTED = "a CSV file: a header line with column names, then one line of numbers per sample"
+
+
+class NoTable(RecordingError):
+    """A text without lines of numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where the table of a text begins, and how its lines are cut."""
+
+    separator: str
+    names: tuple[str, ...]
+    mark: str = "."
+    units: tuple[str, ...] = ()
+    header: tuple[tuple[str, ...], ...] = ()
+    begin: int = 0
+
+    def cells(self, line: str) -> list[str]:
+        """A line's cells, without empty ones beyond the last column."""
+        cells = _split(line, self.separator)
+        while len(cells) > len(self.names) and not cells[-1]:
+            cells.pop()
+        return cells
+
+
+def _blocks(text: bytes) -> Iterator[list[str]]:
+    """Lines, some tens of thousands at a time."""
+    begin = 0
+    while begin < len(text):
+        end = text.find(b"\n", begin + _BLOCK_BYTES) + 1 or len(text)
+        yield text[begin:end].decode().removesuffix("\n").split("\n")
+        begin = end
+
+
+def lines_of(text: bytes) -> Iterator[str]:
+    """All lines of a text in UTF-8."""
+    return (line for block in _blocks(text) for line in block)
+
+
+def middle_of(text: bytes) -> list[str]:
+    """Some lines from amid the samples that are not blank."""
+    size = len(text)
+    if size <= 4 * _MIDDLE_BYTES:
+        written = [line for line in lines_of(text) if line.strip()]
+        return written[len(written) // 2 :][:_MIDDLE_LINES]
+    part = text[size // 2 : size // 2 + _MIDDLE_BYTES].decode("utf-8", "replace")
+    return [line for line in part.split("\n")[1:-1] if line.strip()][:_MIDDLE_LINES]
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if "(" in line or "[" in line or "{" in line:
+        inner = "_" if separator == " " else " "
+        line = _BRACKETS.sub(lambda held: held[0].replace(separator, inner), line)
+    if '"' in line:
+        try:
+            cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+        except csv.Error:
+            cells = line.split(separator)
+        cells = [cell for cell in cells if cell.strip()] if separator == " " else cells
+    elif separator == " ":
+        return line.split()
+    else:
+        cells = line.split(separator)
+    return [cell.strip() for cell in cells]
+
+
+def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
+    """The unit that a column's cells state.
+
+    Raises
+    ------
+    RecordingError
+        If they state several: a value is then another multiple of its unit than the one above it.
+    """
+    cells = [row[column] for row in rows if column < len(row)]
+    units = {parted(cell)[1] for cell in cells if is_value(cell)}
+    if len(units) > 1:
+        raise RecordingError(
+            "The cells of a column are in different units.",
+            file=file,
+            where=f"column {column + 1}",
+            found=" and ".join(sorted(unit or "none" for unit in units)),
+            expected="one unit for the whole column, in its name",
+        )
+    return next(iter(units), "")
+
+
+def layout_of(
+    file: Path,
+    head: Sequence[str],
+    middle: Sequence[str],
+    lines: int,
+    separators: Sequence[str] = _SEPARATORS,
+    *,
+    fewest: int = 2,
+    mark: str | None = None,
+    is_binary: bool = False,
+) -> Layout:
+    """How a table is laid out, by its first lines and some amid the samples.
+
+    ``lines``: how many it has. ``fewest``: cells of numbers in a line of samples. ``mark``: the
+    decimal mark, where it is known. ``is_binary``: whether it had characters that no text has.
+
+    Raises
+    ------
+    RecordingError
+        If these lines are no table of numbers.
+    """
+    separator, width, values = _dialect(middle, separators, fewest)
+    if width > max(MOST_COLUMNS, lines):
+        raise RecordingError(
+            "The file has more columns than lines: is it transposed?",
+            file=file,
+            found=f"{width} columns",
+            expected="a column for each channel and a line for each sample",
+        )
+    head = _joined(head)
+    written = [i for i, line in enumerate(head) if line.strip()]
+    if not written:
+        raise NoTable("The file is empty.", file=file, found="nothing", expected=EXPECTED)
+    cut = [_split(line, separator) for line in head]
+    first = None
+    if len(values) >= fewest:
+        first = _first_sample([cut[i] for i in written[: MOST_ABOVE + 1]], values)
+    if first is None:
+        raise _no_table(file, [head[i] for i in written], is_binary)
+    # Some loggers end each line of samples with a separator, but not the header.
+    trailing = all(line.rstrip().endswith(separator) for line in middle) and separator != " "
+    above = written[:first]
+    for i in above:
+        if head[i].lstrip().startswith(_COMMENT):
+            cut[i] = _split(head[i].lstrip().lstrip("#%/").strip(), separator)
+        if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
+            cut[i].pop()  # LabVIEW ends its header so, and no line of samples
+    found = _header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
+    rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
+    numbers = [row[i] for row in rows for i in values if i < len(row)]
+    mark = mark or decimal_mark(file, numbers)
+    stated = tuple(_units_of(file, rows, k) if k in values else "" for k in range(width))
+    if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
+        return layout_of(file, head, middle, lines, (" ",))  # tabs among spaces
+    begin = written[first]
+    if found is None:
+        nearest = cut[above[-1]] if above else []
+        if len(nearest) > 1 and not any(map(is_number, nearest)):
+            raise RecordingError(
+                "This line does not have one cell for each column.",
+                file=file,
+                where=f"line {begin + 1}",
+                found=f"{width} cells",
+                expected=f"{len(nearest)}, as in the header",
+            )
+        unnamed = tuple(f"column {i + 1}" for i in range(width))
+        return Layout(separator, unnamed, mark, stated, (), begin)
+    last, names, units = found
+    units = stated[: len(names)] if any(stated) else units
+    header = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
+    return Layout(separator, names, mark, units, header, begin)
+
+
+def _joined(head: Sequence[str]) -> list[str]:
+    """Lines with those that a quoted name goes on over in one; the others are blank."""
+    joined = list(head)
+    at = 0
+    for i, line in enumerate(head):
+        if i > at and joined[at].count('"') % 2 and joined[at].count('"') + line.count('"') < 200:
+            joined[at] += f" {line}"
+            joined[i] = ""
+        else:
+            at = i
+    return joined
+
+
+def _header_of(
+    above: Sequence[list[str]], widths: set[int]
+) -> tuple[int, tuple[str, ...], tuple[str, ...]] | None:
+    """The last of the rows above the samples that belongs to the header, names, and units if any.
+
+    Names are a row of as many cells as the samples have (``widths``) without a number; a row of
+    units may stand below them, or above.
+    """
+    named: list[int] = []
+    for i, cells in enumerate(above):
+        while len(cells) > max(widths) and not cells[-1]:
+            cells.pop()
+        if not any(cells):
+            continue
+        if len(cells) in widths and not any(map(is_bare_number, cells)):
+            named.append(i)
+        elif len(cells) > 1:
+            named.clear()
+    if not named:
+        return None
+    names = above[named[-1]]
+    before = above[named[-2]] if len(named) > 1 else []
+    below, on_top = ([cell.strip("[]() ") for cell in row] for row in (names, before))
+    of_below, of_top = ([cell for cell in row if is_unit(spelled(cell))] for row in (below, on_top))
+    units: list[str] = []
+    if before and of_below and len(of_below) >= len(of_top):
+        names, units = before, below
+    elif len(set(of_top)) > 1 and len(of_top) == sum(map(bool, on_top)):
+        units = on_top
+    names = [name or f"column {i}" for i, name in enumerate(names, 1)]
+    return named[-1], tuple(numbered(names)), tuple(units[: len(names)])
+
+
+def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int | None:
+    """The first row with values where those amid the file have them, if another one follows it.
+
+    Numbers of columns are no sample: their names follow.
+    """
+
+    def is_sample(cells: Sequence[str]) -> bool:
+        here = [cells[i] for i in values] if len(cells) > values[-1] else []
+        return any(map(is_value, here)) and all(
+            cell.lower() in MISSING or is_value(cell) for cell in here
+        )
+
+    followed = [any(map(is_value, row)) for row in rows[1:]] + [True]
+    pairs = zip(rows, followed, strict=True)
+    return next((i for i, (row, on) in enumerate(pairs) if on and is_sample(row)), None)
+
+
+def _dialect(
+    lines: Sequence[str], separators: Sequence[str], fewest: int = 2
+) -> tuple[str, int, list[int]]:
+    """Separator, number of cells and which of them hold values: equal rows, most of numbers."""
+    best, chosen = 0.0, (",", 0, list[int]())
+    for separator in separators:
+        rows = [_split(line, separator) for line in lines]
+        widths = Counter(map(len, rows))
+        if not widths:
+            continue
+        width, count = widths.most_common(1)[0]
+        if width < fewest:
+            continue
+        alike = [row for row in rows if len(row) == width]
+        values, share = _value_columns(alike[:1] if width > MOST_COLUMNS else alike)
+        score = count / len(rows) * share
+        if len(values) >= fewest and score > 1.001 * best:
+            best, chosen = score, (separator, width, values)
+    return chosen
+
+
+def _value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
+    """Which columns of rows alike hold numbers or dates, and the share of cells that do."""
+    values: list[int] = []
+    share = 0.0
+    for column, cells in enumerate(zip(*rows, strict=True)):
+        held = [cell for cell in cells if cell.lower() not in MISSING]
+        good = sum(map(is_value, held))
+        share += (good + len(cells) - len(held)) / len(cells) / len(rows[0])
+        if good >= 0.5 * len(held) if held else any(cells):
+            values.append(column)
+    return values, share
+
+
+def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTable:
+    """Nothing is quoted: a name may lead to any file."""
+    if is_binary:
+        found = "binary data"
+    elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
+        return NoTable(
+            "The file has a header but no sample.",
+            file=file,
+            found="a header only",
+            expected=EXPECTED,
+        )
+    else:
+        found = "no lines with a number in two columns or more"
+    return NoTable("This is not a CSV file.", file=file, found=found, expected=EXPECTED)
+
+
+def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
+    """The samples of a text below its header, and what of it is left out.
+
+    ``control``: characters that were left out before.
+
+    Raises
+    ------
+    RecordingError
+        If there is none, another header is among them, or too many lines are incomplete.
+    """
+    width = len(layout.names)
+    parts: list[list[AnyArray]] = [[] for _ in range(width)]
+    places: list[AnyArray] = []
+    counts = Counter({"control character left out": control} if control else {})
+    incomplete: list[tuple[int, int]] = []
+    rows, index, held = 0, 0, 0
+    for block in _blocks(text):
+        require_memory(file, len(text) + 2.0 * held, f"{rows} lines, or more")
+        if index - rows > rows + _MOST_SKIPPED:
+            raise _no_table(file, [])
+        lines = block[max(0, layout.begin - index) :]
+        first = index + len(block) - len(lines)
+        index += len(block)
+        read = _quickly(lines, layout)
+        if read is None:
+            cut = _cut(file, lines, first, layout, counts, incomplete)
+            places.append(np.array(list(cut), dtype=np.int64))
+            columns = zip(*cut.values(), strict=True) if cut else ()
+            series = [
+                _series(cells, layout.mark, layout.units[i] if layout.units else "")
+                for i, cells in enumerate(columns)
+            ]
+        else:
+            places.append(np.arange(first, index))
+            series = [np.ascontiguousarray(values) for values in read.T]
+        rows += places[-1].size
+        held += sum(values.nbytes for values in (places[-1], *series))
+        for part, values in zip(parts, series, strict=bool(series)):
+            part.append(values)
+    if incomplete and incomplete[-1][0] == index - 1:
+        counts[_INCOMPLETE] -= 1
+        counts["cut last line left out"] += 1
+    if counts[_INCOMPLETE] > MOST_INCOMPLETE * rows:
+        place, found = incomplete[0]
+        raise RecordingError(
+            "This line does not have one cell for each column.",
+            file=file,
+            where=f"line {place + 1}",
+            found=f"{found} cells",
+            expected=f"{width}, as in the header",
+        )
+    if not rows:
+        raise _no_table(file, [])
+    arrays: dict[str, AnyArray] = {}
+    for name, part in zip(layout.names, parts, strict=True):
+        is_text = any(values.dtype.kind != "f" for values in part)
+        arrays[name] = np.concatenate([v.astype("S") for v in part] if is_text else part)
+        part.clear()
+    units = {n: u for n, u in zip(layout.names, layout.units, strict=False) if u}
+    repairs = {kind: count for kind, count in counts.items() if count > 0}
+    return ArrayTable(str(file), arrays, units, repairs=repairs, lines=np.concatenate(places) + 1)
+
+
+def _quickly(lines: list[str], layout: Layout) -> FloatArray | None:
+    """The numbers of lines by NumPy, shape (n, columns); ``None`` if anything else is in one."""
+    separator, mark, text = layout.separator, layout.mark, "\n".join(lines)
+    # A quoted cell may hold more separators; no sample has fewer.
+    if separator != " " and text.count(separator) != (len(layout.names) - 1) * len(lines):
+        return None
+    if not text.strip() or any(bracket in text for bracket in "([{'’"):
+        return None
+    if '"' in text:
+        text = text.replace('"', "")
+    if separator != ",":
+        if ("," if mark == "." else ".") in text:
+            return None
+        text = text.replace(",", ".")
+    delimiter = None if separator == " " else separator
+    try:
+        read: FloatArray = np.loadtxt(text.split("\n"), delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return read if read.shape == (len(lines), len(layout.names)) else None
+
+
+def _cut(
+    file: Path,
+    lines: Sequence[str],
+    first: int,
+    layout: Layout,
+    counts: Counter[str],
+    incomplete: list[tuple[int, int]],
+) -> dict[int, list[str]]:
+    """Number of each line that is a sample to its cells; what the others are is counted.
+
+    ``incomplete`` gains number and cells of samples that are not whole.
+    """
+    width, blank = len(layout.names), f' "\t{layout.separator}'
+    samples: dict[int, list[str]] = {}
+    for index, line in enumerate(lines, first):
+        bare = line.strip(blank)
+        if not bare:
+            continue
+        cells = layout.cells(line)
+        if bare.startswith(_COMMENT):
+            kind = "comment left out"
+        elif tuple(cells) in layout.header:
+            kind = "repeated header left out"
+        elif len(cells) == width and (
+            any(map(is_value, cells)) or all(cell.lower() in MISSING for cell in cells)
+        ):
+            samples[index] = cells
+            continue
+        elif any(map(is_number, cells)):
+            kind = _INCOMPLETE
+            incomplete.append((index, len(cells)))
+        elif len(cells) == width and set(cells) & set(layout.names):
+            raise RecordingError(
+                "There is another header among the samples.",
+                file=file,
+                where=f"line {index + 1}",
+                found=shortened(", ".join(cells)),
+                expected="one table in a file, its columns in one order",
+            )
+        else:
+            kind = "line of text left out"
+        counts[kind] += 1
+    return samples
+
+
+def _series(cells: Sequence[str], mark: str, unit: str) -> AnyArray:
+    """Numbers, shape (n,), NaN for missing ones; text where a cell is none, other cells as Python
+    writes numbers."""
+    are_dates = is_date(cells[0])
+    numbers = [None if are_dates else number_in(cell, mark) for cell in cells]
+    for i, cell in enumerate(cells):
+        if numbers[i] is None and unit:
+            number, stated = parted(cell)
+            numbers[i] = number_in(number, mark) if stated == unit else None
+    if None not in numbers:
+        return np.array(numbers, dtype=float)
+    texts = [
+        cell if number is None else "" if number != number else repr(number)
+        for cell, number in zip(cells, numbers, strict=True)
+    ]
+    return np.array([text.encode()[:LONGEST_TEXT] for text in texts])
