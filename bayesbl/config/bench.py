@@ -180,7 +180,7 @@ class _Uncertain(Section):
 
 
 class ParameterEntry(_Uncertain):
-    """An entry of ``[parameters]``; a tolerance is the half-width of a uniform prior.
+    """An entry of ``[parameters]``; a tolerance is the half-width of its range.
 
     ``unit``: as the data sheet prints it, where it is not the one in the parameter's name.
     """

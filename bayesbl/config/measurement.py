@@ -99,7 +99,7 @@ StatedLimit = Annotated[Limit, BeforeValidator(_limit_of_text)]
 
 
 class Drift(Section):
-    """An entry of ``[joint.may_drift]``: half-width of a uniform prior, as a bench tolerance is."""
+    """An entry of ``[joint.may_drift]``: half-width of a uniform prior."""
 
     tolerance: Tolerance = Field(default=None, gt=0.0)
     relative_tolerance: Tolerance = Field(default=None, gt=0.0)
