@@ -31,11 +31,10 @@ from bayesbl.identification.wrong_by_far import (
 from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
-from bayesbl.matching.signals import GAP
 from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.model_search.always_in import is_useful, laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, OrderPeak, candidates, order_peaks
-from bayesbl.model_search.closed_loop import FittedSet, Naming, name_missing, weighed
+from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.model_search.linear import ModelPosterior
 from bayesbl.model_search.refit import (
@@ -58,9 +57,6 @@ AFAR = "Seeking a value wrong by far"
 
 DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
 """Those of the drive: between the motor and the controller, and the recording."""
-
-DOUBTFUL = 0.05
-"""Probability of a value beyond its tolerance from which on its gap is held against the answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +84,6 @@ class BeyondDataSheet:
 
 
 @dataclass(frozen=True, slots=True)
-class DoubtfulValues:
-    """Values that may lie beyond their tolerances, too improbable to be named.
-
-    ``gaps_rad``: δ of each gap with all values within, and with the likeliest beyond, (gap, 2).
-    """
-
-    names: tuple[str, ...]
-    probability: float
-    gaps_rad: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class Match:
     """The recordings fitted.
 
@@ -114,8 +98,6 @@ class Match:
         The value of the data sheet that is wrong, if one is.
     missing
         Effects that the bench lacks, by name, each with those it cannot be told from.
-    doubtful
-        Values that may be wrong, too improbable to be named; ``None`` without any.
     unnamed
         What nothing explains leaves open beside the final match; ``None`` where all is explained.
     """
@@ -124,7 +106,6 @@ class Match:
     final: Explanation
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
-    doubtful: DoubtfulValues | None = None
     unnamed: ModelPosterior | None = None
 
     @property
@@ -181,7 +162,6 @@ def identify(
         match.final,
         match.beyond,
         match.missing,
-        match.doubtful,
         match.unnamed,
         verdict=verdict,
         check=check,
@@ -213,18 +193,17 @@ def _match(problem: Problem, progress: StageProgress | None) -> Match:
         far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
         if far is not None:
             return replace(far, nominal=nominal)
-    doubtful = _doubtful(naming, problem)
     missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
     is_asked = problem.effects == "catalogue" or all(set(m) <= set(DELAYS) for m in missing)
     if not naming.effects or not is_asked:
-        return Match(nominal, nominal, None, missing, doubtful, naming.unnamed)
+        return Match(nominal, nominal, None, missing, naming.unnamed)
     named = with_own_noise(naming.final)
     final = replace(named, fit=believed(named.fit))
     wrong = next((e for e in naming.effects if e.candidate.kind == "parameter"), None)
     beyond = None
     if wrong is not None:
         beyond = _beyond(final, wrong.candidate, wrong.members[1:], problem)
-    return Match(nominal, final, beyond, missing, doubtful)
+    return Match(nominal, final, beyond, missing)
 
 
 def _is_far_off(nominal: Explanation) -> bool:
@@ -317,24 +296,6 @@ def _beyond(
     at = float(fit.point[place])
     deviations = min(abs(at - end) for end in ends) / sd
     return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)
-
-
-def _doubtful(naming: Naming, problem: Problem) -> DoubtfulValues | None:
-    """Values that may lie beyond their tolerances, with the gap of the likeliest such set."""
-
-    def beyond(own: FittedSet) -> list[str]:
-        return [c.name for c in own.explanation.candidates if c.kind == "parameter"]
-
-    sure = {e.name for e in naming.effects}
-    sets = [(own, p) for own, p in naming.sets if set(beyond(own)) - sure]
-    probability = sum(p for _, p in sets)
-    if probability < DOUBTFUL or naming.repeats:
-        return None
-    likeliest = max(sets, key=lambda item: item[1])[0]
-    gaps = [None] if problem.shares_gap else [seen.name for seen in problem.used]
-    values = [[f.value(GAP, g) for f in (naming.final.fit, likeliest.fit)] for g in gaps]
-    names = dict.fromkeys(name for own, _ in sets for name in beyond(own) if name not in sure)
-    return DoubtfulValues(tuple(names), probability, np.array(values))
 
 
 def parameter_draws(result: Identification, names: Sequence[str]) -> FloatArray:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.identification.identify import Identification
 from bayesbl.identification.problem import Problem
 from bayesbl.identification.well_known_factors import guess_of
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, standing_out
-from bayesbl.matching.signals import GAP
 from bayesbl.units import in_words
 
 
@@ -32,9 +29,6 @@ def reason_of(result: Identification, problem: Problem, level: float = 0.9) -> s
     if result.posterior.diagnostics.outcome == "withheld":
         return " ".join(result.posterior.diagnostics.reasons)
     gaps = [None] if problem.shares_gap else [seen.name for seen in problem.used]
-    decided = _decided_by_edges(result, gaps, level)
-    if decided is not None:
-        return decided
     for gap in gaps:
         beyond = result.posterior.beyond_tolerance(gap, level)
         if beyond is not None:
@@ -66,27 +60,6 @@ def beyond_in_words(result: Identification, problem: Problem) -> str:
     ratio = problem.bench.value("gear_ratio")
     text += guess_of(wrong.believed, wrong.tolerance, wrong.found, ratio)
     return text + " Correct the data sheet, or widen this tolerance, and identify again."
-
-
-def _decided_by_edges(
-    result: Identification, gaps: Sequence[str | None], level: float
-) -> str | None:
-    """Why δ is one of the tolerances, not of the recordings; ``None`` where it is not."""
-    doubtful = result.doubtful
-    if doubtful is None:
-        return None
-    for gap, (before, after) in zip(gaps, doubtful.gaps_rad, strict=True):
-        draws = result.posterior.values(GAP, gap)
-        low, high = np.quantile(draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-        if abs(after - before) > 0.5 * (high - low):
-            names = " or ".join(map(in_words, doubtful.names))
-            return (
-                f"The edges of tolerances decide δ: with a probability of "
-                f"{100.0 * doubtful.probability:.0f} % {names} lies beyond its own, and then δ is "
-                f"about {1e3 * after:.3g} mrad instead of {1e3 * before:.3g} mrad. Correct the "
-                "data sheet, or widen its tolerances."
-            )
-    return None
 
 
 def left_over(check: Sequence[RepeatingPower]) -> str:

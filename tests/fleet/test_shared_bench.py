@@ -7,6 +7,8 @@ directions of z well and others hardly.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -148,5 +150,6 @@ def test_a_joint_prior_becomes_standard_normal_beside_what_it_leaves_alone():
 
 
 def _identified(name: str, value: float, joint: JointNormal) -> Unknown:
-    low, middle, high = joint.range(name, value)
-    return Unknown(name, low, high, middle, joint.sd(name), logarithmic=True)
+    middle = math.log(value)
+    reach = 5.0 * joint.sd(name)
+    return Unknown(name, middle - reach, middle + reach, middle, joint.sd(name), logarithmic=True)

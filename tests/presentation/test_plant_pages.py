@@ -74,7 +74,7 @@ def test_joints_are_ranked_by_what_each_is_expected_to_cost(tmp_path):
     # Dearest where it is least urgent.
     costs = {row["joint"]: 10.0 ** (2 * n) for n, row in enumerate(by_date)}
     priced = [
-        replace(one, joint=replace(one.joint, cost_at_limit=costs[one.joint.name]))
+        replace(one, joint=one.joint.model_copy(update={"cost_at_limit": costs[one.joint.name]}))
         for one in measured
     ]
     by_cost = joint_rows(priced, {}, LEVEL, before)
