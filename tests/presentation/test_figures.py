@@ -220,7 +220,7 @@ def test_figures_come_from_the_file_alone_and_are_the_same_bytes_again(file, dra
 
 
 def test_every_figure_is_there_as_pdf_and_png(drawn):
-    corners = {f"corner_{name}" for name in ("before", "after")}
+    corners = {f"corner_{name}" for name in ("old", "new")}
     names = {"signal", "gap", "amplitude_to_gap", *corners}
     assert set(drawn) == {f"{name}.{kind}" for name in names for kind in ("pdf", "png")}
     assert all(path.stat().st_size < 500_000 for path in drawn.values())
