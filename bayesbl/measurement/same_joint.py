@@ -3,6 +3,7 @@
 Compared is what the gap moves little or not at all: the controller's gains, the mean current, the
 first two load orders of current and speed, the ringing's frequency and decay. How far a changed gap
 may move each of them is taken off the difference before it is held against its standard error.
+Without a current a changed filter of the recorded speed shows in the colour of the noise alone.
 """
 
 from __future__ import annotations
@@ -29,6 +30,12 @@ from bayesbl.measurement.joint_features import (
     features_of,
     harmonic_name,
 )
+from bayesbl.measurement.noise_colour import (
+    FilterChange,
+    NoiseSpectrum,
+    filter_change,
+    noise_spectrum,
+)
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.ringing.cleaning import MotorLine
@@ -39,6 +46,8 @@ FALSE_ALARM = 0.01
 """Of one comparison, over all its quantities and snapshots."""
 
 FREQUENCY, DECAY = "ringing frequency", "ringing decay"
+FILTER = "share of the ringing that is recorded"
+"""Its logarithm is compared, by the noise of the first snapshot and of another."""
 
 LINE = "line of the motor in the speed"
 """A ripple or an error of transmission or encoder, where it stands out of the speed."""
@@ -62,6 +71,8 @@ BY_SAMPLING = {FREQUENCY: 0.15, DECAY: 0.41}
 """Largest share by which a fit of samples T apart is off, per (ω T)², over the same benches at 125
 and 250 Hz (0.149 and 0.408, same command)."""
 
+SAME_RATE = 0.01
+"""Share by which two sampling rates may differ and still show the same noise."""
 
 SAME_SPEED = 0.02
 """Share by which two speeds may differ and the loop still answer a line of the motor alike."""
@@ -85,6 +96,7 @@ COULD_BE = {
         "speed_sensor_lag",
     ),
     DECAY: ("shaft_damping_nm_s_per_rad", "speed_gain_nm_s_per_rad", "speed_sensor_lag"),
+    FILTER: ("speed_averaging", "speed_sensor_lag"),
     LINE: ("gear_transmission_error", "motor_torque_ripple", "encoder_eccentricity"),
 }
 """What of the joint would move each quantity."""
@@ -106,8 +118,7 @@ SHOWN_BEST = (DECAY, FREQUENCY, PROPORTIONAL, INTEGRAL, harmonic_name("current",
 
 WITHOUT_CURRENT = (
     BlindSpot(
-        change="the speed controller's gains, the torque constant, friction and filters of the "
-        "speed",
+        change="the speed controller's gains, the torque constant and friction",
         reason=NO_CURRENT,
         delta_error_rad=None,
     ),
@@ -125,6 +136,7 @@ class _Seen:
     log_speed: float
     direction: float
     period_s: float
+    noise: NoiseSpectrum | None
     lines: Mapping[int, MotorLine]
 
 
@@ -154,18 +166,22 @@ def same_joint(
             pairs.append((first[said], snapshot))
         else:
             first[said] = snapshot
-    compared = sum(len(_compared(*pair)) + len(list(_lines(*pair))) for pair in pairs)
+    compared = sum(
+        len(_compared(*pair)) + (not _gains_seen(*pair)) + len(list(_lines(*pair)))
+        for pair in pairs
+    )
     if not compared:
         return joint_check()
     bound = normal_isf(0.5 * FALSE_ALARM / compared)
     places = [f" in {other.name}" if len(pairs) > 1 else "" for _, other in pairs]
+    filters = [None if _gains_seen(*pair) else _filter_change(*pair, bound) for pair in pairs]
     found = [
         finding
-        for pair, where in zip(pairs, places, strict=True)
-        for finding in _findings(*pair, bound, where)
+        for pair, change, where in zip(pairs, filters, places, strict=True)
+        for finding in _findings(*pair, change, bound, where)
     ]
     told = [(item, sentence) for item, sentence in found if sentence]
-    blind = list(_too_small(pairs, bound))
+    blind = [*_too_small(pairs, bound), *_filters_unseen(pairs, filters)]
     if not all(MOTOR_CURRENT in point.recording.channels for point in points):
         blind = [*WITHOUT_CURRENT, *blind]
     return joint_check(
@@ -208,18 +224,42 @@ def _seen(point: PointEstimate) -> _Seen:
         math.log(nominal_speed_rpm(recording)),
         float(np.sign(recording.motor_speed_rpm.mean())),
         recording.sampling_period_s,
+        noise_spectrum(point),
         {line.order: line for line in point.lines},
     )
 
 
 def _findings(
-    first: _Seen, other: _Seen, bound: float, where: str
+    first: _Seen, other: _Seen, change: FilterChange | None, bound: float, where: str
 ) -> Iterator[tuple[CheckItem, str]]:
     """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
     for item in _compared(first, other):
         yield item, _sentence(item, where) if abs(item["z"]) > bound else ""
+    if change is not None:
+        shift = change.log_amplitude
+        item = check_item(FILTER, math.exp(shift), 1.0, "", change.deviations)
+        if abs(item["z"]) > bound and abs(shift) > _harmless(first, other):
+            yield item, _sentence_of_filter(change, where)
+        else:
+            yield item, _sentence_of_level(first, other, change, bound, where)
     for item, order in _lines(first, other):
         yield item, _sentence_of_line(first, other, item, order, bound, where)
+
+
+def _gains_seen(first: _Seen, other: _Seen) -> bool:
+    """The law of the controller shows a filter of the speed, and better than the noise does."""
+    return all(PROPORTIONAL in seen.features for seen in (first, other))
+
+
+def _filter_change(first: _Seen, other: _Seen, bound: float) -> FilterChange | None:
+    if first.noise is None or other.noise is None or not _same_rate(first, other):
+        return None
+    return filter_change(first.noise, other.noise, bound)
+
+
+def _same_rate(first: _Seen, other: _Seen) -> bool:
+    """Another rate folds another part of the noise, so its colour says nothing of a filter."""
+    return abs(math.log(other.period_s / first.period_s)) < SAME_RATE
 
 
 def _harmless(first: _Seen, other: _Seen) -> float:
@@ -284,6 +324,47 @@ def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[B
         )
 
 
+def _filters_unseen(
+    pairs: Sequence[tuple[_Seen, _Seen]], filters: Sequence[FilterChange | None]
+) -> Iterator[BlindSpot]:
+    """What filter of the speed would pass, by the pair that shows it worst."""
+    by_noise = [
+        (pair, change)
+        for pair, change in zip(pairs, filters, strict=True)
+        if not _gains_seen(*pair)
+    ]
+    if any(change is None for _, change in by_noise):
+        yield BlindSpot(
+            change="a filter of the speed",
+            reason="these recordings have too little noise above the ringing, were mended, or "
+            "have different rates",
+            delta_error_rad=None,
+        )
+    reach = [
+        max(
+            change.high - change.log_amplitude,
+            change.log_amplitude - change.low,
+            change.folded_high,
+            -change.folded_low,
+            _harmless(*pair),
+        )
+        for pair, change in by_noise
+        if change is not None
+    ]
+    if reach:
+        yield BlindSpot(
+            change="a filter of the speed behind which most of the noise arises",
+            reason="the noise does not show it",
+            delta_error_rad=None,
+        )
+        yield BlindSpot(
+            change="a change of a filter of the speed that moves the ringing by less than "
+            f"{100.0 * math.expm1(max(reach)):.2g} %",
+            reason="too small for the noise of these recordings to show",
+            delta_error_rad=None,
+        )
+
+
 def _sd(name: str, first: _Seen, other: _Seen) -> float:
     return math.hypot(first.features[name].standard_error, other.features[name].standard_error)
 
@@ -324,6 +405,20 @@ def _sentence(item: CheckItem, where: str) -> str:
     )
 
 
+def _sentence_of_filter(change: FilterChange, where: str) -> str:
+    direction, least = (
+        ("raise", math.expm1(change.low))
+        if change.log_amplitude > 0.0
+        else ("lower", -math.expm1(change.high))
+    )
+    return (
+        f"The noise of the speed changed its colour{where}, as behind another filter or with noise "
+        f"from another source. Such a filter alone would {direction} the ringing by "
+        f"{100.0 * least:.2g} % or more. Record all snapshots through the same filter, or the "
+        "motor current as well."
+    )
+
+
 def _sentence_of_line(
     first: _Seen, other: _Seen, item: CheckItem, order: int, bound: float, where: str
 ) -> str:
@@ -348,4 +443,25 @@ def _sentence_of_line(
         f"{measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
         f"torque, not the gap. It could move the ringing by up to {100.0 * furthest:.2g} %, as "
         "much as was seen."
+    )
+
+
+def _sentence_of_level(
+    first: _Seen, other: _Seen, change: FilterChange, bound: float, where: str
+) -> str:
+    """Where a filter that folded noise hides may be all that moved the ringing; else nothing."""
+    moved = other.log_amplitude - first.log_amplitude
+    sd = math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
+    furthest = change.folded_high if moved > 0.0 else -change.folded_low
+    beyond_chance = abs(moved) > bound * sd
+    if not beyond_chance or furthest < max(abs(moved) - bound * sd, _harmless(first, other)):
+        return ""
+    direction, verb = ("raise", "rose") if moved > 0.0 else ("lower", "fell")
+    share = math.expm1(furthest) if moved > 0.0 else -math.expm1(-furthest)
+    factor = math.exp(0.5 * abs(change.level))
+    return (
+        f"The noise of the speed {verb} by a factor of {factor:.2g}{where}, at all frequencies. A "
+        "filter before a recorder that keeps one sample in several does that; it could "
+        f"{direction} the ringing by up to {100.0 * share:.2g} %, as much as was seen. "
+        "Record all snapshots through the same filter, or the motor current as well."
     )
