@@ -371,7 +371,7 @@ def fit_jointly(
         tried.insert(0, (*settled(part.fit, wider), wider, part))
     for own, beside_own, changing, elastic in tried:
         check = disagreements(beside_own.explained(own))
-        if agrees(check, FALSE_ALARM):
+        if agrees(check, FALSE_ALARM) and beside_own.is_possible:
             return own, beside_own, changed_beside(own, changing, elastic), check
     seeking = of_stage(progress, f"Seeking changes in {name}")
     fit, joint, unnamed = find_changes(fit, among=among, progress=seeking)

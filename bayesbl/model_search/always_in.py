@@ -40,7 +40,7 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import TAILS, DirectPosterior
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.predictive_check import FALSE_ALARM, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
@@ -359,6 +359,20 @@ class Beside:
             if lab.cause or (lab.directions[0].slot, lab.recording) not in changed
         )
 
+    @property
+    def is_possible(self) -> bool:
+        """Whether no law is surely less than none: then something else took its place."""
+        return not any(
+            label.directions[0].effect is not None
+            and label.directions[0].is_not_negative
+            and drawn[:, 0].mean() < -FAR * drawn[:, 0].std()
+            for label, drawn in zip(self.labels, self.by_label(), strict=True)
+        )
+
+    def explains(self, fit: SimulatedFit, false_alarm: float) -> bool:
+        """Whether the fit with all this agrees with the recordings, and can be."""
+        return self.is_possible and agrees(disagreements(self.explained(fit)), false_alarm)
+
     def by_label(self) -> list[FloatArray]:
         """Draws of the sizes of each label, shape (n, directions)."""
         return np.split(self.sizes, np.cumsum([len(own.directions) for own in self.labels])[:-1], 1)
@@ -541,7 +555,7 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
     snapshots is then a misfit's, and takes their gaps along.
     """
     found = _settled(fit, among, {None, *(seen.name for seen in fit.model.recordings)})
-    if agrees(disagreements(found[1].explained(found[0]))):
+    if found[1].explains(found[0], FALSE_ALARM):
         return found
     return _settled(fit, among, {None})
 

@@ -29,4 +29,5 @@ EFFECT = Effect(
     enters="loop",
     data="ringing less damped; current behind speed",
     always_in=True,
+    in_nominal=True,  # as late as the drive compensates
 )

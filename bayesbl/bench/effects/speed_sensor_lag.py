@@ -28,4 +28,5 @@ EFFECT = Effect(
     enters="loop",
     data="ringing less damped; pulse fronts rounded",
     always_in=True,
+    in_nominal=True,  # as late as the drive compensates
 )
