@@ -101,41 +101,9 @@ def repeats_beyond_noise(
     ratio: float,
     channels: Sequence[str],
     is_motion: bool,
+    times: float | None = None,
 ) -> str:
-    """Simulation and recording disagree, and δ is withheld."""
-    where, look = _disagreement(channel, recording, highest_order, ratio, channels, is_motion)
-    return (
-        f"Simulation and recording disagree beyond noise, so δ cannot be trusted: {where}. The "
-        f"bench file lacks an effect or has wrong values; {look}"
-    )
-
-
-def allows_for_misfit(
-    channel: str,
-    recording: str,
-    highest_order: int,
-    ratio: float,
-    channels: Sequence[str],
-    is_motion: bool,
-    times: float,
-) -> str:
-    """They disagree, and the interval of δ includes what that may do to it."""
-    where, look = _disagreement(channel, recording, highest_order, ratio, channels, is_motion)
-    return (
-        f"Simulation and recording disagree beyond noise: {where}. The bench lacks something that "
-        f"may move δ, and the interval is {times:.2g} times wider for it; {look}"
-    )
-
-
-def _disagreement(
-    channel: str,
-    recording: str,
-    highest_order: int,
-    ratio: float,
-    channels: Sequence[str],
-    is_motion: bool,
-) -> tuple[str, str]:
-    """Where it is, and how to find what is missing."""
+    """Simulation and recording disagree; ``times``: as wide as the interval of δ is for that."""
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part, look = "that repeats every rotation", "`bayesbl diagnose` looks for what is missing."
     if is_motion:
@@ -146,7 +114,15 @@ def _disagreement(
         f"in {channel} of {recording}, {which}, the part {part} has {ratio:.3g} times the power "
         f"expected from noise (disagreement in {', '.join(channels)})"
     )
-    return where, look
+    if times is None:
+        return (
+            f"Simulation and recording disagree beyond noise, so δ cannot be trusted: {where}. The "
+            f"bench file lacks an effect or has wrong values; {look}"
+        )
+    return (
+        f"Simulation and recording disagree beyond noise: {where}. The bench lacks something that "
+        f"may move δ, so the interval is {times:.2g} times as wide; {look}"
+    )
 
 
 def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
@@ -364,7 +340,7 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
     ),
     "repeats_beyond_noise": repeats_beyond_noise,
-    "allows_for_misfit": allows_for_misfit,
+    "allows_for_misfit": repeats_beyond_noise,
     # Of a change.
     "change_without_drift": lambda: (
         "The change by the amplitude does not include what [joint] may_drift allows, so it is "

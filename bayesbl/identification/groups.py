@@ -28,7 +28,7 @@ from bayesbl.identification.next_recording import NextRecording, next_recording
 from bayesbl.identification.problem import Problem
 from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
 from bayesbl.identification.told_apart import not_told_apart
-from bayesbl.identification.verdict import reason_of
+from bayesbl.identification.verdict import misfit_in_words, reason_of
 from bayesbl.identification.wrong_by_far import is_plausible
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.signals import GAP
@@ -66,13 +66,13 @@ def identification_tree(
             "disagreement": of_rows(disagreement_group("as the channel"), table.pieces),
         }
     )
-    doubts = result.posterior.diagnostics.reasons
+    doubts = [*misfit_in_words(result), *result.posterior.diagnostics.reasons]
     outcome = "withheld" if reason else ("usable" if doubts else "converged")
     tree.attrs = {
         "kind": "identify",
         "outcome": outcome,
         "reason": reason or "",
-        "warnings": [] if reason else list(doubts),
+        "warnings": [] if reason else doubts,
         "interval_level": level,
         "interval_kind": kind,
         "identification": json.dumps(answer, ensure_ascii=False),

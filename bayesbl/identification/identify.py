@@ -144,12 +144,12 @@ def identify(
     match = _match(problem, progress)
     fit, rest = settled(match.final.fit, laws(match.final.fit.model.bench))
     check = tuple(disagreements(rest.explained(fit)))
-    allows = False
-    if not agrees(check) and match.unnamed is not None and fit is match.final.fit:
+    explained = agrees(check) and rest.is_possible
+    if not explained and match.unnamed is not None and fit is match.final.fit:
         rest = replace(rest, posterior=match.unnamed)
-        allows = is_useful(fit, rest)
+    allows = not (explained or agrees(check)) and is_useful(fit, rest)
     match = replace(match, final=replace(match.final, fit=fit))
-    verdict: Verdict = "agrees" if agrees(check) else "unexplained"
+    verdict: Verdict = "agrees" if explained else "unexplained"
     if match.missing:
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))

@@ -37,6 +37,16 @@ def reason_of(result: Identification, problem: Problem, level: float = 0.9) -> s
     return None
 
 
+def misfit_in_words(result: Identification) -> list[str]:
+    """What a user of gaps and bench must know of what nothing explains; empty without it."""
+    if not result.allows_for_misfit:
+        return []
+    return [
+        f"Something of the joint is not in the bench. {left_over(result.check)} All intervals "
+        "include what that may do to them. `bayesbl diagnose` looks for what is missing."
+    ]
+
+
 def _lacking(result: Identification) -> str:
     names = " and ".join(" or ".join(map(in_words, members)) for members in result.missing)
     lacks = (

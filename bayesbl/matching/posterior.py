@@ -163,8 +163,8 @@ class DirectPosterior:
                 else:
                     width, mend = "tolerance", "Correct the bench file, or widen this tolerance."
                 return (
-                    f"δ depends on {effect}{'.' if dot else ''}{parameter}, which lies beyond the "
-                    f"{side} edge of the {width}: that could move δ by "
+                    f"δ depends on {effect}{'.' if dot else ''}{parameter}, which lies at the "
+                    f"{side} edge of the {width} or beyond: that could move δ by "
                     f"{1e3 * shift:.2g} mrad, further than its interval. {mend}"
                 )
         return None
@@ -554,7 +554,7 @@ def _contradicted(
                 i,
                 side,
                 reach,
-                f"{unknown.label} lies beyond the {side} edge of its tolerance "
+                f"The recordings put {unknown.label} at the {side} edge of its tolerance or beyond "
                 f"({ends[0]:.4g} to {ends[1]:.4g}).",
             )
 

@@ -403,7 +403,7 @@ def fit_directly(
     name = " and ".join(r.name for r in recordings)
     report = of_stage(progress, f"Sampling {name}")
     simulating = of_stage(progress, f"Simulating draws of {name}")
-    allows = not joint.explained and not joint.against_bench and is_useful(fit, rest)
+    allows = not (joint.explained or agrees(check, FALSE_ALARM)) and is_useful(fit, rest)
     withheld = joint.against_bench or not (joint.explained or allows)
     posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:

@@ -121,8 +121,8 @@ A judgement: one more stage that the same clock paces."""
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
 USEFUL_RATIO, USEFUL_LEVEL = 2.0, 0.9
-"""Of the ends of an interval, from which on it says too little of a gap: makers' limits of wear are
-two to three times a new joint's gap."""
+"""Of the ends of an interval, from which on it says too little of a gap. A judgement: it no longer
+tells a worn joint from one twice as worn."""
 
 WIDTH_DRAWS = 1000
 
@@ -360,8 +360,13 @@ class Beside:
         )
 
     @property
+    def has_discrepancy(self) -> bool:
+        """Whether what nothing explains is in the posterior."""
+        return bool(self.posterior.linearised.groups)
+
+    @property
     def is_possible(self) -> bool:
-        """Whether no law is surely less than none: then something else took its place."""
+        """Whether no law is surely less than none: then it stands for something else."""
         return not any(
             label.directions[0].effect is not None
             and label.directions[0].is_not_negative
@@ -441,8 +446,8 @@ def always_terms(
 def _dry_share(fit: SimulatedFit) -> list[Direction]:
     """How much of the load's friction is dry, where a fit at one speed takes all for viscous.
 
-    Dry friction brakes a load that crosses the gap no more where it crosses faster. None of it is
-    as likely as all: half-normal, with the standard deviation of a uniform share about none.
+    Dry friction brakes a load that crosses the gap no more where it crosses faster. Half-normal,
+    with 1/√3 of all friction as standard deviation: of a uniform share the root mean square.
     """
     model = fit.model
     names = {u.name for u in model.unknowns}
@@ -641,9 +646,10 @@ def marginalised(
 def is_useful(fit: SimulatedFit, rest: Beside) -> bool:
     """Whether a fit beside which something repeats that nothing explains has gaps of use.
 
-    A fit that leaves as much again as noise does is no place to be linear at.
+    A fit that leaves as much again as noise does is no place to be linear at, and without the
+    discrepancy beside it the draws know nothing of what repeats.
     """
-    if fit.chi_square > MOST_AGREEING * fit.residual.size:
+    if not rest.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
         return False
     drawn = rest.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
     for place, unknown in enumerate(fit.model.unknowns):

@@ -300,6 +300,17 @@ def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None
     assert abs(gap_deviations(found)) < 3.5
 
 
+def test_a_misfit_that_is_allowed_for_is_told() -> None:
+    """With where it is; never as a bench that explains everything."""
+    found = replace(identified(), verdict="unexplained", allows_for_misfit=True)
+    tree = identification_tree(found, problem(data_sheet()), 0.9, "equal_tailed")
+    assert tree.attrs["outcome"] == "usable"
+    assert tree.attrs["identified_bench"]
+    (told, *_) = tree.attrs["warnings"]
+    assert "Something of the joint is not in the bench" in told
+    assert "recording" in told
+
+
 def test_a_filter_in_the_speed_that_the_tolerances_would_absorb_is_found() -> None:
     """Gap and filter within 3.5 standard deviations; without it the check passes as well.
 

@@ -31,8 +31,9 @@ def posterior(
         [u.name for u in unknowns],
         None,
     )
-    index: Any = lambda name, recording: 0  # noqa: E731
-    model: Any = SimpleNamespace(unknowns=unknowns, normal_prior=prior, index=index)
+    model: Any = SimpleNamespace(
+        unknowns=unknowns, normal_prior=prior, index=lambda name, recording: 0
+    )
     fit: Any = SimpleNamespace(model=model)
     values = np.log(1e-3) + slope * (parameter - unknown.middle) + rng.normal(0.0, 0.01, SHAPE)
     draws = np.stack([values, parameter], axis=-1)

@@ -26,6 +26,7 @@ from bayesbl.model_search.always_in import (
     directions,
     edge_variances,
     elastic_part,
+    is_useful,
     laws,
     settled,
     with_neutral,
@@ -278,6 +279,12 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     z = (part.fit.point[place] - math.log(GAP_RAD)) / math.sqrt(part.fit.covariance[place, place])
     assert abs(z) < 3.0
     assert part.fit.chi_square < nominal.chi_square - 30.0
+
+
+def test_a_fit_without_its_discrepancy_gives_no_gap_where_something_repeats() -> None:
+    """However narrow: its draws know nothing of what nothing explains."""
+    fit = pair(BENCH)
+    assert not is_useful(fit, beside(fit, directions(BENCH, {})))
 
 
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
