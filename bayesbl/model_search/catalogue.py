@@ -41,6 +41,7 @@ LOWEST_ORDER = 0.45
 ORDER_FALSE_ALARM = 1e-3
 """Of a line at any order, over all of them."""
 PADDING = 4
+MOST_PEAKS = 3
 SIDEBANDS = 2.5
 """Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
 
@@ -208,7 +209,7 @@ class OrderPeak:
     power: float
 
 
-def order_peaks(fit: SimulatedFit, count: int = 3) -> list[OrderPeak]:
+def order_peaks(fit: SimulatedFit) -> list[OrderPeak]:
     """The strongest motor orders above the noise, one falsely in a thousand fits."""
     spectra = [_spectrum(fit, i) for i in range(len(fit.model.recordings))]
     highest = max(order[-1] for order, _, _ in spectra)
@@ -224,7 +225,7 @@ def order_peaks(fit: SimulatedFit, count: int = 3) -> list[OrderPeak]:
     limit = 0.5 * chi2_isf(ORDER_FALSE_ALARM / grid.size, np.maximum(degrees, 1.0))
     peaks: list[OrderPeak] = []
     excess = np.where(power > limit, power, 0.0)
-    while len(peaks) < count and excess.max() > 0.0:
+    while len(peaks) < MOST_PEAKS and excess.max() > 0.0:
         k = int(np.argmax(excess))
         peak, nearest = float(grid[k]), round(float(grid[k]))
         if nearest and abs(peak - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):

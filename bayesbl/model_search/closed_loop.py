@@ -39,15 +39,7 @@ from bayesbl.model_search.constants import (
     SLACK,
     UNEXPLAINED_SHARE,
 )
-from bayesbl.model_search.linear import (
-    Linearised,
-    MisfitBand,
-    ModelPosterior,
-    Priors,
-    Term,
-    confounded,
-    search,
-)
+from bayesbl.model_search.linear import Linearised, MisfitBand, Priors, Term, confounded, search
 from bayesbl.model_search.refit import (
     Explanation,
     columns_of,
@@ -398,7 +390,7 @@ class _Search:
             if whole in self._sets or whole in tried or len(tried) >= CONTENDERS + len(terms) - 1:
                 continue
             tried.add(whole)
-            sizes, shift = _promise(posterior, terms)
+            sizes, shift = posterior.mean_of(terms)
             starts, begin = [], 0
             for shape in added:
                 own = sizes[begin : begin + shape.usual.size] * shape.usual
@@ -558,18 +550,6 @@ def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
         and "twist" in effect_named(c.name).depends_on
         and effect_named(c.name).replaces != GAP
     ]
-
-
-def _promise(posterior: ModelPosterior, terms: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-    """Sizes and shift of a set, which the posterior may have dropped."""
-    if terms in posterior.sets:
-        return posterior.mean_of(terms)
-    view = posterior.linearised
-    chosen = [replace(view.terms[i], always=True, positive=False) for i in terms]
-    beside = [t for t in view.terms if t.always]
-    alone = search(replace(view, terms=[*chosen, *beside]), None, 0)
-    sizes, shift = alone.mean_of_all()
-    return sizes[: sum(t.columns.shape[1] for t in chosen)], shift
 
 
 def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[FloatArray]:
