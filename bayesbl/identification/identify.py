@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.identification.problem import Problem
+from bayesbl.identification.summary import Verdict
 from bayesbl.identification.wrong_by_far import (
     explanations_from_afar,
     freed,
@@ -48,8 +48,6 @@ from bayesbl.model_search.refit import (
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
-
-Verdict = Literal["agrees", "missing_effect", "unexplained"]
 
 AFAR = "Seeking a value wrong by far"
 """Stage of the progress."""
