@@ -40,7 +40,9 @@ class EffectFound(TypedDict):
 
 
 class BeyondSummary(TypedDict):
-    """A value of the data sheet that the recordings contradict."""
+    """A value of the data sheet that the recordings contradict: ``deviations`` from the nearer end
+    of its tolerance to what was found, in standard deviations; ``could_be`` others that would
+    explain the recordings as well, each alone."""
 
     name: str
     believed: float
