@@ -33,7 +33,7 @@ from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
 from bayesbl.matching.signals import GAP
 from bayesbl.matching.standstill import believed, in_motion
-from bayesbl.model_search.catalogue import Candidate, OrderPeak, candidates, order_peaks
+from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import FittedSet, Naming, name_missing, weighed
 from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.model_search.refit import (
@@ -184,9 +184,7 @@ def _is_far_off(nominal: Explanation) -> bool:
     return nominal.fit.chi_square > 2.0 * nominal.fit.residual.size
 
 
-def _hypotheses(
-    problem: Problem, nominal: Explanation, peaks: Sequence[OrderPeak]
-) -> list[Candidate]:
+def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) -> list[Candidate]:
     """What the data sheet may lack: effects, and each value beyond its tolerance."""
     effects = candidates(nominal.fit.model.bench, problem.used, "all", peaks)
     # A reference that was sampled has round corners, as by a delay.
@@ -217,9 +215,7 @@ def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
     return replace(nominal, fit=fit)
 
 
-def _with_effects(
-    nominal: Explanation, problem: Problem, peaks: Sequence[OrderPeak]
-) -> Explanation:
+def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]) -> Explanation:
     """Effects asked for by name added one after the other."""
     best = nominal
     asked = candidates(problem.bench, problem.used, problem.effects, peaks)

@@ -29,7 +29,7 @@ from bayesbl.matching.observed import Observed, whole_rotations
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.model_search.always_in import Direction, always_terms
-from bayesbl.model_search.catalogue import Candidate, OrderPeak, is_harmonic, order_peaks
+from bayesbl.model_search.catalogue import Candidate, is_harmonic, order_peaks
 from bayesbl.model_search.constants import (
     FORM_SHARE,
     HOPEFUL_SHARE,
@@ -189,7 +189,7 @@ def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatA
 
 def name_missing(
     nominal_fit: SimulatedFit,
-    candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
+    candidates: Callable[[Sequence[float]], Sequence[Candidate]],
     *,
     max_effects: int = 3,
     among: Sequence[Direction] = (),
@@ -218,7 +218,7 @@ class _Search:
     def __init__(
         self,
         nominal: Explanation,
-        candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
+        candidates: Callable[[Sequence[float]], Sequence[Candidate]],
         most: int,
         among: Sequence[Direction],
         progress: Progress,
