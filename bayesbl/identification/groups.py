@@ -21,7 +21,7 @@ from bayesbl.diagnosis.closed_loop.diagnosis import estimates
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of, simulated_pairs
 from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
 from bayesbl.diagnosis.groups import POSTERIOR, disagreement_group, of_rows, posterior_dataset
-from bayesbl.diagnosis.summary import disagreement_summary, interval_of, sampling_summary
+from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
 from bayesbl.errors import BenchError
 from bayesbl.identification.identify import Identification, identified_bench, parameter_draws
 from bayesbl.identification.next_recording import next_recording
@@ -155,7 +155,7 @@ def _answer(
             for name in _free_effects(result.final)
         ],
         "missing": [list(members) for members in result.missing],
-        "data_sheet_error": result.beyond,
+        "data_sheet_error": plain(result.beyond),
         "not_told_apart": together,
         "disagreement": disagreement_summary(table),
         "suggested_recording": _suggested(result.final),

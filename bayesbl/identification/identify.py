@@ -21,7 +21,7 @@ from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.identification.problem import Problem
-from bayesbl.identification.summary import BeyondSummary, Verdict
+from bayesbl.identification.summary import Verdict
 from bayesbl.identification.wrong_by_far import (
     explanations_from_afar,
     freed,
@@ -60,6 +60,30 @@ DOUBTFUL = 0.05
 
 
 @dataclass(frozen=True, slots=True)
+class BeyondDataSheet:
+    """A value of the data sheet that the recordings contradict.
+
+    Attributes
+    ----------
+    believed, tolerance
+        By the data sheet.
+    found
+        By the recordings.
+    deviations
+        From the nearer end of its tolerance to what was found, in standard deviations.
+    could_be
+        Other parameters that would explain the recordings as well, each alone.
+    """
+
+    name: str
+    believed: float
+    tolerance: float
+    found: float
+    deviations: float
+    could_be: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class DoubtfulValues:
     """Values that may lie beyond their tolerances, too improbable to be named.
 
@@ -92,7 +116,7 @@ class Match:
 
     nominal: Explanation
     final: Explanation
-    beyond: BeyondSummary | None = None
+    beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
     doubtful: DoubtfulValues | None = None
 
@@ -256,7 +280,7 @@ def _is_outside(explanation: Explanation, problem: Problem) -> bool:
 
 def _beyond(
     final: Explanation, candidate: Candidate, could_be: tuple[str, ...], problem: Problem
-) -> BeyondSummary:
+) -> BeyondDataSheet:
     name, fit = candidate.name, final.fit
     (place,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
@@ -264,14 +288,7 @@ def _beyond(
     sd = math.sqrt(float(weighed(final).covariance[place, place]))
     at = float(fit.point[place])
     deviations = min(abs(at - end) for end in ends) / sd
-    return {
-        "name": name,
-        "believed": value,
-        "tolerance": half,
-        "found": math.exp(at),
-        "deviations": deviations,
-        "could_be": list(could_be),
-    }
+    return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)
 
 
 def _doubtful(naming: Naming, problem: Problem) -> DoubtfulValues | None:

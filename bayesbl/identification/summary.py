@@ -40,9 +40,7 @@ class EffectFound(TypedDict):
 
 
 class BeyondSummary(TypedDict):
-    """A value of the data sheet that the recordings contradict: ``deviations`` from the nearer end
-    of its tolerance to what was found, in standard deviations; ``could_be`` others that would
-    explain the recordings as well, each alone."""
+    """A value of the data sheet that the recordings contradict."""
 
     name: str
     believed: float

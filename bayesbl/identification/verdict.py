@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesbl.bench.effects import with_bench_file_hint
-from bayesbl.identification.identify import Identification
+from bayesbl.identification.identify import BeyondDataSheet, Identification
 from bayesbl.identification.problem import Problem
-from bayesbl.identification.summary import BeyondSummary
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, standing_out
 from bayesbl.matching.signals import GAP
 from bayesbl.units import in_words
@@ -53,15 +52,14 @@ def _lacking(result: Identification) -> str:
     return with_bench_file_hint(lacks, (members[0] for members in result.missing))
 
 
-def beyond_in_words(wrong: BeyondSummary) -> str:
+def beyond_in_words(wrong: BeyondDataSheet) -> str:
     """Which value of the data sheet is wrong, by how much, and what else it could be."""
     text = (
-        f"{wrong['name']} is {wrong['deviations']:.0f} standard deviations outside its data sheet: "
-        f"{wrong['found']:.4g} by the recordings, {wrong['believed']:.4g} ± "
-        f"{wrong['tolerance']:.2g} there."
+        f"{wrong.name} is {wrong.deviations:.0f} standard deviations outside its data sheet: "
+        f"{wrong.found:.4g} by the recordings, {wrong.believed:.4g} ± {wrong.tolerance:.2g} there."
     )
-    if wrong["could_be"]:
-        text += f" It could also be {' or '.join(wrong['could_be'])}."
+    if wrong.could_be:
+        text += f" It could also be {' or '.join(wrong.could_be)}."
     return text + " Correct the data sheet, or widen this tolerance, and identify again."
 
 

@@ -241,8 +241,8 @@ def test_a_value_beyond_its_tolerance_is_named_and_the_bench_withheld() -> None:
     sheet = data_sheet(**{name: 2.0})
     found = identify(problem(sheet), SETTINGS, np.random.SeedSequence(2))
     assert found.beyond is not None
-    assert name in (found.beyond["name"], *found.beyond["could_be"])
-    assert found.beyond["deviations"] > 3.0
+    assert name in (found.beyond.name, *found.beyond.could_be)
+    assert found.beyond.deviations > 3.0
     reason = reason_of(found, problem(sheet))
     assert reason is not None
     assert "outside its data sheet" in reason
@@ -264,8 +264,8 @@ def test_a_value_wrong_by_far_is_named(name: str, wrong: float) -> None:
     found = far_beyond_data_sheet(problem(data_sheet(**{name: wrong})))
     assert found is not None
     assert found.beyond is not None
-    assert found.beyond["name"] == name
-    assert found.beyond["found"] == pytest.approx(joint().value(name), rel=0.3)
+    assert found.beyond.name == name
+    assert found.beyond.found == pytest.approx(joint().value(name), rel=0.3)
 
 
 def test_a_wrong_value_is_named_although_others_make_up_for_it() -> None:
@@ -275,7 +275,7 @@ def test_a_wrong_value_is_named_although_others_make_up_for_it() -> None:
     found = identify(problem(sheet), SETTINGS, np.random.SeedSequence(2))
     assert agrees(disagreements(found.nominal.fit))
     assert found.beyond is not None
-    assert found.beyond["name"] == name
+    assert found.beyond.name == name
     assert abs(gap_deviations(found)) < 3.5
 
 
