@@ -12,13 +12,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 import xarray as xr
 
 from bayesbl.bench.learned import EncoderError, LearnedTerm, Side, Variable
-from bayesbl.diagnosis.diagnosis import (
-    Diagnosis,
-    Estimate,
-    LearnedAnswer,
-    SuggestedRecording,
-    Verdict,
-)
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.results.folder import AUGMENTED_BENCH
@@ -116,6 +110,15 @@ class DisagreementTableSummary(TypedDict):
     over_all: dict[Use, DisagreementSummary]
 
 
+class SuggestedRecording(TypedDict):
+    """A recording that would separate what these cannot."""
+
+    reference_speed_rpm: float
+    payload_share: float
+    distance: float
+    separates: list[list[str]]
+
+
 class SamplingSummary(TypedDict):
     """How well the posterior was sampled."""
 
@@ -172,7 +175,7 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
         "disagreement": disagreement_summary(found.disagreement),
         "delta_rad_before": of(found.delta_before),
         "delta_rad_after": of(found.delta_after),
-        "suggested_recording": found.suggestion,
+        "suggested_recording": of(found.suggestion),
     }
     if found.gap_withheld:
         answer["gap_withheld"] = found.gap_withheld

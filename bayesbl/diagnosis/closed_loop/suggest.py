@@ -10,7 +10,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
-from bayesbl.diagnosis.diagnosis import SuggestedRecording
+from bayesbl.diagnosis.diagnosis import Suggestion
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import START_ANGLE
 from bayesbl.model_search.closed_loop import NamedCandidate
@@ -26,9 +26,7 @@ ROTATIONS = 5.0
 """Of the load, in a recording that is suggested."""
 
 
-def suggested_recording(
-    final: Explanation, named: Sequence[NamedCandidate]
-) -> SuggestedRecording | None:
+def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> Suggestion | None:
     """Of some simple recordings the one in which rivals differ most; ``None`` without rivals.
 
     Every explanation is simulated with what it was fitted to; what a start angle or an offset of
@@ -37,9 +35,9 @@ def suggested_recording(
     rivals = [rival for effect in named for _, rival in effect.indistinguishable]
     if not rivals:
         return None
-    separates = [list(effect.members) for effect in named if effect.indistinguishable]
+    separates = tuple(effect.members for effect in named if effect.indistinguishable)
     first = final.fit.model.recordings[0]
-    best: SuggestedRecording | None = None
+    best: Suggestion | None = None
     for speed, payload in _options(final.fit.model.recordings):
         seen = [_seen(e, first, speed, payload) for e in (final, *rivals)]
         if any(s is None for s in seen):
@@ -52,13 +50,8 @@ def suggested_recording(
             difference = noise.whiten(other).ravel() - turn
             difference -= shift * float(difference @ shift) / float(shift @ shift)
             least = min(least, float(np.linalg.norm(difference)) * math.sqrt(ROTATIONS))
-        if best is None or least > best["distance"]:
-            best = {
-                "reference_speed_rpm": speed,
-                "payload_share": payload,
-                "distance": least,
-                "separates": separates,
-            }
+        if best is None or least > best.distance:
+            best = Suggestion(speed, payload, least, separates)
     return best
 
 
