@@ -74,14 +74,15 @@ from bayesbl.measurement.motion_verdict import (
 from bayesbl.model_search.always_in import (
     Beside,
     Direction,
+    ElasticPart,
     beside,
     directions,
     edge_variances,
+    elastic_part,
     marginalised,
     settled,
     with_friction,
 )
-from bayesbl.model_search.elastic_part import ElasticPart, elastic_part
 from bayesbl.model_search.joint_change import (
     FALSE_ALARM,
     JointFindings,

@@ -11,6 +11,11 @@ parameters by damage: hypotheses with a small probability and a wide size, avera
 may change several parameters: where gravity's torque is another, so is the inertia, though what
 shows of it may look like drift.
 
+An elastic part of the joint, a belt, an arm or a base, is no direction: what it does is far from
+linear in its compliance, and the tolerances of a bench take up most of it, with δ off by much more
+than its interval. So each is tried at its full size over its frequencies, fitted where that
+promises anything, and weighed.
+
 All is linear at a fit (:mod:`bayesbl.model_search.linear`). What is far from where the fit has it
 is made one of its unknowns, fitted and sampled as any other; linear is the rest.
 """
@@ -20,20 +25,26 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS, drift_of, largest
+from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import TAILS, DirectPosterior
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
+from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
+from bayesbl.model_search.refit import Explanation, columns_of, polished, refit
+from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 
 SEEN_STEP = 4.0
@@ -82,6 +93,20 @@ and another question is asked of the recordings."""
 
 LEAST_LEFT = 0.01
 """Share of a positive parameter that no drift or change takes."""
+
+PART = 1.0 / 6.0
+"""Probability that a joint has one elastic part that its bench lacks. A judgement: half of all
+joints have one, any of three."""
+
+TRIED_IN_VAIN = 0.05
+"""Share of joints without such a part in which one is fitted all the same; that only takes time."""
+
+PLACES_FITTED = 2
+"""Of each part, the most promising of its grid."""
+
+CLOSE = 30.0
+"""χ² by which a rough fit of one part may be behind that of another and still be fitted to the end:
+odds of e¹⁵."""
 
 DEAD_TIME = Slot.sampled_control__delay_periods.name
 UNSTATED_PERIODS = 1.0
@@ -555,3 +580,168 @@ def edge_variances(posterior: DirectPosterior) -> FloatArray:
     if EDGE_VARIANCE not in names:
         return np.zeros(posterior.draws.shape[:-1])
     return posterior.draws[..., names.index(EDGE_VARIANCE)]
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticPart:
+    """A part that the recordings speak for and the bench lacks.
+
+    Attributes
+    ----------
+    fit
+        With it in the bench at its most probable values, and the unknowns of the nominal fit.
+    directions
+        Its own values, to be marginalised: of what swings behind it the recordings say little, and
+        that moves δ little.
+    values, sds
+        By slot.
+    probability
+        Against no such part and the others.
+    """
+
+    fit: SimulatedFit
+    directions: tuple[Direction, ...]
+    values: Mapping[str, float]
+    sds: Mapping[str, float]
+    probability: float
+
+    @property
+    def name(self) -> str:
+        """Of its effect."""
+        return next(iter(self.values)).partition("__")[0]
+
+    @property
+    def frequency_hz(self) -> float:
+        """Of what swings behind it against the rest of its inertia; of a base against ground."""
+        effect = effect_named(self.name)
+        assert effect.resonance is not None
+        (compliance,) = effect.amplitudes
+        part = self.values[f"{self.name}__{effect.resonance.part}"]
+        inertia = part
+        if effect.resonance.is_share:
+            inertia *= (1.0 - part) * self.fit.model.bench.value(effect.resonance.inertia)
+        of_spring = self.values[f"{self.name}__{compliance.name}"]
+        return 1.0 / (2.0 * math.pi * math.sqrt(of_spring * inertia))
+
+
+def elastic_part(
+    nominal: SimulatedFit, fit: SimulatedFit, among: Sequence[Direction]
+) -> ElasticPart | None:
+    """The part that is more likely than none, laws and drift beside either; ``None`` where none is.
+
+    ``fit``: ``nominal`` with laws and drift freed that stood in for the part. They are linear again
+    beside it, as they are next to nothing then: a lag of microseconds is what the simulator is
+    slowest with.
+    """
+    bench, recordings = fit.model.bench, fit.model.recordings
+    names = [e.name for e in EFFECTS if e.resonance is not None]
+    parts = [c for c in candidates(bench, recordings, names) if c.name in names]
+    tried = sum(len(c.starts) for c in parts)
+    known = _Known.of(fit, among)
+    rough = [e for e in (_fitted_part(known, part, tried) for part in parts) if e is not None]
+    rough = [e for e in rough if e.fit.chi_square < _goal(fit)]
+    least = min((e.fit.chi_square for e in rough), default=0.0)
+    fitted = []
+    for close in (e for e in rough if e.fit.chi_square < least + CLOSE):
+        with suppress(BenchError):
+            fitted.append(polished(close))
+    if not fitted:
+        return None
+    weights = [_log_evidence(Explanation((), fit), among)]
+    for found in fitted:
+        weights.append(_log_evidence(found, among) + math.log(PART / (1.0 - len(parts) * PART)))
+    probability = np.exp(np.array(weights) - max(weights))
+    probability /= probability.sum()
+    best = int(np.argmax(probability))
+    return None if best == 0 else _in_bench(nominal, fitted[best - 1], float(probability[best]))
+
+
+def _log_evidence(explanation: Explanation, among: Sequence[Direction]) -> float:
+    """Laplace's, of what is added to a fit, all that stands beside it marginalised."""
+    added = sum(len(c.unknowns) for c in explanation.candidates)
+    volume = 0.5 * added * math.log(2.0 * math.pi)
+    posterior = beside(explanation.fit, among).posterior
+    return posterior.log_evidence + explanation.log_prior + volume
+
+
+def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
+    """A fitted part put into the bench, its values as directions of their flat priors."""
+    (part,) = found.candidates
+    places, own = found.places(part), nominal.point.size
+    values = {u.name: float(found.fit.point[k]) for u, k in zip(part.unknowns, places, strict=True)}
+    sds = {
+        u.name: math.sqrt(float(found.fit.covariance[k, k]))
+        for u, k in zip(part.unknowns, places, strict=True)
+    }
+    effect = BenchEffect(
+        part.name,
+        {name.partition("__")[2]: EffectParameterValue(value) for name, value in values.items()},
+    )
+    bench = nominal.model.bench
+    model = nominal.model.beside(bench.with_effects(*bench.effects, effect), ())
+    alone = fit_simulated(model, found.fit.point[:own], found.fit.steps[:own])
+    directions = tuple(
+        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0, is_fitted=True)
+        for u in part.unknowns
+    )
+    return ElasticPart(alone, directions, values, sds, probability)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """What may move beside a fit: its unknowns, laws and drift, within their priors.
+
+    Attributes
+    ----------
+    orthogonal, triangle
+        Of its derivatives and priors, d unknowns and k sizes, shapes (N + d + k, d + k) and
+        (d + k, d + k).
+    residual
+        What is orthogonal to all of it, shape (N + d + k,).
+    """
+
+    fit: SimulatedFit
+    orthogonal: FloatArray
+    triangle: FloatArray
+    residual: FloatArray
+
+    @classmethod
+    def of(cls, fit: SimulatedFit, among: Sequence[Direction]) -> _Known:
+        """Of a fit, with laws and drift among these."""
+        _, columns = always_terms(fit, among)
+        own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
+        laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])
+        known = np.vstack([np.hstack([own, laws]), block_diag(prior, np.eye(laws.shape[1]))])
+        orthogonal, triangle = np.linalg.qr(known)
+        residual = np.concatenate([fit.residual, np.zeros(known.shape[1])])
+        return cls(fit, orthogonal, triangle, residual - orthogonal @ (orthogonal.T @ residual))
+
+    def promise(self, column: FloatArray) -> tuple[float, FloatArray]:
+        """Fall of χ² by a column (N,), none where it is the other way, and the shift of the fit's
+        unknowns that goes with its full size, shape (d,)."""
+        column = np.concatenate([column, np.zeros(len(self.triangle))])
+        shared = self.orthogonal.T @ column
+        column = column - self.orthogonal @ shared
+        along = max(float(column @ self.residual), 0.0)
+        shift = -np.linalg.solve(self.triangle, shared)
+        return along**2 / float(column @ column), np.asarray(shift[: self.fit.point.size])
+
+
+def _fitted_part(known: _Known, part: Candidate, tried: int) -> Explanation | None:
+    """A part fitted from the best places of its grid; ``None`` where none of them promises more
+    than noise would in ``tried`` places."""
+    fit = known.fit
+    promises = [
+        (*known.promise(columns[0] * start[0]), start)
+        for start, columns in zip(part.starts, columns_of(fit, part)[1:], strict=True)
+        if columns
+    ]
+    promises.sort(key=lambda promise: -promise[0])
+    limit = chi2_isf(TRIED_IN_VAIN / tried, 1.0)
+    best: Explanation | None = None
+    for promise, shift, start in promises[:PLACES_FITTED]:
+        if promise > limit:
+            found = refit(Explanation((), fit), [(part, start)], shift, _goal(fit))
+            if found and (best is None or found.fit.chi_square < best.fit.chi_square):
+                best = found
+    return best

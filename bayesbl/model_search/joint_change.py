@@ -23,10 +23,9 @@ from bayesbl.matching.loop_noise import noise_along
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
-from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction
+from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
 from bayesbl.model_search.closed_loop import name_missing
-from bayesbl.model_search.elastic_part import ElasticPart
 from bayesbl.model_search.refit import Explanation, columns_of, with_own_noise
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent

@@ -109,6 +109,7 @@ def refit(
     base: Explanation,
     added: Sequence[tuple[Candidate, FloatArray]],
     shift: FloatArray,
+    goal: float = math.inf,
 ) -> Explanation | None:
     """A set and some candidates more, fitted roughly; ``None`` if it cannot be simulated.
 
@@ -118,6 +119,8 @@ def refit(
         Candidates, each with the coordinates that the linearisation promises, shape (k,).
     shift
         What it promises of the unknowns that are there already, shape (d,).
+    goal
+        χ² above which the fit serves nothing.
     """
     model = base.fit.model
     for candidate, _ in added:
@@ -137,7 +140,7 @@ def refit(
     with suppress(BenchError):
         best, steps = trials[int(np.argmin(chi_squares))], base.fit.steps
         known = base.fit.derivatives()
-        fit = fit_simulated(model, best, steps, rough=True, known=known)
+        fit = fit_simulated(model, best, steps, rough=True, known=known, goal=goal)
         return Explanation(candidates, fit)
     return None
 

@@ -24,10 +24,10 @@ from bayesbl.model_search.always_in import (
     beside,
     directions,
     edge_variances,
+    elastic_part,
     laws,
     settled,
 )
-from bayesbl.model_search.elastic_part import elastic_part
 from bayesbl.sampling.chains import SamplerSettings
 
 BENCH = reference_bench()
