@@ -43,7 +43,7 @@ from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown
 from bayesbl.matching.signals import start_angle_unknown as start_angle
-from bayesbl.model_search.catalogue import OrderPeak, candidates
+from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.refit import Explanation, refit
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -416,8 +416,7 @@ def _own_fit(found: Findings, hidden: Hidden) -> Explanation | None:
         if own.explanation.names == (name,):
             return own.explanation
     order = TYPICAL[name].get("order", 1.0)
-    peaks = [OrderPeak(order, 0.0)]
-    known = candidates(nominal.fit.model.bench, nominal.fit.model.recordings, [name], peaks)
+    known = candidates(nominal.fit.model.bench, nominal.fit.model.recordings, [name], [order])
     for candidate in known:
         if candidate.name == name:
             size = candidate.neutral + np.nan_to_num(candidate.usual)

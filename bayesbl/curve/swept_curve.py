@@ -46,18 +46,17 @@ class SweptDraws:
     root: FloatArray | None = None
 
 
-def virtual_departures(
-    swept: SweptDraws, generator: np.random.Generator, count: int = VIRTUAL_DRAWS
-) -> FloatArray:
-    """Departures (ln A, ln ω, ln τ) of ``count`` benches drawn within the tolerances.
+def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> FloatArray:
+    """Departures (ln A, ln ω, ln τ) of :data:`VIRTUAL_DRAWS` benches drawn within the tolerances.
 
     Linear in the parameters, with their squares where the swept draws are three times as many as
     the terms; the swept draws alone, with repetition, if they are too few for either.
 
     Returns
     -------
-    Shape (count, g, 3).
+    Shape (VIRTUAL_DRAWS, g, 3).
     """
+    count = VIRTUAL_DRAWS
     draws, parameters = swept.shifts.shape
     if draws < 2 * (1 + parameters):
         return np.asarray(swept.departures[generator.integers(draws, size=count)])

@@ -94,10 +94,8 @@ _VARIABLES = (
     _OfChannel("recorded", "{unit}", "recording, mean over rotations", along=_ANGLE),
     _OfChannel("simulated", "{unit}", "simulation, mean over rotations", along=_ANGLE),
     _OfChannel("load_map", "{unit}", "residual that repeats with the load angle", along=_ANGLE),
-    _OfChannel("amplitude", "{unit}", "amplitude of the residual", "spectrum.amplitude", "bin"),
-    _OfChannel(
-        "noise_amplitude", "{unit}", "RMS amplitude of noise", "spectrum.noise_amplitude", "bin"
-    ),
+    _OfChannel("amplitude", "{unit}", "amplitude of the residual", along="bin"),
+    _OfChannel("noise_amplitude", "{unit}", "RMS amplitude of noise", along="bin"),
     _of_lines("frequency_hz", "Hz", "frequency"),
     _of_lines("load_order", "1", "cycles per turn of the load"),
     _of_lines("motor_order", "1", "cycles per turn of the motor"),

@@ -24,9 +24,13 @@ from bayesbl.diagnosis.groups import POSTERIOR, disagreement_group, of_rows, pos
 from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
 from bayesbl.errors import BenchError
 from bayesbl.identification.identify import Identification, identified_bench, parameter_draws
-from bayesbl.identification.next_recording import NextRecording, next_recording
+from bayesbl.identification.next_recording import next_recording
 from bayesbl.identification.problem import Problem
-from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
+from bayesbl.identification.summary import (
+    IdentificationAnswer,
+    NextRecordingSummary,
+    ParameterSummary,
+)
 from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import misfit_in_words, reason_of
 from bayesbl.identification.wrong_by_far import is_plausible
@@ -152,9 +156,9 @@ def _answer(
         ],
         "missing": [list(members) for members in result.missing],
         "data_sheet_error": plain(result.beyond),
-        "not_told_apart": plain(together),
+        "not_told_apart": together,
         "disagreement": disagreement_summary(table),
-        "suggested_recording": plain(_suggested(result.final)),
+        "suggested_recording": _suggested(result.final),
         "diagnostics": sampling_summary(result.posterior),
     }
     if not withheld:
@@ -170,7 +174,7 @@ def _free_effects(final: Explanation) -> list[str]:
     return [effect.name for effect in model.bench.effects if effect.name in free]
 
 
-def _suggested(final: Explanation) -> NextRecording | None:
+def _suggested(final: Explanation) -> NextRecordingSummary | None:
     try:
         return next_recording(final.fit)
     except (BenchError, np.linalg.LinAlgError):

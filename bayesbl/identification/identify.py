@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import JointNormal
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.identification.problem import Problem
+from bayesbl.identification.summary import Verdict
 from bayesbl.identification.wrong_by_far import (
     explanations_from_afar,
     freed,
@@ -33,7 +33,7 @@ from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
 from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.model_search.always_in import is_useful, laws, marginalised, settled
-from bayesbl.model_search.catalogue import Candidate, OrderPeak, candidates, order_peaks
+from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.model_search.linear import ModelPosterior
@@ -49,8 +49,6 @@ from bayesbl.model_search.refit import (
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
-
-Verdict = Literal["agrees", "missing_effect", "unexplained"]
 
 AFAR = "Seeking a value wrong by far"
 """Stage of the progress."""
@@ -211,9 +209,7 @@ def _is_far_off(nominal: Explanation) -> bool:
     return nominal.fit.chi_square > 2.0 * nominal.fit.residual.size
 
 
-def _hypotheses(
-    problem: Problem, nominal: Explanation, peaks: Sequence[OrderPeak]
-) -> list[Candidate]:
+def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) -> list[Candidate]:
     """What the data sheet may lack: effects, and each value beyond its tolerance."""
     effects = candidates(nominal.fit.model.bench, problem.used, "all", peaks)
     # A reference that was sampled has round corners, as by a delay.
@@ -244,9 +240,7 @@ def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
     return replace(nominal, fit=fit)
 
 
-def _with_effects(
-    nominal: Explanation, problem: Problem, peaks: Sequence[OrderPeak]
-) -> Explanation:
+def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]) -> Explanation:
     """Effects asked for by name added one after the other."""
     best = nominal
     asked = candidates(problem.bench, problem.used, problem.effects, peaks)

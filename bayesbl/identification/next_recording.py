@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from bayesbl.diagnosis.closed_loop.suggest import ROTATIONS, SPEED_SHARES
+from bayesbl.identification.summary import NextRecordingSummary
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
@@ -26,32 +27,7 @@ PACES = (1.0, 0.6, 0.3)
 """Of a recorded motion: none is asked for that is faster than the joint has shown."""
 
 
-@dataclass(frozen=True, slots=True)
-class NextRecording:
-    """Five load rotations at one speed, or a motion as long as a recorded one.
-
-    Attributes
-    ----------
-    reference_speed_rpm
-        Of a motion the largest.
-    motion_of
-        Name of the recording whose way it goes; ``None`` for a rotation.
-    information_bits
-        Expected: half the binary logarithm of how much the volume of what is unknown shrinks.
-    sharpens
-        The gap or parameter that gains most, with the standard deviation of its logarithm before
-        and after.
-    """
-
-    reference_speed_rpm: float
-    motion_of: str | None
-    information_bits: float
-    sharpens: str
-    sd_before: float
-    sd_after: float
-
-
-def next_recording(fit: SimulatedFit) -> NextRecording | None:
+def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:
     """The one of some that is expected to tell most; ``None`` if the joint can run none.
 
     Some speeds in both directions; of a joint that has shown motions alone, these at some paces.
@@ -68,7 +44,7 @@ def next_recording(fit: SimulatedFit) -> NextRecording | None:
         for seen, place in tried
         if (information := _information(fit, shared, seen, place)) is not None
     ]
-    return max(options, key=lambda one: one.information_bits, default=None)
+    return max(options, key=lambda one: one["information_bits"], default=None)
 
 
 def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
@@ -117,16 +93,20 @@ def _judged(
     before: FloatArray,
     seen: Observed,
     information: FloatArray,
-) -> NextRecording:
+) -> NextRecordingSummary:
     after = np.linalg.inv(np.linalg.inv(before) + information)
     bits = 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1]) / math.log(2.0)
     sd = np.sqrt(np.stack([np.diag(before), np.diag(after)]))
     relative = np.array([fit.model.unknowns[i].logarithmic for i in shared])
     best = int(np.argmin(np.where(relative, sd[1] / sd[0], np.inf)))
-    name = fit.model.unknowns[shared[best]].name
-    way = None if seen.motion is None else seen.name
-    sds = float(sd[0, best]), float(sd[1, best])
-    return NextRecording(seen.reference_speed_rpm, way, float(bits), name, *sds)
+    return {
+        "reference_speed_rpm": seen.reference_speed_rpm,
+        "motion_of": None if seen.motion is None else seen.name,
+        "information_bits": float(bits),
+        "sharpens": fit.model.unknowns[shared[best]].name,
+        "sd_before": float(sd[0, best]),
+        "sd_after": float(sd[1, best]),
+    }
 
 
 def _information(

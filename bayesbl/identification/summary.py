@@ -8,9 +8,10 @@ from typing import Literal, NotRequired, TypedDict
 import xarray as xr
 
 from bayesbl.diagnosis.summary import DisagreementTableSummary, HeldValue, SamplingSummary
-from bayesbl.identification.identify import Verdict
 from bayesbl.results.intervals import Interval
 from bayesbl.results.store import Head, head
+
+Verdict = Literal["agrees", "missing_effect", "unexplained"]
 
 
 class PriorSummary(TypedDict):
@@ -50,7 +51,8 @@ class BeyondSummary(TypedDict):
 
 
 class TogetherSummary(TypedDict):
-    """Parameters that are known together far better than alone."""
+    """Parameters known together far better than alone: all by their ratios to each other, or two by
+    their product; relative standard deviations, the largest of one alone and of what is told."""
 
     parameters: list[str]
     told: Literal["ratios", "product"]
@@ -59,8 +61,9 @@ class TogetherSummary(TypedDict):
 
 
 class NextRecordingSummary(TypedDict):
-    """What to record next; ``motion_of``: the recording whose motion to repeat, null for a
-    rotation."""
+    """What to record next: five load rotations at one speed, or ``motion_of`` the recording whose
+    motion to repeat; ``information_bits``: half the binary logarithm of how much the volume of what
+    is unknown shrinks; what it ``sharpens`` most, and the standard deviation of its logarithm."""
 
     reference_speed_rpm: float
     motion_of: str | None

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
+from bayesbl.identification.summary import TogetherSummary
 from bayesbl.recording.types import FloatArray
 
 SHARPER = 0.5
@@ -16,25 +16,7 @@ SHARPER = 0.5
 It chooses words and no number."""
 
 
-@dataclass(frozen=True, slots=True)
-class Together:
-    """Parameters that are known together far better than alone.
-
-    Attributes
-    ----------
-    told
-        ``ratios``: of all of them to each other; ``product``: of two.
-    alone_sd, together_sd
-        Largest relative standard deviation of one of them, and of what is told.
-    """
-
-    parameters: tuple[str, ...]
-    told: Literal["ratios", "product"]
-    alone_sd: float
-    together_sd: float
-
-
-def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[Together]:
+def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSummary]:
     """Groups known by their ratios, and pairs by their product.
 
     Parameters
@@ -63,9 +45,14 @@ def _together(
     group: Sequence[int],
     told: Literal["ratios", "product"],
     sd: float,
-) -> Together:
+) -> TogetherSummary:
     alone = max(float(logarithms[:, i].std()) for i in group)
-    return Together(tuple(names[i] for i in group), told, alone, sd)
+    return {
+        "parameters": [names[i] for i in group],
+        "told": told,
+        "alone_sd": alone,
+        "together_sd": sd,
+    }
 
 
 def _groups(logarithms: FloatArray) -> Iterator[tuple[int, ...]]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayesbl.bench.effects import with_bench_file_hint
-from bayesbl.identification.identify import Identification
+from bayesbl.identification.identify import BeyondDataSheet, Identification
 from bayesbl.identification.problem import Problem
-from bayesbl.identification.well_known_factors import guess_of
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, standing_out
 from bayesbl.units import in_words
 
@@ -17,7 +16,7 @@ def reason_of(result: Identification, problem: Problem, level: float = 0.9) -> s
     if result.missing and not result.completed:
         return _lacking(result)
     if result.beyond is not None:
-        return beyond_in_words(result, problem)
+        return beyond_in_words(result.beyond)
     if (result.verdict == "unexplained" and not result.allows_for_misfit) or _stands_out(result):
         return (
             "No values within the tolerances, no single value beyond them and no effect of the "
@@ -57,18 +56,14 @@ def _lacking(result: Identification) -> str:
     return with_bench_file_hint(lacks, (members[0] for members in result.missing))
 
 
-def beyond_in_words(result: Identification, problem: Problem) -> str:
+def beyond_in_words(wrong: BeyondDataSheet) -> str:
     """Which value of the data sheet is wrong, by how much, and what else it could be."""
-    wrong = result.beyond
-    assert wrong is not None
     text = (
         f"{wrong.name} is {wrong.deviations:.0f} standard deviations outside its data sheet: "
         f"{wrong.found:.4g} by the recordings, {wrong.believed:.4g} ± {wrong.tolerance:.2g} there."
     )
     if wrong.could_be:
         text += f" It could also be {' or '.join(wrong.could_be)}."
-    ratio = problem.bench.value("gear_ratio")
-    text += guess_of(wrong.believed, wrong.tolerance, wrong.found, ratio)
     return text + " Correct the data sheet, or widen this tolerance, and identify again."
 
 

@@ -41,6 +41,7 @@ LOWEST_ORDER = 0.45
 ORDER_FALSE_ALARM = 1e-3
 """Of a line at any order, over all of them."""
 PADDING = 4
+MOST_PEAKS = 3
 SIDEBANDS = 2.5
 """Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
 
@@ -192,24 +193,11 @@ class Candidate:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class OrderPeak:
-    """A line in the spectrum of whitened residuals over motor revolutions.
+def order_peaks(fit: SimulatedFit) -> list[float]:
+    """The strongest lines of whitened residuals over motor revolutions, cycles in each.
 
-    Attributes
-    ----------
-    order
-        Cycles per motor revolution.
-    power
-        Summed over recordings and channels, in units of the noise's mean power.
+    Above the noise: one falsely in a thousand fits.
     """
-
-    order: float
-    power: float
-
-
-def order_peaks(fit: SimulatedFit, count: int = 3) -> list[OrderPeak]:
-    """The strongest motor orders above the noise, one falsely in a thousand fits."""
     spectra = [_spectrum(fit, i) for i in range(len(fit.model.recordings))]
     highest = max(order[-1] for order, _, _ in spectra)
     step = min(order[1] - order[0] for order, _, _ in spectra)
@@ -222,14 +210,14 @@ def order_peaks(fit: SimulatedFit, count: int = 3) -> list[OrderPeak]:
 
     # Under noise alone twice the summed power is χ² with two degrees per recording and channel.
     limit = 0.5 * chi2_isf(ORDER_FALSE_ALARM / grid.size, np.maximum(degrees, 1.0))
-    peaks: list[OrderPeak] = []
+    peaks: list[float] = []
     excess = np.where(power > limit, power, 0.0)
-    while len(peaks) < count and excess.max() > 0.0:
+    while len(peaks) < MOST_PEAKS and excess.max() > 0.0:
         k = int(np.argmax(excess))
         peak, nearest = float(grid[k]), round(float(grid[k]))
         if nearest and abs(peak - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):
             peak = float(nearest)
-        peaks.append(OrderPeak(peak, float(power[k])))
+        peaks.append(peak)
         excess[np.abs(grid - grid[k]) < 0.05] = 0.0
     return peaks
 
@@ -252,7 +240,7 @@ def candidates(
     bench: Bench,
     recordings: Sequence[Observed],
     effects: Sequence[str] | Literal["all"] = "all",
-    peaks: Sequence[OrderPeak] = (),
+    peaks: Sequence[float] = (),
     *,
     declared: Sequence[str] = (),
     load_angle_known: bool = False,
@@ -387,7 +375,7 @@ def _periodic(
     bench: Bench,
     effect: Effect,
     recordings: Sequence[Observed],
-    peaks: Sequence[OrderPeak],
+    peaks: Sequence[float],
     motor_angle_known: bool,
 ) -> list[Candidate]:
     """One candidate per whole order seen: what turns with the motor repeats with it."""
@@ -395,12 +383,12 @@ def _periodic(
     amplitude = amplitude.scaled(search_scale(bench, effect, amplitude))
     owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
     hypotheses = []
-    for peak in peaks:
-        if peak.order != round(peak.order) or (not effect.has_order and peak.order != 1.0):
+    for order in peaks:
+        if order != round(order) or (not effect.has_order and order != 1.0):
             continue
         unknowns = [_unknown(effect, amplitude, 0.0, amplitude.high)]
         unknowns += [Unknown(f"{effect.name}__{PHASE}", recording=owner) for owner in owners]
-        at_peak = _neutral_effect(effect, order=peak.order)
+        at_peak = _neutral_effect(effect, order=order)
         neutral = np.zeros(len(unknowns))
         usual = np.full(len(unknowns), math.nan)
         usual[0] = _usual(bench, effect, [amplitude])[0]

@@ -29,7 +29,7 @@ from bayesbl.matching.observed import Observed, whole_rotations
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.model_search.always_in import Direction, always_terms
-from bayesbl.model_search.catalogue import Candidate, OrderPeak, is_harmonic, order_peaks
+from bayesbl.model_search.catalogue import Candidate, is_harmonic, order_peaks
 from bayesbl.model_search.constants import (
     FORM_SHARE,
     HOPEFUL_SHARE,
@@ -201,7 +201,7 @@ def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatA
 
 def name_missing(
     nominal_fit: SimulatedFit,
-    candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
+    candidates: Callable[[Sequence[float]], Sequence[Candidate]],
     *,
     max_effects: int = 3,
     among: Sequence[Direction] = (),
@@ -235,7 +235,7 @@ class _Search:
     def __init__(
         self,
         nominal: Explanation,
-        candidates: Callable[[Sequence[OrderPeak]], Sequence[Candidate]],
+        candidates: Callable[[Sequence[float]], Sequence[Candidate]],
         most: int,
         among: Sequence[Direction],
         progress: Progress,
@@ -417,7 +417,7 @@ class _Search:
             if whole in self._sets or whole in tried or len(tried) >= CONTENDERS + len(terms) - 1:
                 continue
             tried.add(whole)
-            sizes, shift = _promise(posterior, terms)
+            sizes, shift = posterior.mean_of(terms)
             starts, begin = [], 0
             for shape in added:
                 own = sizes[begin : begin + shape.usual.size] * shape.usual
@@ -577,18 +577,6 @@ def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
         and "twist" in effect_named(c.name).depends_on
         and effect_named(c.name).replaces != GAP
     ]
-
-
-def _promise(posterior: ModelPosterior, terms: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-    """Sizes and shift of a set, which the posterior may have dropped."""
-    if terms in posterior.sets:
-        return posterior.mean_of(terms)
-    view = posterior.linearised
-    chosen = [replace(view.terms[i], always=True, positive=False) for i in terms]
-    beside = [t for t in view.terms if t.always]
-    alone = search(replace(view, terms=[*chosen, *beside]), None, 0)
-    sizes, shift = alone.mean_of_all()
-    return sizes[: sum(t.columns.shape[1] for t in chosen)], shift
 
 
 def _own_signal(explanation: Explanation, candidate: Candidate) -> Iterator[FloatArray]:

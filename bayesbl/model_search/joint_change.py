@@ -24,7 +24,7 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
-from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, OrderPeak, candidates
+from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
 from bayesbl.model_search.closed_loop import name_missing
 from bayesbl.model_search.linear import ModelPosterior
 from bayesbl.model_search.refit import Explanation, columns_of, with_own_noise
@@ -379,7 +379,7 @@ def _in_another(fit: SimulatedFit, name: str, one: str, other: str) -> tuple[flo
 
 
 def _candidates(
-    fit: SimulatedFit, peaks: Sequence[OrderPeak], *, one_by_one: bool = False
+    fit: SimulatedFit, peaks: Sequence[float], *, one_by_one: bool = False
 ) -> list[Candidate]:
     """All that may differ from the bench, in all recordings together and in each alone.
 
@@ -491,7 +491,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
     # That something was changed by people is only a small probability.
     marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
-    for candidate in _candidates(fit, [OrderPeak(1.0, 0.0)], one_by_one=True):
+    for candidate in _candidates(fit, [1.0], one_by_one=True):
         if candidate.recording != last or len(candidate.amplitudes) != 1:
             continue
         if marginalised & {u.name for u in candidate.unknowns}:

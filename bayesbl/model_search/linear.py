@@ -674,22 +674,16 @@ class ModelPosterior:
 
     def mean_of(self, terms: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         """Most probable sizes of the columns of a set in their order, (k,), and the shift of u
-        with them, (d,)."""
+        with them, (d,); at the scales of the most probable model, where the set has none."""
         grams = self._grams
-        level = next(m._level for m in self.models if m.terms == terms)
+        own = (m._level for m in self.models if m.terms == terms)
+        level = next(own, self.models[0]._level)
         base = grams.base(level)
         columns, _, precision = grams.normal(terms, level)
         right = grams.at(level)[1][columns]
         sizes = _within(right, precision, grams.is_positive[columns])
         centre = base.inverse @ (base.nuisance_pull - base.cross[:, columns] @ sizes)
         return sizes[: columns.size - grams.bound_columns.size], centre[: grams.d]
-
-    def mean_of_all(self) -> tuple[FloatArray, FloatArray]:
-        """Sizes of what is always there with either sign, (k,), and the shift of u, (d,), in the
-        most probable model."""
-        base = self._grams.base(self.models[0]._level)
-        centre = base.inverse @ base.nuisance_pull
-        return centre[self._grams.d :], centre[: self._grams.d]
 
     def single_gains(self) -> dict[int, float]:
         """ln of prior times evidence that each selected term adds alone, were there no misfit."""

@@ -20,7 +20,7 @@ from scipy.fft import next_fast_len
 from bayesbl.compiled import compiled
 from bayesbl.errors import NoFlankChange
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.objective import Objective
+from bayesbl.ringing.objective import SHORTEST_ROTATION_S, Objective
 from bayesbl.ringing.symbols import (
     DECAY,
     DEFAULT_RANGES,
@@ -61,7 +61,7 @@ def search_window(objective: Objective) -> Window:
     low, high = model.ranges.get(ROTATION, (2.5 * length, longest))
     if ROTATION in fixed:
         low = high = fixed[ROTATION]
-    return Window(length, max(low, objective.shortest_rotation_s), min(high, longest))
+    return Window(length, max(low, SHORTEST_ROTATION_S), min(high, longest))
 
 
 def guesses(objective: Objective, count: int) -> FloatArray:

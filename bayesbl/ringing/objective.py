@@ -67,6 +67,10 @@ def kernel_parameters(values: Mapping[str, float | FloatArray]) -> FloatArray:
     return np.stack(np.broadcast_arrays(*(columns[i] for i in range(8))), axis=-1)
 
 
+SHORTEST_ROTATION_S = 0.2
+"""No rotation period below this is evaluated: the sum of squares is infinite there."""
+
+
 class Objective:
     """Sum of squared residuals of one recording as a function of the searched symbols.
 
@@ -76,8 +80,6 @@ class Objective:
         Which symbols are free, and the number of baseline harmonics.
     time_s, speed_rpm
         Shape (n,), evenly sampled.
-    shortest_rotation_s
-        No rotation period below this is evaluated (the sum of squares is infinite there).
     excluded
         Shape (n,): samples to ignore; none by default.
     """
@@ -87,7 +89,6 @@ class Objective:
         model: DisturbanceModel,
         time_s: FloatArray,
         speed_rpm: FloatArray,
-        shortest_rotation_s: float = 0.2,
         excluded: BoolArray | None = None,
     ) -> None:
         self.model = model
@@ -95,7 +96,6 @@ class Objective:
         n = self.speed_rpm.size
         self.period_s = float(time_s[-1] - time_s[0]) / (n - 1)
         self.time_s = time_s[0] + self.period_s * np.arange(n)
-        self.shortest_rotation_s = shortest_rotation_s
         self.used = np.ones(n, dtype=bool) if excluded is None else ~excluded
         self._left_out = np.flatnonzero(~self.used)
         self.offset_rpm = float(self.speed_rpm[self.used].mean())
@@ -106,7 +106,7 @@ class Objective:
         self._y_square = float(self._y @ self._y)
         self._columns = 2 + 2 * model.baseline_harmonics
         length = kernel.grid_length(n)
-        highest = max(model.baseline_harmonics, 1) / shortest_rotation_s
+        highest = max(model.baseline_harmonics, 1) / SHORTEST_ROTATION_S
         rows = math.ceil(highest * self.period_s * length) + 2
         self._table = kernel.harmonic_table(self._y, min(rows, length // 2))
         self._left_out_table = np.empty((0, 2))
@@ -190,7 +190,7 @@ class Objective:
         matrix = kernel_parameters(values)
         matrix[:, kernel.MEAN] -= self.offset_rpm
         is_far = ~(np.abs(matrix[:, kernel.FIRST_IMPACT]) <= FURTHEST_START * self.period_s)
-        is_short = matrix[:, kernel.ROTATION] < self.shortest_rotation_s
+        is_short = matrix[:, kernel.ROTATION] < SHORTEST_ROTATION_S
         matrix[is_far | is_short, kernel.ROTATION] = np.nan
         return matrix
 

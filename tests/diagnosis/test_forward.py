@@ -276,7 +276,7 @@ def test_a_ripple_that_a_stronger_effect_hides_is_named_with_it(independent) -> 
         recorded(independent, (2000.0, -1200.0), 8, hidden),
         ("load_torque_offset", "motor_torque_ripple"),
     )
-    assert 6.0 not in [round(p.order) for p in order_peaks(found.findings.naming.nominal.fit)]
+    assert 6.0 not in [round(order) for order in order_peaks(found.findings.naming.nominal.fit)]
     assert sorted(names(found)) == ["load_torque_offset", "motor_torque_ripple"]
     ripple = fitted(found, "motor_torque_ripple")
     assert ripple["order"].value == 6.0

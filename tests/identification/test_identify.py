@@ -153,16 +153,16 @@ def test_the_surrogate_has_the_shape_of_the_posterior_along_what_no_recording_sh
 def test_what_cannot_be_told_apart_is_said() -> None:
     found, sheet = identified(), problem(data_sheet())
     groups = not_told_apart(sheet.parameters, parameter_draws(found, sheet.parameters))
-    ratios = max((g for g in groups if g.told == "ratios"), key=lambda g: len(g.parameters))
-    assert {"gravity_torque_nm", "torque_constant_nm_per_a"} <= set(ratios.parameters)
-    assert ratios.together_sd < ratios.alone_sd
+    ratios = max((g for g in groups if g["told"] == "ratios"), key=lambda g: len(g["parameters"]))
+    assert {"gravity_torque_nm", "torque_constant_nm_per_a"} <= set(ratios["parameters"])
+    assert ratios["together_sd"] < ratios["alone_sd"]
 
 
 def test_a_further_recording_is_expected_to_tell_something() -> None:
     suggested = next_recording(identified().final.fit)
     assert suggested is not None
-    assert suggested.information_bits > 0.0
-    assert suggested.sd_after < suggested.sd_before
+    assert suggested["information_bits"] > 0.0
+    assert suggested["sd_after"] < suggested["sd_before"]
 
 
 def test_strokes_tell_what_a_slower_turn_does_not() -> None:
@@ -192,7 +192,7 @@ def test_strokes_tell_what_a_slower_turn_does_not() -> None:
     # What comes next is a turn at one speed, although the last recording was none.
     suggested = next_recording(found.final.fit)
     assert suggested is not None
-    assert suggested.sd_after < suggested.sd_before
+    assert suggested["sd_after"] < suggested["sd_before"]
 
 
 def test_a_joint_that_only_strokes_is_identified_from_strokes_alone() -> None:
@@ -209,8 +209,8 @@ def test_a_joint_that_only_strokes_is_identified_from_strokes_alone() -> None:
     # The joint has not shown that it can turn round.
     suggested = next_recording(found.final.fit)
     assert suggested is not None
-    assert suggested.motion_of in {seen.name for seen in stroked}
-    assert suggested.information_bits > 0.0
+    assert suggested["motion_of"] in {seen.name for seen in stroked}
+    assert suggested["information_bits"] > 0.0
 
 
 @pytest.mark.parametrize(("wrong", "differs"), [({}, True), ({"load_inertia_kg_m2": 1e4}, False)])

@@ -60,15 +60,6 @@ class Split:
 
 
 @dataclass(frozen=True, slots=True)
-class Spectrum:
-    """Amplitude of the residual at every bin, and what noise alone would have there (RMS), (b,)."""
-
-    frequency_hz: FloatArray
-    amplitude: FloatArray
-    noise_amplitude: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class ChannelResiduals:
     """The residual of one channel of one recording, in the unit that the channel's name ends in.
 
@@ -88,6 +79,8 @@ class ChannelResiduals:
         Significant lines, strongest first.
     load_map, load_map_error
         What repeats, offset included, at load angles 2π j/720, shape (720,); its standard error.
+    amplitude, noise_amplitude
+        Of the residual at every bin, and what noise alone would have there (RMS), shape (b,).
     recorded, simulated
         Averages over the rotations at the same angles.
     noise_sd
@@ -111,7 +104,8 @@ class ChannelResiduals:
     load_map_error: float
     recorded: FloatArray
     simulated: FloatArray
-    spectrum: Spectrum
+    amplitude: FloatArray
+    noise_amplitude: FloatArray
     noise_sd: float
     drift_per_s: float
     drift_error_per_s: float
@@ -257,7 +251,8 @@ def _channel(
         load_map_error=map_error(parts, whole),
         recorded=mean_over_rotations(recorded, whole),
         simulated=mean_over_rotations(simulated, whole),
-        spectrum=_spectrum(difference, parts, whole),
+        amplitude=2.0 * np.abs(np.fft.rfft(difference - difference.mean())) / whole.samples,
+        noise_amplitude=2.0 * np.sqrt(parts.floor.at_bins(whole.samples) / whole.samples),
         noise_sd=parts.floor.sd,
         drift_per_s=parts.drift_per_s,
         drift_error_per_s=parts.drift_error_per_s,
@@ -274,15 +269,6 @@ def _main_orders(power: FloatArray) -> tuple[int, int] | None:
     below = np.cumsum(power[1:]) / total
     aside = 0.5 * (1.0 - MAIN_SHARE)
     return int(np.argmax(below >= aside)) + 1, int(np.argmax(below >= 1.0 - aside)) + 1
-
-
-def _spectrum(difference: FloatArray, parts: Decomposition, whole: WholeRotations) -> Spectrum:
-    transform = np.abs(np.fft.rfft(difference - difference.mean()))
-    return Spectrum(
-        whole.frequency_hz,
-        2.0 * transform / whole.samples,
-        2.0 * np.sqrt(parts.floor.at_bins(whole.samples) / whole.samples),
-    )
 
 
 def _split(difference: FloatArray, parts: Decomposition) -> Split:
