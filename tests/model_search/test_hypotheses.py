@@ -10,7 +10,7 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
-from bayesbl.model_search.catalogue import OrderPeak, candidates
+from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.refit import Explanation
 
 
@@ -18,7 +18,7 @@ def test_candidates_of_one_name_are_told_apart() -> None:
     """Ripples of two orders hold arrays, which have no truth value when compared."""
     bench = reference_bench()
     made = bench.simulate(8e-4, rotations=2.0, seed=np.random.default_rng(1))
-    peaks = [OrderPeak(order, 1.0) for order in (1.0, 2.0, 6.0)]
+    peaks = [1.0, 2.0, 6.0]
     found = candidates(bench, [observed(made, bench)], "all", peaks)
     ripples = [c for c in found if c.name == "motor_torque_ripple"]
     assert len({c.key for c in ripples}) == 3
