@@ -28,7 +28,7 @@ EFFECT = Effect(
             "damping_time_s",
             "s",
             "damping over stiffness t_f",
-            high=2e-2,
+            high=1e-2,
             typical=1e-3,
             neutral=1e-3,
             bounded=True,
