@@ -51,6 +51,7 @@ FACTOR = 1.2
 GAP_RAD = (3e-4, 2e-3)
 GREW = 1.25
 SPEED_RPM = 2000.0
+SPEED_OFF = 0.05  # of a drive's: its rotation is no whole number of samples, ticks or counts
 ROTATIONS = 4.0
 LOUDER = 5.0
 UNLIKE = 0.15
@@ -181,12 +182,19 @@ def _soft(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]
     return {"outside__edge_rad": windup * math.exp(rng.uniform(*np.log(EDGE_SHARE)))}
 
 
+def _digital_loop(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]:
+    speed_rpm = SPEED_RPM * (1.0 + SPEED_OFF * rng.uniform(-1.0, 1.0))
+    return {
+        "sampled_control__period_s": rng.choice(LOOP_PERIODS_S),
+        "reference_speed_rpm": speed_rpm,
+    }
+
+
 def _drive(joint: Bench, hz: float, rng: np.random.Generator) -> dict[str, float]:
     gravity = joint.value("gravity_torque_nm")
     at_motor, speed = gravity / joint.value("gear_ratio"), SPEED_RPM * math.tau / 60.0
     dry, viscous, at_load = rng.uniform(0.0, [0.06, 0.06, 0.05])
-    return {
-        "sampled_control__period_s": rng.choice(LOOP_PERIODS_S),
+    return _digital_loop(joint, hz, rng) | {
         "outside__loop_counts": float(2 ** rng.integers(14, 21)),
         "outside__loop_filter": rng.uniform(0.3, 1.0),
         "outside__lugre_nm": dry * at_motor,
@@ -212,6 +220,7 @@ PARTS: Mapping[str, Callable[[Bench, float, np.random.Generator], dict[str, floa
         "sampled_control__period_s": 1e-3,
         "outside__loop_counts": 16384.0,
     },
+    "digital loop": _digital_loop,
     "drive": _drive,
 }
 
@@ -244,7 +253,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     sheet = data_sheet(joint, row.sheet_off, rng)
     hz = math.exp(rng.uniform(*np.log([row.low_hz, row.high_hz]))) if row.low_hz else math.nan
     part = PARTS.get(row.structure, PARTS["none"])(joint, hz, rng)
-    if row.structure == "drive":
+    if "sampled_control__period_s" in part and "reference_speed_rpm" in part:
         period = EffectParameterValue(part["sampled_control__period_s"])
         sheet = sheet.with_effects(BenchEffect("sampled_control", {"period_s": period}))
     if row.structure == "heavier":
