@@ -81,6 +81,7 @@ Structure = Literal[
     "heavier",
     "fieldbus",
     "differentiated encoder",
+    "digital loop",
     "drive",
 ]
 
