@@ -274,12 +274,14 @@ def _check_effects(matrix: FloatArray) -> None:
         _refuse_where(wrong, matrix, scale, "a number above zero")
 
 
-def largest(name: str) -> float:
-    """Value of a slot beyond which :func:`check_parameters` refuses it; infinite if there is none.
+def simulated_range(name: str) -> tuple[float, float]:
+    """Least and largest value of an effect's slot that :func:`check_parameters` takes.
 
-    ``name``: ``effect__parameter``.
+    ``name``: ``effect__parameter``; infinite where there is no such end.
     """
-    return _RANGES[Slot[name]][1] if Slot[name] in _RANGES else math.inf
+    slot = Slot[name]
+    low, high, _ = _RANGES.get(slot, (0.0 if slot in _NOT_NEGATIVE else -math.inf, math.inf, None))
+    return low, high
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import after, effect_named, lateness_rad, without_ticks
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import FURTHEST, PARAMETER_INFO, largest
+from bayesbl.bench.parameters import FURTHEST, PARAMETER_INFO, simulated_range
 from bayesbl.matching.as_observed import accuracy_rpm, continued, in_whole_ticks, repeats, simulated
 from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import Observed
@@ -219,7 +219,7 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
                 unknowns += [Unknown(name, recording=recording) for recording in recordings]
             elif given is not None and given.sd:
                 low = item.low if item.low <= given.value else -math.inf
-                unknowns.append(Unknown(name, low, largest(name), given.value, given.sd))
+                unknowns.append(Unknown(name, low, simulated_range(name)[1], given.value, given.sd))
     for learned in bench.learned_terms:
         unknowns += shift_unknowns(learned, recordings)
         known = zip(learned.names, learned.coefficients, learned.deviations, strict=False)

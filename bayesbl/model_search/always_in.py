@@ -35,7 +35,12 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import RPM, Slot
-from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS, drift_of, largest
+from bayesbl.bench.parameters import (
+    BENCH_PARAMETERS,
+    CORRECTABLE_PARAMETERS,
+    drift_of,
+    simulated_range,
+)
 from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
@@ -519,9 +524,12 @@ def _slopes(
     steps = np.array([max(FIRST_STEP * d.size, d.least) for d in among])
     here = model.whitened_of(point[None], place)[0]
     at = model.vectors(point[None], model.recordings[place])[0, [Slot[d.slot] for d in among]]
-    # At the upper end of what the simulator takes there is only the way down.
-    upper = at + LARGEST_STEP * np.array([d.size for d in among])
-    signs = np.where(upper > [largest(d.slot) for d in among], -1.0, 1.0)
+    # Towards the end of what the simulator takes that is farther, where it leaves no room above.
+    low, high = np.array([simulated_range(d.slot) for d in among]).T
+    farthest = LARGEST_STEP * np.array([d.size for d in among])
+    signs = np.where((high - at < farthest) & (at - low > high - at), -1.0, 1.0)
+    farthest = np.minimum(farthest, np.where(signs > 0.0, high - at, at - low))
+    steps = np.minimum(steps, farthest)
     slopes, pending = np.zeros((len(among), here.size)), np.arange(len(among))
     for _ in range(2):
         points = np.repeat(point[None], pending.size, axis=0)
@@ -531,8 +539,7 @@ def _slopes(
         slopes[pending] = changes / by[:, None]
         size = np.linalg.norm(changes, axis=1)
         better = steps[pending] * SEEN_STEP / np.maximum(size, 1e-12)
-        most = [LARGEST_STEP * among[int(k)].size for k in pending]
-        better = np.clip(better, [among[int(k)].least for k in pending], most)
+        better = np.clip(better, [among[int(k)].least for k in pending], farthest[pending])
         unfit = (better > 2.0 * steps[pending]) | (better < 0.2 * steps[pending])
         steps[pending], pending = better, pending[unfit]
         if not pending.size:
