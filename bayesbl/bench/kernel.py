@@ -216,7 +216,6 @@ class Constants(NamedTuple):
     sharpness: float
     hard: bool
     rigid: bool
-    reference: float
     friction_width: float
     load_friction_width: float
     gap: float
@@ -230,8 +229,10 @@ class Constants(NamedTuple):
     plain: bool
     sampled: bool
     waiting: int
-    direction: float
     fastest_reference: float
+    # From here on as each piece of a motion sets it.
+    reference: float
+    direction: float
     follows: bool
     piece_start: float
     speed_1: float
@@ -243,6 +244,8 @@ class Constants(NamedTuple):
     angle_3: float
     angle_4: float
 
+
+_OF_PIECE = Constants._fields.index("reference")
 
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -314,7 +317,6 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.stiffness_sharpness_per_rad],
         p[Slot.hard_dead_zone] != 0.0,
         rigid,
-        p[Slot.reference_speed_rpm] / RPM,
         friction_width,
         friction_width / ratio,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
@@ -328,70 +330,22 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         plain,
         sampled,
         waiting_torques(p),
-        math.copysign(1.0, p[Slot.reference_speed_rpm]),
         fastest_reference,
+        p[Slot.reference_speed_rpm] / RPM,
+        math.copysign(1.0, p[Slot.reference_speed_rpm]),
         False,
         0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
+        *(0.0, 0.0, 0.0),
+        *(0.0, 0.0, 0.0, 0.0, 0.0),
     )
 
 
 @_jit
 def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
     """The same constants on one piece of a motion (see ``bench/motion.py``)."""
-    row = pieces[number]
-    return Constants(
-        c.ratio,
-        c.per_ratio,
-        c.per_motor_inertia,
-        c.motor_inertia,
-        c.per_load_inertia,
-        c.load_inertia,
-        c.stiffness,
-        c.damping,
-        c.gravity,
-        c.gravity_angle,
-        c.speed_gain,
-        c.integral_gain,
-        c.position_gain,
-        c.torque_limit,
-        c.sharpness,
-        c.hard,
-        c.rigid,
-        row[1],
-        c.friction_width,
-        c.load_friction_width,
-        c.gap,
-        c.reference_angle,
-        c.phase_offset,
-        c.drift_start,
-        c.effects,
-        c.structured,
-        c.varies,
-        c.held,
-        c.plain,
-        c.sampled,
-        c.waiting,
-        1.0,
-        c.fastest_reference,
-        True,
-        row[0],
-        row[2],
-        row[3],
-        row[4],
-        row[5],
-        row[6],
-        row[7],
-        row[8],
-        row[9],
-    )
+    r = pieces[number]
+    piece = (r[1], 1.0, True, r[0], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
+    return Constants(*(c[:_OF_PIECE] + piece))
 
 
 @_inlined
@@ -1627,6 +1581,27 @@ def static_twist(load, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def stand(angle, speed, acceleration, load, losses, side, p, c, y):  # type: ignore[no-untyped-def]
+    """Put the states where these torques are balanced at a load angle; the drive's torque, N m.
+
+    ``side``: flank that the teeth touch on, 1 or −1, or a place within the gap.
+    """
+    y[:] = 0.0
+    if not c.rigid:
+        gap = c.gap * gap_share(c.ratio * angle, 0.0, p, c)
+        y[TWIST] = static_twist(load, p, c) + side * gap
+    y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
+    y[MOTOR_SPEED] = speed
+    carried = load * c.per_ratio
+    carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
+    rest_the_structure(y, angle, carried, p, c)
+    torque = load * c.per_ratio + c.motor_inertia * acceleration
+    if c.effects:
+        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    return torque
+
+
+@_jit
 def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     """Start of the settling: torques balanced at the reference speed, no acceleration.
 
@@ -1636,16 +1611,7 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     speed = c.reference
     load, losses = balanced_torques(load_angle, speed, p, c)
     side = math.copysign(1.0, load if load != 0.0 else speed)
-    y[:] = 0.0
-    if not c.rigid:
-        gap = c.gap * gap_share(c.ratio * load_angle, 0.0, p, c)
-        y[TWIST] = static_twist(load, p, c) + side * gap
-    y[MOTOR_ANGLE] = c.ratio * (load_angle + y[TWIST])
-    y[MOTOR_SPEED] = speed
-    rest_the_structure(y, load_angle, load * c.per_ratio, p, c)
-    torque = load * c.per_ratio
-    if c.effects:
-        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    torque = stand(load_angle, speed, 0.0, load, losses, side, p, c, y)
     carried = abs(torque) <= c.torque_limit
     torque, _ = limited(torque, 0.0, c)
     if c.integral_gain > 0.0:
@@ -1768,18 +1734,7 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
     side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
     if start_flank != 0.0:
         side = start_flank
-    y[:] = 0.0
-    if not c.rigid:
-        gap = c.gap * gap_share(c.ratio * angle, 0.0, p, c)
-        y[TWIST] = static_twist(load, p, c) + side * gap
-    y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
-    y[MOTOR_SPEED] = speed
-    carried = load * c.per_ratio
-    carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
-    rest_the_structure(y, angle, carried, p, c)
-    torque = load * c.per_ratio + c.motor_inertia * acceleration
-    if c.effects:
-        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    torque = stand(angle, speed, acceleration, load, losses, side, p, c, y)
     torque, _ = limited(torque, 0.0, c)
     shown, _ = sensed(y, p, c)
     reference_angle = shown - reference_position(t, c) + c.reference_angle
