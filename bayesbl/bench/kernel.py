@@ -869,6 +869,23 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
     dy[TWIST_SPEED] = acceleration * c.per_ratio - (shaft - load) * c.per_load_inertia
 
 
+@_jit
+def contact_matrix(p, a):  # type: ignore[no-untyped-def]
+    """Time derivative of each state's unit on one tooth flank into the columns of ``a``, (n, n).
+
+    That is the system's matrix where ``p`` is of a bench whose equations are linear there.
+    """
+    c = constants(p, 0.0, math.inf)
+    y = np.zeros(HELD_TORQUE)
+    dy = np.zeros(HELD_TORQUE)
+    for column in range(len(a)):
+        y[column] = 1.0
+        full_right_hand_side(0.0, y, 2, p, c, dy)
+        y[column] = 0.0
+        for row in range(len(a)):
+            a[row, column] = dy[row]
+
+
 @_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """Time derivative of the state into ``dy`` (docs/design.md, "The virtual bench")."""
