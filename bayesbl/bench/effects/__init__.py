@@ -7,26 +7,21 @@ that no other file holds a list of them. To add one: ``docs/extending.md``.
 
 from __future__ import annotations
 
-import pkgutil
+import sys
 from collections.abc import Iterable, Mapping
-from importlib import import_module
 
 import numpy as np
 
 from bayesbl.bench.effect_declaration import ORDER, Effect
 from bayesbl.bench.kernel import OVER_LOAD_ANGLE, OVER_MOTOR_ANGLE, OVER_SPEED, OVER_TIME, Slot
+from bayesbl.declared import declared
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import FloatArray
 
-
-def _collected() -> tuple[Effect, ...]:
-    names = [module.name for module in pkgutil.iter_modules(__path__)]
-    found: list[Effect] = [import_module(f"{__name__}.{name}").EFFECT for name in names]
-    return tuple(sorted(found, key=lambda effect: effect.place))
-
-
-EFFECTS: tuple[Effect, ...] = _collected()
+EFFECTS: tuple[Effect, ...] = tuple(
+    sorted(declared(sys.modules[__name__], Effect), key=lambda effect: effect.place)
+)
 
 EFFECT_BY_NAME: Mapping[str, Effect] = {effect.name: effect for effect in EFFECTS}
 

@@ -8,20 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Amplitude,
-    Effect,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-)
+from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw
 from bayesbl.recording.types import FloatArray
-
-
-def position_rad(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """Departure of the load from θ_m/N."""
-    return play(motion.angle / bench.value("gear_ratio"), given["gap_rad"])
 
 
 def play(angle: FloatArray, half_width: float) -> FloatArray:
@@ -55,7 +43,9 @@ EFFECT = Effect(
     data="two ringing pulses of opposite sign in each load rotation",
     reference="Nordin & Gutman 2002, Automatica 38, 1633",
     position=RigidLaw(
-        signal=position_rad,
+        signal=lambda motion, bench, given: play(
+            motion.angle / bench.value("gear_ratio"), given["gap_rad"]
+        ),
         amplitude="gap_rad",
         scanned="gap_rad",  # the signal is not linear in the gap
         grid=tuple(np.geomspace(1e-6, 0.1, 41)),

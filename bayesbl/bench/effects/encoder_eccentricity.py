@@ -30,12 +30,6 @@ def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> Floa
     return np.asarray(-inertia * given["angle_rad"] * sway)
 
 
-def position_rad(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """−(e/N) sin(θ_m + φ): the load is where the motor is, not where its encoder shows it."""
-    amount = -given["angle_rad"] / bench.value("gear_ratio")
-    return np.asarray(amount * np.sin(motion.angle + given[PHASE]))
-
-
 EFFECT = Effect(
     place=140,
     name="encoder_eccentricity",
@@ -58,5 +52,10 @@ EFFECT = Effect(
     depends_on=("motor_angle",),
     data="a line at the motor's rotation in speed, answered by the current",
     torque=RigidLaw(signal=torque_nm, amplitude="angle_rad"),
-    position=RigidLaw(signal=position_rad, amplitude="angle_rad"),
+    position=RigidLaw(
+        signal=lambda motion, bench, given: (
+            -given["angle_rad"] / bench.value("gear_ratio") * np.sin(motion.angle + given[PHASE])
+        ),
+        amplitude="angle_rad",
+    ),
 )

@@ -7,26 +7,7 @@ T₀ repeats every load rotation, the change r does not: such a bench is simulat
 
 from __future__ import annotations
 
-import numpy as np
-
-from bayesbl.bench.effect_declaration import (
-    Amplitude,
-    Effect,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    direction,
-)
-from bayesbl.recording.types import FloatArray
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """(T₀ + r t) sign ω_m, t from the first sample."""
-    time = motion.time_s - motion.time_s[0]
-    size = given["torque_nm"] + given["rate_nm_per_s"] * time
-    return np.asarray(size * direction(motion))
-
+from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw, direction
 
 EFFECT = Effect(
     place=190,
@@ -50,7 +31,10 @@ EFFECT = Effect(
     depends_on=("time", "direction"),
     data="current that drifts from rotation to rotation",
     torque=RigidLaw(
-        signal=torque_nm,
+        signal=lambda motion, bench, given: (
+            (given["torque_nm"] + given["rate_nm_per_s"] * (motion.time_s - motion.time_s[0]))
+            * direction(motion)
+        ),
         amplitude="rate_nm_per_s",
         linear=("torque_nm",),
         contains="motor_coulomb_friction",

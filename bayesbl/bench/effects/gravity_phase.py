@@ -9,26 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Amplitude,
-    Effect,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
+from bayesbl.bench.effect_declaration import Amplitude, Effect, Law, RigidLaw
+
+_AT_LOAD: Law = lambda motion, bench, given: (  # noqa: E731
+    given["torque_nm"] * np.cos(motion.angle / bench.value("gear_ratio"))
 )
-from bayesbl.recording.types import FloatArray
-
-
-def load_torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """m_c cos θ_l, at the load."""
-    return np.asarray(given["torque_nm"] * np.cos(motion.angle / bench.value("gear_ratio")))
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """(m_c/N) cos θ_l, at the motor."""
-    return np.asarray(load_torque_nm(motion, bench, given) / bench.value("gear_ratio"))
-
 
 EFFECT = Effect(
     place=100,
@@ -43,7 +28,12 @@ EFFECT = Effect(
     enters="load",
     depends_on=("load_angle",),
     data="the whole rotation shifts in phase: a start angle in disguise unless θ_l is absolute",
-    torque=RigidLaw(signal=torque_nm, amplitude="torque_nm"),
-    load_torque=load_torque_nm,
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            _AT_LOAD(motion, bench, given) / bench.value("gear_ratio")
+        ),
+        amplitude="torque_nm",
+    ),
+    load_torque=_AT_LOAD,
     free_motion=True,
 )

@@ -9,21 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Amplitude,
-    Effect,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-)
-from bayesbl.recording.types import FloatArray
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """c |ω_m| ω_m."""
-    return np.asarray(given["coefficient_nm_s2_per_rad2"] * np.abs(motion.speed) * motion.speed)
-
+from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw
 
 EFFECT = Effect(
     place=45,
@@ -43,6 +29,12 @@ EFFECT = Effect(
     enters="motor",
     depends_on=("speed",),
     data="more current at high speed than viscous friction of the low speeds explains",
-    torque=RigidLaw(signal=torque_nm, amplitude="coefficient_nm_s2_per_rad2", usual=0.2),
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["coefficient_nm_s2_per_rad2"] * np.abs(motion.speed) * motion.speed
+        ),
+        amplitude="coefficient_nm_s2_per_rad2",
+        usual=0.2,
+    ),
     sought_in_loop=False,
 )

@@ -13,21 +13,10 @@ from bayesbl.bench.effect_declaration import (
     ARMSTRONG,
     Amplitude,
     Effect,
-    Parameters,
-    RigidBench,
     RigidLaw,
-    RigidMotion,
     Shape,
     direction,
 )
-from bayesbl.recording.types import FloatArray
-
-
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """T_s exp(−(ω_m/ω_s)²) sign ω_m."""
-    fading = np.exp(-((motion.speed / given["speed_rad_per_s"]) ** 2))
-    return np.asarray(given["torque_nm"] * fading * direction(motion))
-
 
 EFFECT = Effect(
     place=40,
@@ -59,7 +48,11 @@ EFFECT = Effect(
     data="more current at low reference speeds than at high ones",
     reference=ARMSTRONG,
     torque=RigidLaw(
-        signal=torque_nm,
+        signal=lambda motion, bench, given: (
+            given["torque_nm"]
+            * np.exp(-((motion.speed / given["speed_rad_per_s"]) ** 2))
+            * direction(motion)
+        ),
         amplitude="torque_nm",
         usual=0.2,
         requires="motor_coulomb_friction",

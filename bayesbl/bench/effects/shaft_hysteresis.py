@@ -9,22 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import (
-    Amplitude,
-    Effect,
-    Parameters,
-    RigidBench,
-    RigidLaw,
-    RigidMotion,
-    Shape,
-)
+from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw, Shape
 from bayesbl.recording.types import FloatArray
-
-
-def position_rad(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
-    """Twist −(T/K_s) z of a shaft whose friction follows the motion."""
-    bent = given["torque_nm"] / bench.value("shaft_stiffness_nm_per_rad")
-    return np.asarray(-bent * dahl(motion.angle / bench.value("gear_ratio"), given["angle_rad"]))
 
 
 def dahl(angle: FloatArray, reach: float) -> FloatArray:
@@ -68,7 +54,11 @@ EFFECT = Effect(
         "Dahl 1976, AIAA Journal 14, 1675; Ruderman, Bertram & Iwasaki 2014, Mechatronics 24, 407"
     ),
     position=RigidLaw(
-        signal=position_rad,
+        signal=lambda motion, bench, given: (  # the twist −(T/K_s) z
+            -given["torque_nm"]
+            / bench.value("shaft_stiffness_nm_per_rad")
+            * dahl(motion.angle / bench.value("gear_ratio"), given["angle_rad"])
+        ),
         amplitude="torque_nm",
         usual=0.2,
         scanned="angle_rad",
