@@ -400,14 +400,9 @@ def exponent_torque(compression, p, c):  # type: ignore[no-untyped-def]
     excess = p[Slot.contact_exponent__excess]
     if excess == 0.0 or compression == 0.0:
         return 0.0
-    size = abs(compression) / exponent_reference(c)
+    reference = abs(c.gravity) / c.stiffness if c.gravity != 0.0 else COMPRESSION_RAD
+    size = abs(compression) / reference
     return c.stiffness * compression * math.expm1(excess * math.log(size))
-
-
-@_jit
-def exponent_reference(c):  # type: ignore[no-untyped-def]
-    """Compression at which a contact of any exponent has the stiffness K_s, rad."""
-    return abs(c.gravity) / c.stiffness if c.gravity != 0.0 else COMPRESSION_RAD
 
 
 @_jit
@@ -1187,10 +1182,10 @@ def emit_logged(since, until, p, row, first, start, moments, repeated, out, old,
 
 
 @_jit
-def structure_rates(p, c):  # type: ignore[no-untyped-def]
-    """Angular frequencies of belt, arm and base, rad/s; 0 of one that the bench has not.
+def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-def]
+    """Allowances of belt, arm and base, ``speed`` that of the motor; returns the fastest rate.
 
-    Each spring between what is on either side of it, both free.
+    Each spring swings between what is on either side of it, both free.
     """
     belt, arm, base = 0.0, 0.0, 0.0
     if p[Slot.belt__compliance_rad_per_nm] > 0.0:
@@ -1204,13 +1199,6 @@ def structure_rates(p, c):  # type: ignore[no-untyped-def]
     if p[Slot.base__compliance_rad_per_nm] > 0.0:
         inertia = p[Slot.base__inertia_kg_m2]
         base = 1.0 / math.sqrt(p[Slot.base__compliance_rad_per_nm] * inertia)
-    return belt, arm, base
-
-
-@_jit
-def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-def]
-    """Allowances of belt, arm and base, ``speed`` that of the motor; returns the fastest rate."""
-    belt, arm, base = structure_rates(p, c)
     scale[BELT_TWIST] = max(belt, motor_rate) / speed
     scale[BELT_SPEED] = 1.0 / speed
     scale[ARM_TWIST] = c.ratio * max(arm, motor_rate) / speed
@@ -1704,26 +1692,13 @@ def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignor
     # What is logged at a tick is sent at the next.
     stop = t + moments[-1] + max(0.0, -lead) + 1e-9
     stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
+    begun = t
     if lag > 0.0:
         # A channel that lags shows what was before the start: once more, now with the time known.
-        status, _, more = integrate(
-            run_begin,
-            first,
-            stop,
-            math.inf * direction,
-            t,
-            dt,
-            moments,
-            out,
-            p,
-            c,
-            accuracy_rpm,
-            steady,
-        )
-    else:
-        status, _, more = integrate(
-            t, y, stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
-        )
+        begun, y = run_begin, first
+    status, _, more = integrate(
+        begun, y, stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
+    )
     return status, cost + more
 
 
