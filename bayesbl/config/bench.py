@@ -327,17 +327,10 @@ class _Spring(Section, ABC):
     def _spring(self) -> dict[str, EffectParameterValue]:
         """Compliance, and damping over stiffness."""
         stiffness, damping = self.stiffness_nm_per_rad, self.damping_nm_s_per_rad
-        k = stiffness.value
-        return {
-            "compliance_rad_per_nm": _divided(EffectValue(value=1.0), stiffness),
-            "damping_time_s": EffectParameterValue(
-                damping.value / k, _sd_over(damping.parameter().sd, k)
-            ),
-        }
-
-
-def _sd_over(sd: float | None, divisor: float) -> float | None:
-    return None if sd is None else sd / divisor
+        k, sd = stiffness.value, damping.parameter().sd
+        time = EffectParameterValue(damping.value / k, None if sd is None else sd / k)
+        one = EffectValue(value=1.0)
+        return {"compliance_rad_per_nm": _divided(one, stiffness), "damping_time_s": time}
 
 
 def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
