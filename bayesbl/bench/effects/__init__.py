@@ -1,6 +1,6 @@
 """Catalogue of the effects that a real joint may have and the nominal bench lacks.
 
-Each module of this package declares one effect, ``EFFECT``, with all its properties; every module
+Each module of this package declares a family of effects with all their properties; every effect
 found here is in the catalogue. What else the package needs to know about effects it asks here, so
 that no other file holds a list of them. To add one: ``docs/extending.md``.
 """
@@ -126,7 +126,7 @@ def _late_s(matrix: FloatArray) -> FloatArray:
 def without_ticks(matrix: FloatArray) -> FloatArray:
     """These benches, shape (m, SLOTS), with a continuous controller as late as their sampled one.
 
-    Near enough for differences between benches, at half the time or less: ``sampled_control.py``
+    Near enough for differences between benches, at half the time or less: ``SAMPLED_CONTROL``
     has what a period does to the loop. Those that are not sampled stay as they are.
     """
     matrix = matrix.copy()

@@ -1,15 +1,11 @@
-"""Eccentricity of the encoder: its disc sits off the shaft's centre.
-
-    θ_meas = θ_m + e sin(θ_m + φ),   ω_meas = ω_m (1 + e cos(θ_m + φ))
-
-Inside the loop: the controller answers what the encoder shows.
-"""
+"""Errors of gear and encoder over the angle of the motor."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
+    ORDER,
     PHASE,
     Amplitude,
     Effect,
@@ -17,9 +13,42 @@ from bayesbl.bench.effect_declaration import (
     RigidBench,
     RigidLaw,
     RigidMotion,
+    order,
     phase,
 )
 from bayesbl.recording.types import FloatArray
+
+# Felt only while the teeth touch. It repeats with the load only if the gear ratio times n is whole.
+GEAR_TRANSMISSION_ERROR = Effect(
+    place=130,
+    name="gear_transmission_error",
+    sentence="The gear passes motion on unevenly, once or more per motor turn.",
+    equation="Δθ → Δθ + a sin(n θ_m + φ), Δω → Δω + a n ω_m cos(n θ_m + φ)",
+    parameters=(
+        Amplitude(
+            "angle_rad",
+            "rad",
+            "amplitude a at the load",
+            low=-1e-3,
+            high=1e-3,
+            typical=3e-5,
+            repeats="whole_orders",
+        ),
+        order(typical=2.0),
+        phase(typical=-0.4),
+    ),
+    enters="shaft",
+    depends_on=("motor_angle",),
+    data="a line at order n while the teeth touch, gone while they do not",
+    reference="Tuttle & Seering 1996, IEEE Trans. Robot. Autom. 12, 368",
+    position=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["angle_rad"] * np.sin(given[ORDER] * motion.angle + given[PHASE])
+        ),
+        amplitude="angle_rad",
+        scanned=ORDER,
+    ),
+)
 
 
 def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
@@ -30,7 +59,8 @@ def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> Floa
     return np.asarray(-inertia * given["angle_rad"] * sway)
 
 
-EFFECT = Effect(
+# The disc sits off the shaft's centre. Inside the loop: the controller answers what it shows.
+ENCODER_ECCENTRICITY = Effect(
     place=140,
     name="encoder_eccentricity",
     sentence="The encoder disc sits off centre: the measured angle sways once per motor turn.",
