@@ -1429,18 +1429,12 @@ def integrate(  # type: ignore[no-untyped-def]
                 t, h, dense, next_average, next_sample[SPEED], start - p[FIRST_SKEW + SPEED],
                 moments, out, y, p, c,
             )  # fmt: skip
-        if logged:
-            for row in (POSITION, CURRENT):
-                if out.shape[0] == 3 and (row == POSITION or lagged):
-                    begin = start - p[FIRST_SKEW + row]
-                    next_sample[row] = emit(
-                        t, h, dense, row, next_sample[row], begin, moments, out, y, p, c
-                    )
-        elif not skewed:
+        if not (logged or skewed):
             next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, moments, out, y, p, c)
         else:
             for row in range(3):
-                if row == SPEED and averaged:
+                by_ticks = logged and (row == SPEED or (row == CURRENT and not lagged))
+                if by_ticks or (row == SPEED and averaged):
                     continue
                 if out.shape[0] == 3 or row == SPEED:
                     begin = start - p[FIRST_SKEW + row]
