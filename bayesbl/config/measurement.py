@@ -306,24 +306,24 @@ class SnapshotConfig(RecordedConfig):
         by_amplitude, what = route == "amplitude", WITHOUT_BENCH.get(route, "")
         curve, ramps = self.curve.source is not None, route == "torque_ramp"
 
-        def useless(is_there: object, problem: str, *at: str | int) -> None:
+        def unused(is_there: object, problem: str, *at: str | int) -> None:
             if is_there:
                 there = f'{at[-1]} with route = "{route}"' + ("" if by_bench else " and no bench")
                 refuse(problem, found=there, expected=f"no {at[-1]}, or another route", at=at)
 
-        useless(what and by_bench, f"{what} are read without a bench.", "estimator", "bench")
-        useless(what and curve, f"{what} are read without a gap curve.", "curve", "source")
-        useless(
+        unused(what and by_bench, f"{what} are read without a bench.", "estimator", "bench")
+        unused(what and curve, f"{what} are read without a gap curve.", "curve", "source")
+        unused(
             not by_amplitude and self.estimator.search.start_from,
             "This route has no search, and cannot start from an earlier result.",
             *("estimator", "search", "start_from"),
         )
-        useless(
+        unused(
             not by_amplitude and self.posterior.check_sampler,
             "The second sampler samples the amplitude route's posterior only.",
             *("posterior", "check_sampler"),
         )
-        useless(
+        unused(
             self.joint.may_drift and (by_amplitude or not by_bench),
             "What may drift is part of the direct route, which needs a bench.",
             *("joint", "may_drift"),
@@ -331,18 +331,18 @@ class SnapshotConfig(RecordedConfig):
         for n, recording in enumerate(self.recordings):
             several, speed = len(recording.every_file) > 1, recording.reference_speed_rpm
             at = ("recordings", n)
-            useless(
+            unused(
                 several and not ramps,
                 "A snapshot of several files is one of torque ramps.",
                 *at,
                 "files",
             )
-            useless(
+            unused(
                 what and speed is not None,
                 f"{what} have no reference speed.",
                 *(*at, "reference_speed_rpm"),
             )
-            useless(
+            unused(
                 recording.bench and (not by_bench or (by_amplitude and curve)),
                 "Nothing here is read from a bench, so its values cannot be changed.",
                 *(*at, "bench"),
