@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from bayesbl.arguments import (
     Dates,
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from bayesbl.runs.kinds import Summary
 
 Route = Literal["auto", "direct", "amplitude", "torque_ramp", "two_encoders"]
-C = TypeVar("C", bound=RunConfig)
 
 
 def _as_bench(value: Any) -> Any:
@@ -112,11 +111,8 @@ def fit(
     UserError
         If the recording or the configuration cannot be used.
     """
-    given: dict[str, Any] = {"bench": bench, "curve": curve, "route": route}
-    given |= {"limit": limit, "limit_rad": limit_rad}
-    given |= {"gear_ratio": gear_ratio, "level": level, "start_from": start_from}
-    given |= {"check_sampler": check_sampler, "seed": seed, "workers": workers}
-    found: FitResult = _measure("fit", [recording], config, (), given, progress)
+    given = locals()
+    found: FitResult = _run_options("fit", [given.pop("recording")], **given)
     return found
 
 
@@ -163,12 +159,9 @@ def compare(
     UserError
         If a recording or the configuration cannot be used.
     """
-    given: dict[str, Any] = {"bench": bench, "curve": curve, "route": route}
-    given |= {"limit": limit, "limit_rad": limit_rad}
-    given |= {"before": before, "gear_ratio": gear_ratio, "level": level}
-    given |= {"start_from": start_from, "check_sampler": check_sampler}
-    given |= {"seed": seed, "workers": workers}
-    found: ComparisonResult = _measure("compare", [first, *later], config, dates, given, progress)
+    given = locals()
+    recordings = [given.pop("first"), *given.pop("later")]
+    found: ComparisonResult = _run_options("compare", recordings, **given)
     return found
 
 
@@ -201,16 +194,10 @@ def identify(
     UserError
         If data sheet, recordings or configuration cannot be used.
     """
-    from bayesbl.config.identify import IdentifyConfig
-    from bayesbl.config.loading import config_from_options
-
-    named = effects if effects is None or effects == "catalogue" else list(effects)
-    given: dict[str, Any] = {"effects": named, "level": level}
-    given |= {"seed": seed, "workers": workers}
-    with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
-        made = config_from_options("identify", files, config, dates, bench=of_bench, **given)
-        loaded = _checked(made, IdentifyConfig)
-        found: IdentificationResult = _made(loaded, tell)
+    given = locals()
+    if effects not in (None, "catalogue"):
+        given["effects"] = list(effects or ())
+    found: IdentificationResult = _run_options("identify", given.pop("recordings"), **given)
     return found
 
 
@@ -234,18 +221,16 @@ def diagnose(
     UserError
         If configuration, bench or recordings cannot be used.
     """
-    from bayesbl.config.diagnose import DiagnoseConfig
-    from bayesbl.config.loading import config_from_options
     from bayesbl.runs.first_diagnosis import diagnosis_of
 
     given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
+    found: DiagnosisResult
+    if not recordings:
+        found = _run_options("diagnose", (), config=config, bench=bench, progress=progress, **given)
+        return found
     with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
-        given["bench"] = of_bench
-        if files:
-            loaded, _ = diagnosis_of(files, config, **given)
-        else:
-            loaded = _checked(config_from_options("diagnose", (), config, **given), DiagnoseConfig)
-        found: DiagnosisResult = _made(loaded, tell)
+        loaded, _ = diagnosis_of(files, config, bench=of_bench, **given)
+        found = _made(loaded, tell)
     return found
 
 
@@ -262,13 +247,7 @@ def sweep(
     UserError
         If configuration or bench cannot be used, or the curve is not monotone.
     """
-    from bayesbl.config.kinds import SweepConfig
-    from bayesbl.config.loading import config_from_options
-
-    given: dict[str, Any] = {"seed": seed, "workers": workers}
-    loaded = _checked(config_from_options("sweep", (), config, **given), SweepConfig)
-    with _shown(progress) as tell:
-        found: SweepResult = _made(loaded, tell)
+    found: SweepResult = _run_options("sweep", (), **locals())
     return found
 
 
@@ -380,22 +359,21 @@ def require_study_file(tree: xr.DataTree, study: Path | None, result: Path | Non
         )
 
 
-def _measure(
+def _run_options(
     kind: str,
-    recordings: Sequence[File],
+    recordings: Sequence[Any],
+    *,
     config: File | None,
-    dates: Sequence[date],
-    given: dict[str, Any],
     progress: bool,
+    bench: Any = None,
+    dates: Sequence[date] = (),
+    **given: Any,
 ) -> Any:
+    """The result, as an object, of what these options state over a configuration."""
     from bayesbl.config.loading import config_from_options
-    from bayesbl.config.measurement import SnapshotConfig
-    from bayesbl.measurement.routes import measure
-    from bayesbl.presentation.result_object import result_of
 
-    with _files(recordings, given.pop("bench")) as (files, bench), _shown(progress) as tell:
-        made = config_from_options(kind, files, config, dates, bench=bench, **given)
-        return result_of(measure(_checked(made, SnapshotConfig), tell))
+    with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
+        return _made(config_from_options(kind, files, config, dates, bench=of_bench, **given), tell)
 
 
 @contextmanager
@@ -429,16 +407,15 @@ def _written(file: Path, columns: Mapping[str, Any]) -> Path:
     return file
 
 
-def _checked(config: RunConfig, model: type[C]) -> C:
-    assert isinstance(config, model)
-    return config
-
-
 def _made(config: RunConfig, tell: StageProgress | None) -> Any:
     """The result of a configuration as an object."""
+    from bayesbl.config.measurement import SnapshotConfig
+    from bayesbl.measurement.routes import measure
     from bayesbl.presentation.result_object import result_of
     from bayesbl.runs.kinds import result_of_run
 
+    if isinstance(config, SnapshotConfig):  # a run would keep its curves beside its output
+        return result_of(measure(config, tell))
     return result_of(result_of_run(config, tell))
 
 

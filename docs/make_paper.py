@@ -43,7 +43,7 @@ ITEMS = (
     Item(
         "Eq. 1, 2",
         "two masses with a dead zone",
-        ("bench.kernel:simulate", "bench.effects.backlash:EFFECT"),
+        ("bench.kernel:simulate", "bench.effects.gap:BACKLASH"),
         ('configs/bench.toml gap_form = "dead_zone"',),
     ),
     Item(

@@ -174,13 +174,8 @@ class Bench:
 
     def with_learned(self, *terms: LearnedTerm) -> Bench:
         """The same bench with these instead of its own of the same kind."""
-        bench = self
-        for term in terms:
-            if isinstance(term, EncoderError):
-                bench = dataclasses.replace(bench, encoder_error=term)
-            else:
-                bench = dataclasses.replace(bench, learned_torque=term)
-        return bench
+        kinds: dict[str, Any] = {term.block: term for term in terms}
+        return dataclasses.replace(self, **kinds)
 
     @property
     def tolerances(self) -> dict[str, float]:

@@ -216,7 +216,6 @@ class Constants(NamedTuple):
     sharpness: float
     hard: bool
     rigid: bool
-    reference: float
     friction_width: float
     load_friction_width: float
     gap: float
@@ -230,8 +229,10 @@ class Constants(NamedTuple):
     plain: bool
     sampled: bool
     waiting: int
-    direction: float
     fastest_reference: float
+    # From here on as each piece of a motion sets it.
+    reference: float
+    direction: float
     follows: bool
     piece_start: float
     speed_1: float
@@ -243,6 +244,8 @@ class Constants(NamedTuple):
     angle_3: float
     angle_4: float
 
+
+_OF_PIECE = Constants._fields.index("reference")
 
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -314,7 +317,6 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.stiffness_sharpness_per_rad],
         p[Slot.hard_dead_zone] != 0.0,
         rigid,
-        p[Slot.reference_speed_rpm] / RPM,
         friction_width,
         friction_width / ratio,
         p[Slot.gap_rad] + p[Slot.backlash__gap_rad],
@@ -328,70 +330,22 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         plain,
         sampled,
         waiting_torques(p),
-        math.copysign(1.0, p[Slot.reference_speed_rpm]),
         fastest_reference,
+        p[Slot.reference_speed_rpm] / RPM,
+        math.copysign(1.0, p[Slot.reference_speed_rpm]),
         False,
         0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
+        *(0.0, 0.0, 0.0),
+        *(0.0, 0.0, 0.0, 0.0, 0.0),
     )
 
 
 @_jit
 def on_piece(c, pieces, number):  # type: ignore[no-untyped-def]
     """The same constants on one piece of a motion (see ``bench/motion.py``)."""
-    row = pieces[number]
-    return Constants(
-        c.ratio,
-        c.per_ratio,
-        c.per_motor_inertia,
-        c.motor_inertia,
-        c.per_load_inertia,
-        c.load_inertia,
-        c.stiffness,
-        c.damping,
-        c.gravity,
-        c.gravity_angle,
-        c.speed_gain,
-        c.integral_gain,
-        c.position_gain,
-        c.torque_limit,
-        c.sharpness,
-        c.hard,
-        c.rigid,
-        row[1],
-        c.friction_width,
-        c.load_friction_width,
-        c.gap,
-        c.reference_angle,
-        c.phase_offset,
-        c.drift_start,
-        c.effects,
-        c.structured,
-        c.varies,
-        c.held,
-        c.plain,
-        c.sampled,
-        c.waiting,
-        1.0,
-        c.fastest_reference,
-        True,
-        row[0],
-        row[2],
-        row[3],
-        row[4],
-        row[5],
-        row[6],
-        row[7],
-        row[8],
-        row[9],
-    )
+    r = pieces[number]
+    piece = (r[1], 1.0, True, r[0], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
+    return Constants(*(c[:_OF_PIECE] + piece))
 
 
 @_inlined
@@ -446,14 +400,9 @@ def exponent_torque(compression, p, c):  # type: ignore[no-untyped-def]
     excess = p[Slot.contact_exponent__excess]
     if excess == 0.0 or compression == 0.0:
         return 0.0
-    size = abs(compression) / exponent_reference(c)
+    reference = abs(c.gravity) / c.stiffness if c.gravity != 0.0 else COMPRESSION_RAD
+    size = abs(compression) / reference
     return c.stiffness * compression * math.expm1(excess * math.log(size))
-
-
-@_jit
-def exponent_reference(c):  # type: ignore[no-untyped-def]
-    """Compression at which a contact of any exponent has the stiffness K_s, rad."""
-    return abs(c.gravity) / c.stiffness if c.gravity != 0.0 else COMPRESSION_RAD
 
 
 @_jit
@@ -915,6 +864,23 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
     dy[TWIST_SPEED] = acceleration * c.per_ratio - (shaft - load) * c.per_load_inertia
 
 
+@_jit
+def contact_matrix(p, a):  # type: ignore[no-untyped-def]
+    """Time derivative of each state's unit on one tooth flank into the columns of ``a``, (n, n).
+
+    That is the system's matrix where ``p`` is of a bench whose equations are linear there.
+    """
+    c = constants(p, 0.0, math.inf)
+    y = np.zeros(HELD_TORQUE)
+    dy = np.zeros(HELD_TORQUE)
+    for column in range(len(a)):
+        y[column] = 1.0
+        full_right_hand_side(0.0, y, 2, p, c, dy)
+        y[column] = 0.0
+        for row in range(len(a)):
+            a[row, column] = dy[row]
+
+
 @_inlined
 def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     """Time derivative of the state into ``dy`` (docs/design.md, "The virtual bench")."""
@@ -1216,10 +1182,10 @@ def emit_logged(since, until, p, row, first, start, moments, repeated, out, old,
 
 
 @_jit
-def structure_rates(p, c):  # type: ignore[no-untyped-def]
-    """Angular frequencies of belt, arm and base, rad/s; 0 of one that the bench has not.
+def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-def]
+    """Allowances of belt, arm and base, ``speed`` that of the motor; returns the fastest rate.
 
-    Each spring between what is on either side of it, both free.
+    Each spring swings between what is on either side of it, both free.
     """
     belt, arm, base = 0.0, 0.0, 0.0
     if p[Slot.belt__compliance_rad_per_nm] > 0.0:
@@ -1233,13 +1199,6 @@ def structure_rates(p, c):  # type: ignore[no-untyped-def]
     if p[Slot.base__compliance_rad_per_nm] > 0.0:
         inertia = p[Slot.base__inertia_kg_m2]
         base = 1.0 / math.sqrt(p[Slot.base__compliance_rad_per_nm] * inertia)
-    return belt, arm, base
-
-
-@_jit
-def scale_structure(motor_rate, speed, p, c, scale):  # type: ignore[no-untyped-def]
-    """Allowances of belt, arm and base, ``speed`` that of the motor; returns the fastest rate."""
-    belt, arm, base = structure_rates(p, c)
     scale[BELT_TWIST] = max(belt, motor_rate) / speed
     scale[BELT_SPEED] = 1.0 / speed
     scale[ARM_TWIST] = c.ratio * max(arm, motor_rate) / speed
@@ -1470,18 +1429,12 @@ def integrate(  # type: ignore[no-untyped-def]
                 t, h, dense, next_average, next_sample[SPEED], start - p[FIRST_SKEW + SPEED],
                 moments, out, y, p, c,
             )  # fmt: skip
-        if logged:
-            for row in (POSITION, CURRENT):
-                if out.shape[0] == 3 and (row == POSITION or lagged):
-                    begin = start - p[FIRST_SKEW + row]
-                    next_sample[row] = emit(
-                        t, h, dense, row, next_sample[row], begin, moments, out, y, p, c
-                    )
-        elif not skewed:
+        if not (logged or skewed):
             next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, moments, out, y, p, c)
         else:
             for row in range(3):
-                if row == SPEED and averaged:
+                by_ticks = logged and (row == SPEED or (row == CURRENT and not lagged))
+                if by_ticks or (row == SPEED and averaged):
                     continue
                 if out.shape[0] == 3 or row == SPEED:
                     begin = start - p[FIRST_SKEW + row]
@@ -1627,6 +1580,27 @@ def static_twist(load, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def stand(angle, speed, acceleration, load, losses, side, p, c, y):  # type: ignore[no-untyped-def]
+    """Put the states where these torques are balanced at a load angle; the drive's torque, N m.
+
+    ``side``: flank that the teeth touch on, 1 or −1, or a place within the gap.
+    """
+    y[:] = 0.0
+    if not c.rigid:
+        gap = c.gap * gap_share(c.ratio * angle, 0.0, p, c)
+        y[TWIST] = static_twist(load, p, c) + side * gap
+    y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
+    y[MOTOR_SPEED] = speed
+    carried = load * c.per_ratio
+    carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
+    rest_the_structure(y, angle, carried, p, c)
+    torque = load * c.per_ratio + c.motor_inertia * acceleration
+    if c.effects:
+        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    return torque
+
+
+@_jit
 def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     """Start of the settling: torques balanced at the reference speed, no acceleration.
 
@@ -1636,16 +1610,7 @@ def quasi_static_state(p, load_angle, y):  # type: ignore[no-untyped-def]
     speed = c.reference
     load, losses = balanced_torques(load_angle, speed, p, c)
     side = math.copysign(1.0, load if load != 0.0 else speed)
-    y[:] = 0.0
-    if not c.rigid:
-        gap = c.gap * gap_share(c.ratio * load_angle, 0.0, p, c)
-        y[TWIST] = static_twist(load, p, c) + side * gap
-    y[MOTOR_ANGLE] = c.ratio * (load_angle + y[TWIST])
-    y[MOTOR_SPEED] = speed
-    rest_the_structure(y, load_angle, load * c.per_ratio, p, c)
-    torque = load * c.per_ratio
-    if c.effects:
-        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    torque = stand(load_angle, speed, 0.0, load, losses, side, p, c, y)
     carried = abs(torque) <= c.torque_limit
     torque, _ = limited(torque, 0.0, c)
     if c.integral_gain > 0.0:
@@ -1721,26 +1686,13 @@ def simulate(p, settle_s, dt, moments, accuracy_rpm, out, state):  # type: ignor
     # What is logged at a tick is sent at the next.
     stop = t + moments[-1] + max(0.0, -lead) + 1e-9
     stop += (1.0 + AT_TICK) * p[Slot.sampled_control__period_s]
+    begun = t
     if lag > 0.0:
         # A channel that lags shows what was before the start: once more, now with the time known.
-        status, _, more = integrate(
-            run_begin,
-            first,
-            stop,
-            math.inf * direction,
-            t,
-            dt,
-            moments,
-            out,
-            p,
-            c,
-            accuracy_rpm,
-            steady,
-        )
-    else:
-        status, _, more = integrate(
-            t, y, stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
-        )
+        begun, y = run_begin, first
+    status, _, more = integrate(
+        begun, y, stop, math.inf * direction, t, dt, moments, out, p, c, accuracy_rpm, steady
+    )
     return status, cost + more
 
 
@@ -1768,18 +1720,7 @@ def standing_state(t, p, c, start_flank, y):  # type: ignore[no-untyped-def]
     side = max(-1.0, min(1.0, load / (LOOSE_SHARE * c.gravity + 1e-9)))
     if start_flank != 0.0:
         side = start_flank
-    y[:] = 0.0
-    if not c.rigid:
-        gap = c.gap * gap_share(c.ratio * angle, 0.0, p, c)
-        y[TWIST] = static_twist(load, p, c) + side * gap
-    y[MOTOR_ANGLE] = c.ratio * (angle + y[TWIST])
-    y[MOTOR_SPEED] = speed
-    carried = load * c.per_ratio
-    carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
-    rest_the_structure(y, angle, carried, p, c)
-    torque = load * c.per_ratio + c.motor_inertia * acceleration
-    if c.effects:
-        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
+    torque = stand(angle, speed, acceleration, load, losses, side, p, c, y)
     torque, _ = limited(torque, 0.0, c)
     shown, _ = sensed(y, p, c)
     reference_angle = shown - reference_position(t, c) + c.reference_angle

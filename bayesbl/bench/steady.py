@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from bayesbl.bench import kernel
 from bayesbl.bench.kernel import RPM, Slot, waiting_torques
 from bayesbl.bench.parameters import label, rotation_period_s
 from bayesbl.errors import BenchError
@@ -34,20 +33,40 @@ _LOOP = (
     Slot.sampled_control__delay_periods,
 )
 
-SPEED, TWIST, TWIST_SPEED, INTEGRAL, TORQUE, SENSED, ANGLE = range(7)
-BELT, BELT_SPEED, ARM, ARM_SPEED, BASE, BASE_SPEED = range(7, 13)
-MOVING = 13
-UNTIL, ACTING, COMING, SEEN = range(13, 17)
-TICKING = 17
+_LINEAR = (
+    Slot.gear_ratio,
+    Slot.motor_inertia_kg_m2,
+    Slot.load_inertia_kg_m2,
+    Slot.shaft_stiffness_nm_per_rad,
+    Slot.shaft_damping_nm_s_per_rad,
+    Slot.speed_gain_nm_s_per_rad,
+    Slot.integral_gain_nm_per_rad,
+    Slot.position_gain_per_s,
+    Slot.torque_constant_nm_per_a,
+    Slot.rigid,
+    *(slot for slot in Slot if slot.name.startswith(("belt__", "arm__", "base__"))),
+)
+"""What is left of a bench whose equations are linear on a flank: no friction, no gravity."""
+
+_PARTS = {
+    Slot.integral_gain_nm_per_rad: [kernel.INTEGRAL],
+    Slot.position_gain_per_s: [kernel.MOTOR_ANGLE],
+    Slot.belt__compliance_rad_per_nm: [kernel.BELT_TWIST, kernel.BELT_SPEED],
+    Slot.arm__compliance_rad_per_nm: [kernel.ARM_TWIST, kernel.ARM_SPEED],
+    Slot.base__compliance_rad_per_nm: [kernel.BASE_ANGLE, kernel.BASE_SPEED],
+}
+"""What a bench lacks where it is zero, and the states of that."""
+
+_SPRINGS = [*_PARTS][2:]
+UNTIL, ACTING, COMING, SEEN = range(kernel.HELD_TORQUE, kernel.HELD_TORQUE + 4)
+TICKING = kernel.HELD_TORQUE + 4
 
 
 def contact_matrices(matrix: FloatArray) -> FloatArray:
     """System matrices of the linear bench on one tooth flank.
 
-    States: speed of the gear's input, twist, twist speed, integral of the speed error, drive
-    torque, sensed speed, motor angle, then angle and speed of belt, arm and base, where any bench
-    has one; friction and gravity are left out. States that a bench does not have decay at once and
-    touch nothing.
+    States: those of the kernel, belt, arm and base only where any bench has one. States that a
+    bench does not have decay at once and touch nothing.
 
     Parameters
     ----------
@@ -56,102 +75,27 @@ def contact_matrices(matrix: FloatArray) -> FloatArray:
 
     Returns
     -------
-    Array of shape (m, 7, 7) or (m, 13, 13), 1/s and SI.
+    Array of shape (m, 8, 8) or (m, 14, 14), 1/s and SI.
     """
-
-    def column(slot: Slot) -> FloatArray:
-        values: FloatArray = matrix[:, slot]
-        return values
-
-    ratio = column(Slot.gear_ratio)
-    motor = column(Slot.motor_inertia_kg_m2)
-    load = column(Slot.load_inertia_kg_m2)
-    stiffness = column(Slot.shaft_stiffness_nm_per_rad)
-    damping = column(Slot.shaft_damping_nm_s_per_rad)
-    gain = column(Slot.speed_gain_nm_s_per_rad)
-    integral = column(Slot.integral_gain_nm_per_rad)
-    outer = column(Slot.position_gain_per_s)
-    rigid = column(Slot.rigid) != 0.0
-    torque_lag = np.maximum(column(Slot.current_loop_lag__time_s), _SHORTEST_LAG_S)
-    speed_lag = np.maximum(column(Slot.speed_sensor_lag__time_s), _SHORTEST_LAG_S)
-
-    def parts(*slots: Slot) -> tuple[Any, ...]:
-        """Whether a spring is absent, its compliance (1 if so) and its shapes, each (m,)."""
-        compliance, *shapes = (column(slot) for slot in slots)
-        absent = (compliance == 0.0) | rigid
-        return absent, np.where(absent, 1.0, compliance), *shapes
-
-    no_belt, belt, belt_damping, reducer = parts(
-        Slot.belt__compliance_rad_per_nm, Slot.belt__damping_time_s, Slot.belt__reducer_share
-    )
-    no_arm, arm, arm_damping, behind = parts(
-        Slot.arm__compliance_rad_per_nm, Slot.arm__damping_time_s, Slot.arm__inertia_share
-    )
-    no_base, base, base_damping, base_inertia = parts(
-        Slot.base__compliance_rad_per_nm, Slot.base__damping_time_s, Slot.base__inertia_kg_m2
-    )
-
-    def torque_of(absent: NDArray[np.bool_], *terms: tuple[int, FloatArray]) -> FloatArray:
-        """A torque as a row over the states, zero where the bench has no such part."""
-        row = np.zeros((matrix.shape[0], MOVING))
-        for state, factor in terms:
-            row[:, state] = np.where(absent, 0.0, factor)
-        return row
-
-    def over(torque: FloatArray, inertia: FloatArray) -> FloatArray:
-        return np.asarray(torque / inertia[:, None])
-
-    shaft = torque_of(rigid, (TWIST, stiffness), (TWIST_SPEED, damping))
-    drive = torque_of(np.zeros_like(rigid), (TORQUE, np.ones_like(motor)))
-    pull = torque_of(no_belt, (BELT, 1.0 / belt), (BELT_SPEED, belt_damping / belt))
-    held = torque_of(no_arm, (ARM, 1.0 / arm), (ARM_SPEED, arm_damping / arm))
-    ground = torque_of(no_base, (BASE, 1.0 / base), (BASE_SPEED, base_damping / base))
-    at_input = np.where(no_belt, motor, motor * reducer)
-    at_input = at_input + np.where(rigid, load / ratio**2, 0.0)
-    moved_base = -ground - np.where(no_base[:, None], 0.0, drive)
-    moved_base += over(shaft, ratio) * ~no_base[:, None] - shaft * ~no_base[:, None]
-    moved_base = over(moved_base, np.where(no_base, 1.0, base_inertia))
-    input_torque = np.where(no_belt[:, None], drive, pull) - over(shaft, ratio)
-    at_gear = over(input_torque, at_input)
-    at_load = over(shaft - held, load * np.where(no_arm, 1.0, 1.0 - behind))
-
-    a = np.zeros((matrix.shape[0], MOVING, MOVING))
-    a[:, SPEED] = at_gear - moved_base
-    a[:, TWIST, TWIST_SPEED] = 1.0
-    a[:, TWIST_SPEED] = over(a[:, SPEED], ratio) - at_load + moved_base
-    a[:, INTEGRAL, SENSED] = -1.0
-    a[:, INTEGRAL, ANGLE] = -outer
-    a[:, TORQUE, SENSED] = -gain / torque_lag
-    a[:, TORQUE, ANGLE] = -gain * outer / torque_lag
-    a[:, TORQUE, INTEGRAL] = integral / torque_lag
-    a[:, TORQUE, TORQUE] = -1.0 / torque_lag
-    a[:, SENSED, SENSED] = -1.0 / speed_lag
-    for motion in (SPEED, BELT_SPEED):
-        a[:, SENSED, motion] = 1.0 / speed_lag
-        a[:, ANGLE, motion] = 1.0
-    for angle, speed in ((BELT, BELT_SPEED), (ARM, ARM_SPEED), (BASE, BASE_SPEED)):
-        a[:, angle, speed] = 1.0
-    a[:, BELT_SPEED] = over(drive - pull, motor * np.where(no_belt, 1.0, 1.0 - reducer)) - at_gear
-    a[:, ARM_SPEED] = at_load - over(held, load * np.where(no_arm, 1.0, behind))
-    a[:, BASE_SPEED] = moved_base
-
-    for state, absent in (
-        (INTEGRAL, integral == 0.0),
-        (ANGLE, outer == 0.0),
-        (TWIST, rigid),
-        (TWIST_SPEED, rigid),
-        (BELT, no_belt),
-        (BELT_SPEED, no_belt),
-        (ARM, no_arm),
-        (ARM_SPEED, no_arm),
-        (BASE, no_base),
-        (BASE_SPEED, no_base),
-    ):
-        a[absent, state, :] = 0.0
-        a[absent, :, state] = 0.0
-        a[absent, state, state] = _ABSENT
-    if np.all(no_belt & no_arm & no_base):
-        return a[:, :BELT, :BELT]
+    linear = np.zeros_like(matrix)
+    linear[:, _LINEAR] = matrix[:, _LINEAR]
+    linear[:, Slot.hard_dead_zone] = 1.0
+    linear[:, Slot.current_limit_a] = math.inf
+    for lag in (Slot.current_loop_lag__time_s, Slot.speed_sensor_lag__time_s):
+        linear[:, lag] = np.maximum(matrix[:, lag], _SHORTEST_LAG_S)
+    rigid = matrix[:, Slot.rigid] != 0.0
+    linear[np.ix_(rigid, _SPRINGS)] = 0.0
+    size = kernel.HELD_TORQUE if np.any(linear[:, _SPRINGS] != 0.0) else kernel.BELT_TWIST
+    a = np.empty((matrix.shape[0], size, size))
+    for row, one in zip(linear, a, strict=True):
+        kernel.contact_matrix(row, one)
+    lacks = {kernel.DAHL: np.ones_like(rigid), kernel.TWIST: rigid, kernel.TWIST_SPEED: rigid}
+    lacks |= {state: linear[:, slot] == 0.0 for slot, states in _PARTS.items() for state in states}
+    for state, absent in lacks.items():
+        if state < size:
+            a[absent, state, :] = 0.0
+            a[absent, :, state] = 0.0
+            a[absent, state, state] = _ABSENT
     return a
 
 
@@ -165,8 +109,8 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    Transition over a period, shape (17 + w, 17 + w); and what an error of the speed that the
-    controller sees at its end adds, shape (17 + w,), SI.
+    Transition over a period, shape (18 + w, 18 + w); and what an error of the speed that the
+    controller sees at its end adds, shape (18 + w,), SI.
     """
     period = parameters[Slot.sampled_control__period_s]
     delay = parameters[Slot.sampled_control__delay_periods]
@@ -184,12 +128,12 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     plant = np.zeros((TICKING, TICKING))
     moving = contact_matrices(free[None, :])[0]
     plant[: len(moving), : len(moving)] = moving
-    absent = np.arange(len(moving), MOVING)
+    absent = np.arange(len(moving), kernel.HELD_TORQUE)
     plant[absent, absent] = _ABSENT
-    plant[TORQUE, :MOVING] = 0.0
-    plant[:, INTEGRAL] = plant[INTEGRAL, :] = 0.0
+    plant[kernel.DRIVE_TORQUE] = 0.0
+    plant[:, kernel.INTEGRAL] = plant[kernel.INTEGRAL, :] = 0.0
     torque_lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
-    plant[TORQUE, [TORQUE, ACTING]] = -1.0 / torque_lag, 1.0 / torque_lag
+    plant[kernel.DRIVE_TORQUE, [kernel.DRIVE_TORQUE, ACTING]] = -1.0 / torque_lag, 1.0 / torque_lag
     apply = np.eye(states)
     apply[ACTING] = apply[oldest]
     before, after = np.eye(states), np.eye(states)
@@ -199,20 +143,19 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     motion = after @ apply @ before
 
     turned = np.zeros(states)
-    turned[ANGLE], turned[SENSED] = 1.0, -speed_lag
+    turned[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST]], turned[kernel.SENSED_SPEED] = 1.0, -speed_lag
     error = -turned / period
-    error[ANGLE] -= outer
-    error[UNTIL] -= outer
+    error[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST, UNTIL]] -= outer
     work = np.eye(states)
     work[TICKING:] = np.eye(states)[[COMING, *range(TICKING, states)][:waiting]]
-    work[ANGLE] -= turned
+    work[kernel.MOTOR_ANGLE] -= turned
     work[UNTIL] = work[UNTIL] + turned if outer > 0.0 else 0.0
     work[SEEN] = turned / period
-    work[INTEGRAL] = work[INTEGRAL] + period * error if integral > 0.0 else 0.0
-    work[COMING] = gain * error + integral * work[INTEGRAL]
+    work[kernel.INTEGRAL] = work[kernel.INTEGRAL] + period * error if integral > 0.0 else 0.0
+    work[COMING] = gain * error + integral * work[kernel.INTEGRAL]
     noise = np.zeros(states)
-    noise[INTEGRAL] = -period if integral > 0.0 else 0.0
-    noise[COMING] = -gain + integral * noise[INTEGRAL]
+    noise[kernel.INTEGRAL] = -period if integral > 0.0 else 0.0
+    noise[COMING] = -gain + integral * noise[kernel.INTEGRAL]
     if delay == 0.0:
         work[ACTING], noise[ACTING] = work[COMING], noise[COMING]
     return work @ motion, noise
@@ -221,7 +164,7 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 def contact_rates(matrix: FloatArray) -> ComplexArray:
     """Rates of the linear bench's modes on one tooth flank, in time, 1/s.
 
-    Shape (m, 17), or as many more as torques of a sampled controller wait. A mode that a bench does
+    Shape (m, 18), or as many more as torques of a sampled controller wait. A mode that a bench does
     not have decays at once.
     """
     waiting = max((waiting_torques(row) for row in matrix), default=0)
@@ -316,8 +259,8 @@ def noise_through_loop(
     gain = parameters[Slot.speed_gain_nm_s_per_rad]
     lag = max(parameters[Slot.current_loop_lag__time_s], _SHORTEST_LAG_S)
     b = np.zeros(size)
-    b[TORQUE] = -gain / lag
-    b[INTEGRAL] = -1.0 if parameters[Slot.integral_gain_nm_per_rad] > 0.0 else 0.0
+    b[kernel.DRIVE_TORQUE] = -gain / lag
+    b[kernel.INTEGRAL] = -1.0 if parameters[Slot.integral_gain_nm_per_rad] > 0.0 else 0.0
     held = np.zeros((size + 1, size + 1))
     held[:size, :size] = a
     held[:size, size] = b
@@ -327,11 +270,11 @@ def noise_through_loop(
     for index, value in enumerate(noise_rpm / RPM):
         states[index] = state
         state = transition[:size, :size] @ state + transition[:size, size] * value
-    torque = states[:, TORQUE].copy()
+    torque = states[:, kernel.DRIVE_TORQUE].copy()
     if parameters[Slot.current_loop_lag__time_s] == 0.0:
         # Without lag the controller's proportional part answers in the sample itself.
         torque += -gain * (noise_rpm / RPM - np.concatenate(([0.0], noise_rpm[:-1] / RPM)))
-    return states[:, SENSED] * RPM, torque / parameters[Slot.torque_constant_nm_per_a]
+    return states[:, kernel.SENSED_SPEED] * RPM, torque / parameters[Slot.torque_constant_nm_per_a]
 
 
 def _noise_through_ticks(
@@ -348,7 +291,7 @@ def _noise_through_ticks(
     torque = np.zeros(by_noise.size)
     waiting = waiting_torques(parameters)
     if parameters[Slot.current_loop_lag__time_s] > 0.0:
-        torque[TORQUE] = 1.0
+        torque[kernel.DRIVE_TORQUE] = 1.0
     elif waiting == 0:
         torque[ACTING] = 1.0
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import shlex
 import signal
@@ -45,10 +46,99 @@ def _parser(read: Callable[[str], _Value], expected: str) -> Callable[[str], _Va
     return parse
 
 
-_whole_number = _parser(int, "a whole number")
-_number = _parser(float, "a number, with a decimal point")
-_gap = _parser(float, "a number in rad, with a decimal point, e.g. 1.2e-3 for 1.2 mrad")
-_day = _parser(date.fromisoformat, "a date, e.g. 2026-03-01")
+_PARSERS: Mapping[Any, Callable[[str], Any]] = {
+    int: _parser(int, "a whole number"),
+    float: _parser(float, "a number, with a decimal point"),
+    "RAD": _parser(float, "a number in rad, with a decimal point, e.g. 1.2e-3 for 1.2 mrad"),
+    list[date]: _parser(date.fromisoformat, "a date, e.g. 2026-03-01"),
+    date: _parser(date.fromisoformat, "a date, e.g. 2026-03-01"),
+}
+"""By an option's unit, or else its type."""
+
+OPTIONS: Mapping[str, tuple[Any, str, str]] = {
+    "config": (Path, "FILE", "Configuration; options override it."),
+    "out": (
+        Path,
+        "FOLDER",
+        "Output folder. [default: results/NAME, or results/COMMAND_NAME]",
+    ),
+    "seed": (int, "N", "Seed of all random numbers. [default: 1]"),
+    "workers": (
+        int,
+        "N",
+        "Largest number of processes; results do not depend on it. [default: all cores]",
+    ),
+    "scheduler": (
+        str,
+        "ADDRESS",
+        "Run a study or a fleet on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
+    ),
+    "force": (bool, "", "Replace a finished result, or start over."),
+    "json": (bool, "", "Print the summary as JSON, nothing else."),
+    "curve": (
+        str,
+        "published|RESULT",
+        "Gap curve: the result of a sweep, its folder or result.nc; or the paper's, by name. "
+        "[default: swept from the bench; none without one]",
+    ),
+    "bench": (
+        Path,
+        "FILE|RESULT",
+        "Bench of the joint, its file or a result of identify: simulated, and swept for curves.",
+    ),
+    "route": (
+        str,
+        "auto|amplitude|direct|torque_ramp|two_encoders",
+        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; "
+        "by ramps of torque with the output held; or by encoders of motor and load. [default: auto "
+        "with a bench]",
+    ),
+    "start_from": (
+        Path,
+        "RESULT",
+        "Earlier result of this joint: the search starts from its optimum.",
+    ),
+    "check_sampler": (bool, "", "Sample again with a nested sampler, and report differences."),
+    "limit": (
+        str,
+        "LIMIT",
+        'Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at 0.4 m", '
+        '"1 arcmin lost_motion at 3 %" (of the rated torque).',
+    ),
+    "limit_rad": (
+        float,
+        "RAD",
+        "Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ is half the total "
+        "play.",
+    ),
+    "before": (
+        date,
+        "DATE",
+        "Also report the probability that the gap passes its limit before this date.",
+    ),
+    "dates": (
+        list[date],
+        "DATE",
+        "When a recording was taken; once per recording, in the same order.",
+    ),
+    "gear_ratio": (float, "N", "Motor turns per turn of the load."),
+    "level": (float, "P", "Level of the credible intervals. [default: 0.9]"),
+    "range_rad": (
+        tuple[float, float],
+        "LOW HIGH",
+        "Load angles that a planned motion may reach, in rad; 0 hangs straight down. "
+        "[default: -0.5 0.5]",
+    ),
+    "speed_rpm": (float, "RPM", "Largest speed of the motor. [default: 1500]"),
+    "acceleration_rpm_per_s": (
+        float,
+        "RPM/S",
+        "Largest acceleration of the motor. [default: 6000]",
+    ),
+    "duration_s": (float, "S", "Length of the recording. [default: 20]"),
+    "gap_rad": (float, "RAD", "Gap that the plan is calculated for. [default: 0.0008]"),
+}
+"""Options that commands share, as ``config.loading.OPTIONS`` names them: type, unit, help."""
 
 
 def _option(name: str, metavar: str, what: str, parser: Callable[[str], Any] | None = None) -> Any:
@@ -56,167 +146,50 @@ def _option(name: str, metavar: str, what: str, parser: Callable[[str], Any] | N
     return typer.Option(name, metavar=metavar, help=what, parser=parser)
 
 
+def _parameter(name: str) -> inspect.Parameter:
+    kind, unit, what = OPTIONS[name]
+    flag = "--date" if name == "dates" else "--" + name.replace("_", "-")
+    is_flag = kind is bool
+    option = (
+        typer.Option(flag, help=what)
+        if is_flag
+        else _option(flag, unit, what, _PARSERS.get(unit) or _PARSERS.get(kind))
+    )
+    of_type: Any = bool if is_flag else kind | None
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=False if is_flag else None,
+        annotation=Annotated[of_type, option],
+    )
+
+
+def _takes(options: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """The command with these options, by name, in the place of its ``**given``."""
+
+    def with_options(command: Callable[..., None]) -> Callable[..., None]:
+        *own, _ = inspect.signature(command, eval_str=True).parameters.values()
+        parameters = [*own, *map(_parameter, options.split())]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {p.name: p.annotation for p in parameters}
+        return command
+
+    return with_options
+
+
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration in TOML.")]
 ResultPath = Annotated[
     Path, typer.Argument(metavar="RESULT", help="Output folder of a run, or its result.nc.")
 ]
-BaseConfig = Annotated[
-    Path | None, _option("--config", "FILE", "Configuration; options override it.")
-]
-Out = Annotated[
-    Path | None,
-    _option("--out", "FOLDER", "Output folder. [default: results/NAME, or results/COMMAND_NAME]"),
-]
-Seed = Annotated[
-    int | None, _option("--seed", "N", "Seed of all random numbers. [default: 1]", _whole_number)
-]
-Workers = Annotated[
-    int | None,
-    _option(
-        "--workers",
-        "N",
-        "Largest number of processes; results do not depend on it. [default: all cores]",
-        _whole_number,
-    ),
-]
-Scheduler = Annotated[
-    str | None,
-    _option(
-        "--scheduler",
-        "ADDRESS",
-        "Run a study or a fleet on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
-    ),
-]
-Force = Annotated[bool, typer.Option("--force", help="Replace a finished result, or start over.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")]
-Curve = Annotated[
-    str | None,
-    _option(
-        "--curve",
-        "published|RESULT",
-        "Gap curve: the result of a sweep, its folder or result.nc; or the paper's, by name. "
-        "[default: swept from the bench; none without one]",
-    ),
-]
-BenchFile = Annotated[
-    Path | None,
-    _option(
-        "--bench",
-        "FILE|RESULT",
-        "Bench of the joint, its file or a result of identify: simulated, and swept for curves.",
-    ),
-]
-Route = Annotated[
-    str | None,
-    _option(
-        "--route",
-        "auto|amplitude|direct|torque_ramp|two_encoders",
-        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; "
-        "by ramps of torque with the output held; or by encoders of motor and load. [default: auto "
-        "with a bench]",
-    ),
-]
-StartFrom = Annotated[
-    Path | None,
-    _option(
-        "--start-from",
-        "RESULT",
-        "Earlier result of this joint: the search starts from its optimum.",
-    ),
-]
-CheckSampler = Annotated[
-    bool,
-    typer.Option(
-        "--check-sampler", help="Sample again with a nested sampler, and report differences."
-    ),
-]
-Limit = Annotated[
-    str | None,
-    _option(
-        "--limit",
-        "LIMIT",
-        'Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at 0.4 m", '
-        '"1 arcmin lost_motion at 3 %" (of the rated torque).',
-    ),
-]
-LimitRad = Annotated[
-    float | None,
-    _option(
-        "--limit-rad",
-        "RAD",
-        "Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ is half the total "
-        "play.",
-        _gap,
-    ),
-]
-Before = Annotated[
-    date | None,
-    _option(
-        "--before",
-        "DATE",
-        "Also report the probability that the gap passes its limit before this date.",
-        _day,
-    ),
-]
-Dates = Annotated[
-    list[date] | None,
-    _option(
-        "--date", "DATE", "When a recording was taken; once per recording, in the same order.", _day
-    ),
-]
-GearRatio = Annotated[
-    float | None, _option("--gear-ratio", "N", "Motor turns per turn of the load.", _number)
-]
-Level = Annotated[
-    float | None,
-    _option("--level", "P", "Level of the credible intervals. [default: 0.9]", _number),
-]
-RangeRad = Annotated[
-    tuple[float, float] | None,
-    _option(
-        "--range-rad",
-        "LOW HIGH",
-        "Load angles that a planned motion may reach, in rad; 0 hangs straight down. "
-        "[default: -0.5 0.5]",
-    ),
-]
-SpeedRpm = Annotated[
-    float | None,
-    _option("--speed-rpm", "RPM", "Largest speed of the motor. [default: 1500]", _number),
-]
-Acceleration = Annotated[
-    float | None,
-    _option(
-        "--acceleration-rpm-per-s",
-        "RPM/S",
-        "Largest acceleration of the motor. [default: 6000]",
-        _number,
-    ),
-]
-Duration = Annotated[
-    float | None, _option("--duration-s", "S", "Length of the recording. [default: 20]", _number)
-]
-GapRad = Annotated[
-    float | None,
-    _option("--gap-rad", "RAD", "Gap that the plan is calculated for. [default: 0.0008]", _gap),
-]
 
 
-def run_command(
-    config: ConfigPath,
-    out: Out = None,
-    seed: Seed = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    before: Before = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
+@_takes("out seed workers scheduler before force json")
+def run_command(config: ConfigPath, **given: Any) -> None:
     """Run a configuration, whatever its kind."""
     from bayesbl.runs.kinds import kind_of
 
     kind = kind_of(config)
-    if scheduler is not None and kind not in ("study", "fleet", ""):
+    if given["scheduler"] is not None and kind not in ("study", "fleet", ""):
         raise ConfigError(
             "Only studies and fleets run on a cluster.",
             file=config,
@@ -224,21 +197,13 @@ def run_command(
             found=f'kind = "{kind}"',
             expected='kind = "study" or "fleet"',
         )
-    options: dict[str, Any] = {"out": out, "seed": seed, "workers": workers}
-    run_file(config, force, json, **options, scheduler=scheduler, before=before)
+    run_file(config, **given)
 
 
-def fleet_command(
-    config: ConfigPath,
-    out: Out = None,
-    seed: Seed = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
+@_takes("out seed workers scheduler force json")
+def fleet_command(config: ConfigPath, **given: Any) -> None:
     """Measure what is new of many joints, and write their tables and pages."""
-    run_file(kind="fleet", **locals())
+    run_file(config, kind="fleet", **given)
 
 
 def check_command(config: ConfigPath) -> None:
@@ -365,31 +330,22 @@ def _print_findings(plan: Plan) -> None:
 
 FORMATS = formats.names()
 
+_RUN = "config out seed force json"
+_MEASURED = "curve route bench limit limit_rad gear_ratio level workers start_from check_sampler"
 
+
+@_takes(f"{_RUN} {_MEASURED}")
 def fit_command(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help=f"A recording: {FORMATS}.")
     ],
-    config: BaseConfig = None,
-    out: Out = None,
-    seed: Seed = None,
-    force: Force = False,
-    json: Json = False,
-    curve: Curve = None,
-    route: Route = None,
-    bench: BenchFile = None,
-    limit: Limit = None,
-    limit_rad: LimitRad = None,
-    gear_ratio: GearRatio = None,
-    level: Level = None,
-    workers: Workers = None,
-    start_from: StartFrom = None,
-    check_sampler: CheckSampler = False,
+    **given: Any,
 ) -> None:
     """Measure the gap in one recording."""
-    _measure("fit", [recording], _given(locals(), "recording"))
+    _measure("fit", [recording], given)
 
 
+@_takes(f"{_RUN} {_MEASURED} dates before")
 def compare_command(
     first: Annotated[
         Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
@@ -398,23 +354,7 @@ def compare_command(
         list[Path] | None,
         typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order."),
     ] = None,
-    config: BaseConfig = None,
-    out: Out = None,
-    seed: Seed = None,
-    force: Force = False,
-    json: Json = False,
-    curve: Curve = None,
-    route: Route = None,
-    bench: BenchFile = None,
-    dates: Dates = None,
-    limit: Limit = None,
-    limit_rad: LimitRad = None,
-    before: Before = None,
-    gear_ratio: GearRatio = None,
-    level: Level = None,
-    workers: Workers = None,
-    start_from: StartFrom = None,
-    check_sampler: CheckSampler = False,
+    **given: Any,
 ) -> None:
     """Measure each gap, the change from first to last, and with dates how fast it grows."""
     if not later:
@@ -425,24 +365,30 @@ def compare_command(
             found=f"{first} alone",
             expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
         )
-    given = _given(locals(), "first", "later", "dates", "quoted")
-    _measure("compare", [first, *later], given, dates or ())
+    _measure("compare", [first, *later], given)
 
 
-def _given(options: Mapping[str, Any], *without: str) -> dict[str, Any]:
-    """A command's options by name; a flag that is not set does not stand against a file's."""
-    return {k: None if v is False else v for k, v in options.items() if k not in without}
+def _measure(kind: str, recordings: Sequence[Path], given: dict[str, Any]) -> None:
+    with guessing_columns(f"init {given_files(recordings)}", given["config"]):
+        _run_options(kind, recordings, **given)
 
 
-def _measure(
-    kind: str, recordings: Sequence[Path], given: dict[str, Any], dates: Sequence[date] = ()
+def _run_options(
+    kind: str,
+    recordings: Sequence[Path],
+    *,
+    config: Path | None,
+    force: bool,
+    json: bool,
+    dates: Sequence[date] | None = None,
+    **options: Any,
 ) -> None:
+    """Run what options state over a configuration; a flag that is not set states nothing."""
     from bayesbl.config.loading import config_from_options
 
-    config, force, json = (given.pop(name) for name in ("config", "force", "json"))
-    loaded = config_from_options(kind, recordings, config, dates, **given)
-    with guessing_columns(f"init {given_files(recordings)}", config):
-        run_config(loaded, bool(force), bool(json), config)
+    stated = {name: None if value is False else value for name, value in options.items()}
+    loaded = config_from_options(kind, recordings, config, dates or (), **stated)
+    run_config(loaded, force, json, config)
 
 
 _WATCHED = "_watched"
@@ -588,15 +534,9 @@ def _ended_by_signals() -> Iterator[None]:
 def _command(kind: str, what: str) -> Callable[..., None]:
     """The command that runs configurations of one kind; ``what`` is its help."""
 
-    def command(
-        config: ConfigPath,
-        out: Out = None,
-        seed: Seed = None,
-        workers: Workers = None,
-        force: Force = False,
-        json: Json = False,
-    ) -> None:
-        run_file(config, force, json, kind=kind, out=out, seed=seed, workers=workers)
+    @_takes("out seed workers force json")
+    def command(config: ConfigPath, **given: Any) -> None:
+        run_file(config, kind=kind, **given)
 
     command.__name__, command.__doc__ = f"{kind}_command", what
     return command
@@ -606,28 +546,19 @@ simulate_command = _command("simulate", "Make recordings on a virtual bench.")
 sweep_command = _command("sweep", "Sweep a virtual bench over its gap, for a gap curve of its own.")
 
 
+@_takes(
+    "bench range_rad speed_rpm acceleration_rpm_per_s duration_s gap_rad out workers force json"
+)
 def plan_command(
     config: Annotated[
         Path | None, typer.Argument(metavar="[CONFIG]", help="Configuration in TOML.")
     ] = None,
-    bench: BenchFile = None,
-    range_rad: RangeRad = None,
-    speed_rpm: SpeedRpm = None,
-    acceleration_rpm_per_s: Acceleration = None,
-    duration_s: Duration = None,
-    gap_rad: GapRad = None,
-    out: Out = None,
-    workers: Workers = None,
-    force: Force = False,
-    json: Json = False,
+    **given: Any,
 ) -> None:
     """Rank motions within limits by how well they would tell the gap."""
-    options = _given(locals(), "config", "force", "json")
-    if out is None and config is None:
-        options["out"] = Path("results", "plan")
-    from bayesbl.config.loading import config_from_options
-
-    run_config(config_from_options("plan", (), config, **options), force, json, config)
+    if given["out"] is None and config is None:
+        given["out"] = Path("results", "plan")
+    _run_options("plan", (), config=config, **given)
 
 
 def effects_command(
@@ -679,50 +610,25 @@ Effects = Annotated[
 ]
 
 
+@_takes("dates config out seed force json level workers")
 def identify_command(
-    inputs: Inputs,
-    bench: DataSheet = None,
-    effects: Effects = None,
-    dates: Dates = None,
-    config: BaseConfig = None,
-    out: Out = None,
-    seed: Seed = None,
-    force: Force = False,
-    json: Json = False,
-    level: Level = None,
-    workers: Workers = None,
+    inputs: Inputs, bench: DataSheet = None, effects: Effects = None, **given: Any
 ) -> None:
     """Find the bench of a joint from its data sheet and recordings, with the gap."""
-    given = _given(locals(), "inputs", "dates", "config", "force", "json")
-    if effects not in (None, "catalogue"):
-        given["effects"] = effects.split(",")
-    from bayesbl.config.loading import config_from_options
-
+    named = effects.split(",") if effects not in (None, "catalogue") else effects
     if _is_configuration(inputs):
-        loaded = config_from_options("identify", (), inputs[0], **given)
-        run_config(loaded, force, json, inputs[0])
-        return
-    if bench is None and config is None:
+        inputs, given["config"], given["dates"] = [], inputs[0], None
+    elif bench is None and given["config"] is None:
         raise _without_bench("An identification starts from a data sheet.", "datasheet.toml")
-    loaded = config_from_options("identify", inputs, config, dates or (), **given)
-    run_config(loaded, force, json, config)
+    _run_options("identify", inputs, bench=bench, effects=named, **given)
 
 
-def diagnose_command(
-    inputs: Inputs,
-    bench: BelievedBench = None,
-    config: BaseConfig = None,
-    out: Out = None,
-    seed: Seed = None,
-    force: Force = False,
-    json: Json = False,
-    level: Level = None,
-    workers: Workers = None,
-) -> None:
+@_takes("config out seed force json level workers")
+def diagnose_command(inputs: Inputs, bench: BelievedBench = None, **given: Any) -> None:
     """Find what a bench lacks that recordings show."""
-    given = _given(locals(), "inputs", "config", "force", "json")
+    config, force, json = (given.pop(name) for name in ("config", "force", "json"))
     if _is_configuration(inputs):
-        run_file(inputs[0], force, json, kind="diagnose", **given)
+        run_file(inputs[0], force, json, kind="diagnose", bench=bench, **given)
         return
     if bench is None and config is None:
         raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
@@ -730,7 +636,7 @@ def diagnose_command(
 
     files = given_files([*([bench] if bench else []), *inputs])
     with guessing_columns(f"init --diagnose {files}", config):
-        loaded, guess = diagnosis_of(inputs, config, **given)
+        loaded, guess = diagnosis_of(inputs, config, bench=bench, **given)
     console = notes_console()
     for choice in guess:
         console.print(f"Guessed: {choice.told}", markup=False, highlight=False)
@@ -778,7 +684,8 @@ def report_command(result: ResultPath) -> None:
     say(str(write_page(result)))
 
 
-def inspect_command(result: ResultPath, json: Json = False) -> None:
+@_takes("json")
+def inspect_command(result: ResultPath, **given: Any) -> None:
     """Print what a result says."""
     from bayesbl.presentation.console import print_summary
     from bayesbl.presentation.terminal import make_console
@@ -786,7 +693,7 @@ def inspect_command(result: ResultPath, json: Json = False) -> None:
     from bayesbl.runs.kinds import read_result, summarise
 
     tree = read_result(result)
-    if json:
+    if given["json"]:
         # Not the summary.json beside it: only what is in result.nc is verified.
         typer.echo(json_text(summarise(tree)), nl=False)
     else:

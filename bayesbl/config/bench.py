@@ -25,7 +25,7 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
-from bayesbl.config.diagnose import bench_parameter
+from bayesbl.config.diagnose import bench_parameter, effect_name
 from bayesbl.config.files import load_file
 from bayesbl.config.sections import Items, Section, Tolerance, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError
@@ -145,14 +145,6 @@ def _total_inertia(bench: Values) -> float:
 REFERENCE_BENCH = "reference_bench.toml"
 AVERAGING = effect_named("speed_averaging")
 LONGEST_AVERAGE_S = AVERAGING.parameter("time_s").high
-
-
-def _effect_name(name: str) -> str:
-    try:
-        effect_named(name)
-    except BenchError as error:
-        refuse(error.problem, expected=error.expected)
-    return name
 
 
 class _Uncertain(Section):
@@ -327,17 +319,10 @@ class _Spring(Section, ABC):
     def _spring(self) -> dict[str, EffectParameterValue]:
         """Compliance, and damping over stiffness."""
         stiffness, damping = self.stiffness_nm_per_rad, self.damping_nm_s_per_rad
-        k = stiffness.value
-        return {
-            "compliance_rad_per_nm": _divided(EffectValue(value=1.0), stiffness),
-            "damping_time_s": EffectParameterValue(
-                damping.value / k, _sd_over(damping.parameter().sd, k)
-            ),
-        }
-
-
-def _sd_over(sd: float | None, divisor: float) -> float | None:
-    return None if sd is None else sd / divisor
+        k, sd = stiffness.value, damping.parameter().sd
+        time = EffectParameterValue(damping.value / k, None if sd is None else sd / k)
+        one = EffectValue(value=1.0)
+        return {"compliance_rad_per_nm": _divided(one, stiffness), "damping_time_s": time}
 
 
 def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
@@ -441,7 +426,7 @@ class EffectEntry(Section):
     if not given; 17 with a dead time of 4 ms besides.
     """
 
-    name: Annotated[str, AfterValidator(_effect_name)]
+    name: Annotated[str, AfterValidator(effect_name)]
     parameters: dict[str, EffectValue]
 
     @model_validator(mode="after")

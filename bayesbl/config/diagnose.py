@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
@@ -24,36 +25,47 @@ from bayesbl.recording.channels import did_you_mean
 Method = Literal["forward", "inverse", "free_motion"]
 
 
-def effect_names(value: object) -> object:
-    """Refused before the choice between ``"all"`` and a list, which would report every branch."""
+def effect_name(name: str) -> str:
+    """A name of the catalogue; refused if there is none."""
     # Imported here: the catalogue needs the compiled simulator, which takes a second.
     from bayesbl.bench.effects import EFFECT_BY_NAME
 
-    if value == "all":
-        return value
-    if not isinstance(value, list | tuple) or not value:
-        refuse("This is not a list of effects.", expected='"all", or names in brackets: ["…"]')
-    unknown = [name for name in value if not (isinstance(name, str) and name in EFFECT_BY_NAME)]
-    if unknown:
-        hints = dict.fromkeys(did_you_mean(str(name), EFFECT_BY_NAME) for name in unknown)
-        refuse(
-            "There is no such effect." + "".join(hints),
-            found=", ".join(map(repr, unknown)),
-            expected="one of " + ", ".join(EFFECT_BY_NAME),
-        )
-    return tuple(value)
+    return known_name(name, EFFECT_BY_NAME, "effect")
 
 
 def bench_parameter(name: str) -> str:
     """A name of a bench parameter; refused if there is none."""
     from bayesbl.bench.parameters import PARAMETER_INFO
 
-    if name not in PARAMETER_INFO:
+    return known_name(name, PARAMETER_INFO, "bench parameter")
+
+
+def known_name(name: str, known: Collection[str], what: str) -> str:
+    """The name; refused unless it is one of those known."""
+    if name not in known:
         refuse(
-            "There is no such bench parameter." + did_you_mean(name, PARAMETER_INFO),
-            expected="one of " + ", ".join(PARAMETER_INFO),
+            f"There is no such {what}." + did_you_mean(name, known),
+            found=repr(name),
+            expected="one of " + ", ".join(known),
         )
     return name
+
+
+def word_or_names(
+    word: str, what: str, known: Callable[[str], str], fewest: int = 1
+) -> BeforeValidator:
+    """Refuses before the choice between a word and a list, which would report every branch."""
+
+    def read(value: object) -> object:
+        if value == word:
+            return value
+        if not isinstance(value, list | tuple) or len(value) < fewest:
+            refuse(
+                f"This is not a list of {what}.", expected=f'"{word}", or names in brackets: ["…"]'
+            )
+        return tuple(known(str(name)) for name in value)
+
+    return BeforeValidator(read)
 
 
 class Compared(Section):
@@ -104,7 +116,9 @@ class Candidates(Section):
     Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
     """
 
-    effects: Annotated[Literal["all"] | tuple[str, ...], BeforeValidator(effect_names)] = "all"
+    effects: Annotated[
+        Literal["all"] | tuple[str, ...], word_or_names("all", "effects", effect_name)
+    ] = "all"
     max_effects: int | None = Field(default=None, ge=1, le=10)
     false_alarm: float = Field(default=0.01, gt=0.0, le=0.5)
 

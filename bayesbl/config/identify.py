@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from bayesbl.config.diagnose import bench_parameter, effect_names
+from bayesbl.config.diagnose import bench_parameter, effect_name, word_or_names
 from bayesbl.config.sections import (
     GapBounds,
     InputPath,
@@ -26,21 +26,14 @@ class IdentifiedRecording(SnapshotRecording):
     use: Literal["fit", "hold_out"] = "fit"
 
 
-def _parameters(value: object) -> object:
-    if value == "toleranced":
-        return value
-    if not isinstance(value, list | tuple) or not value:
-        refuse(
-            "This is not a list of bench parameters.",
-            expected='"toleranced", or names in brackets: ["…"]',
-        )
-    return tuple(bench_parameter(str(name)) for name in value)
-
-
-def _effects(value: object) -> object:
-    if value == "catalogue" or (isinstance(value, list | tuple) and not value):
-        return value if isinstance(value, str) else ()
-    return effect_names(value)
+_Parameters = Annotated[
+    Literal["toleranced"] | tuple[str, ...],
+    word_or_names("toleranced", "bench parameters", bench_parameter),
+]
+_Effects = Annotated[
+    Literal["catalogue"] | tuple[str, ...],
+    word_or_names("catalogue", "effects", effect_name, fewest=0),
+]
 
 
 class Identify(Section):
@@ -51,10 +44,8 @@ class Identify(Section):
     if the bench cannot explain them. ``gap_rad``: range of the gap's log-uniform prior.
     """
 
-    parameters: Annotated[Literal["toleranced"] | tuple[str, ...], BeforeValidator(_parameters)] = (
-        "toleranced"
-    )
-    effects: Annotated[Literal["catalogue"] | tuple[str, ...], BeforeValidator(_effects)] = ()
+    parameters: _Parameters = "toleranced"
+    effects: _Effects = ()
     gap_rad: GapBounds = (1e-4, 1e-2)
 
 

@@ -116,9 +116,7 @@ def load_config(path: File, *, kind: str | None = None) -> RunConfig:
     """
     document = _read(Path(path))
     require_kind(document.tables, KINDS if kind is None else [kind], document.file, document.text)
-    _set_default(
-        document.tables, ("run", "output"), str(Path("results", Path(path).stem).absolute())
-    )
+    _set_default_output(document.tables, Path(path).stem)
     return _validate(document)
 
 
@@ -183,7 +181,7 @@ def config_from_options(
                 }
             _set(tables, location, plain)
             origins[location] = "--" + option.replace("_", "-")
-    _set_default(tables, ("run", "output"), _default_output(kind, recordings, config))
+    _set_default_output(tables, _default_output(kind, recordings, config))
     return _validate(replace(document, tables=tables, origins=origins))
 
 
@@ -273,19 +271,17 @@ def _entries(recordings: Sequence[str | Path], dates: Sequence[Date]) -> list[_T
 
 
 def _default_output(kind: str, recordings: Sequence[str | Path], config: str | Path | None) -> str:
-    """Below ``results``: of recordings with the command, of a configuration by its name alone."""
+    """Name below ``results``: of recordings with the command, of a configuration its own."""
     if not recordings:
-        return str(Path("results", Path(config or "run").stem).absolute())
+        return Path(config or "run").stem
     stems = dict.fromkeys(name_of(stem_of(Path(p))) for p in (recordings[0], recordings[-1]))
-    name = "_".join((kind, *stems)).encode()[:_LONGEST_OUTPUT].decode(errors="ignore")
-    return str(Path("results", name).absolute())
+    return "_".join((kind, *stems)).encode()[:_LONGEST_OUTPUT].decode(errors="ignore")
 
 
-def _get(tables: _Tables, location: Location) -> object:
-    value: Any = tables
-    for key in location:
-        value = value.get(key) if isinstance(value, dict) else None
-    return value
+def _set_default_output(tables: _Tables, name: str) -> None:
+    run = tables.get("run", {})
+    if isinstance(run, dict) and run.get("output") is None:
+        tables["run"] = {**run, "output": str(Path("results", name).absolute())}
 
 
 def _set(tables: _Tables, location: Location, value: object) -> None:
@@ -298,11 +294,6 @@ def _set(tables: _Tables, location: Location, value: object) -> None:
     if isinstance(section, dict):
         tables[key] = dict(section)
         _set(tables[key], location[1:], value)
-
-
-def _set_default(tables: _Tables, location: Location, value: object) -> None:
-    if _get(tables, location) is None:
-        _set(tables, location, value)
 
 
 def _plain(value: Any) -> Any:

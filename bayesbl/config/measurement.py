@@ -7,14 +7,7 @@ from dataclasses import asdict
 from datetime import date as Date
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from bayesbl import units
 from bayesbl.config.sections import (
@@ -227,26 +220,12 @@ class Estimator(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.route in WITHOUT_BENCH:
-            if self.bench is not None:
-                refuse(
-                    f"{WITHOUT_BENCH[self.route]} are read without a bench.",
-                    found=f'a bench with route = "{self.route}"',
-                    expected="no bench",
-                    at=("bench",),
-                )
-        elif self.route != "amplitude" and self.bench is None:
+        if self.route not in ("amplitude", *WITHOUT_BENCH) and self.bench is None:
             refuse(
                 "This route needs a bench.",
                 found=f'route = "{self.route}" without a bench',
                 expected='bench = "bench.toml" (--bench bench.toml)',
                 at=("route",),
-            )
-        if self.route != "amplitude" and self.search.start_from is not None:
-            refuse(
-                "This route has no search, and cannot start from an earlier result.",
-                found=f'start_from = "{self.search.start_from}" with route = "{self.route}"',
-                expected='route = "amplitude", or no start_from',
             )
         if self.search.method != "guess" and self.model.baseline_harmonics != 0:
             refuse(
@@ -320,68 +299,54 @@ class SnapshotConfig(RecordedConfig):
         """The entry of this name."""
         return next(entry for entry in self.recordings if entry.name == recording)
 
-    @field_validator("posterior")
-    @classmethod
-    def _sampler_of_the_route(cls, posterior: Posterior, info: ValidationInfo) -> Posterior:
-        estimator = info.data.get("estimator")  # absent if it was refused itself
-        if estimator is not None and estimator.route != "amplitude" and posterior.check_sampler:
-            refuse(
-                "The second sampler samples the amplitude route's posterior only.",
-                found=f'check_sampler = true with route = "{estimator.route}"',
-                expected='route = "amplitude", or no check_sampler',
-                at=("check_sampler",),
-            )
-        return posterior
-
     @model_validator(mode="after")
-    def _without_bench_alone(self) -> Self:
-        """What only routes without a bench have, and what they have no use for."""
-        route = self.estimator.route
-        ramps, what = route == "torque_ramp", WITHOUT_BENCH.get(route)
-        if what is not None and self.curve.source is not None:
-            refuse(
-                f"{what} are read without a gap curve.",
-                found=f'a curve with route = "{route}"',
-                expected="no curve",
-                at=("curve", "source"),
-            )
-        for number, recording in enumerate(self.recordings):
-            if not ramps and len(recording.every_file) > 1:
-                refuse(
-                    "A snapshot of several files is one of torque ramps.",
-                    found=f"{len(recording.every_file)} files of {recording.name}",
-                    expected='route = "torque_ramp" in [estimator], or one file',
-                    at=("recordings", number, "files"),
-                )
-            if what is not None and recording.reference_speed_rpm is not None:
-                refuse(
-                    f"{what} have no reference speed.",
-                    found=f"reference_speed_rpm of {recording.name}",
-                    expected="no reference speed",
-                    at=("recordings", number, "reference_speed_rpm"),
-                )
-        return self
+    def _has_a_use(self) -> Self:
+        """What the route, or what it reads δ from, has no use for is refused, not ignored."""
+        route, by_bench = self.estimator.route, self.estimator.bench is not None
+        by_amplitude, what = route == "amplitude", WITHOUT_BENCH.get(route, "")
+        curve, ramps = self.curve.source is not None, route == "torque_ramp"
 
-    @model_validator(mode="after")
-    def _known_of_a_bench_in_use(self) -> Self:
-        """What is known of the joint beside its bench file reaches the answer, or is refused."""
-        by_amplitude = self.estimator.route == "amplitude"
-        if self.joint.may_drift and (by_amplitude or self.estimator.bench is None):
-            refuse(
-                "What may drift is part of the direct route, which needs a bench.",
-                found="may_drift, and the amplitude route",
-                expected='bench = "bench.toml" under [estimator], and no route = "amplitude"',
-                at=("joint", "may_drift"),
+        def unused(is_there: object, problem: str, *at: str | int) -> None:
+            if is_there:
+                there = f'{at[-1]} with route = "{route}"' + ("" if by_bench else " and no bench")
+                refuse(problem, found=there, expected=f"no {at[-1]}, or another route", at=at)
+
+        unused(what and by_bench, f"{what} are read without a bench.", "estimator", "bench")
+        unused(what and curve, f"{what} are read without a gap curve.", "curve", "source")
+        unused(
+            not by_amplitude and self.estimator.search.start_from,
+            "This route has no search, and cannot start from an earlier result.",
+            *("estimator", "search", "start_from"),
+        )
+        unused(
+            not by_amplitude and self.posterior.check_sampler,
+            "The second sampler samples the amplitude route's posterior only.",
+            *("posterior", "check_sampler"),
+        )
+        unused(
+            self.joint.may_drift and (by_amplitude or not by_bench),
+            "What may drift is part of the direct route, which needs a bench.",
+            *("joint", "may_drift"),
+        )
+        for n, recording in enumerate(self.recordings):
+            several, speed = len(recording.every_file) > 1, recording.reference_speed_rpm
+            at = ("recordings", n)
+            unused(
+                several and not ramps,
+                "A snapshot of several files is one of torque ramps.",
+                *at,
+                "files",
             )
-        if self.estimator.bench is None or (by_amplitude and self.curve.source is not None):
-            for number, recording in enumerate(self.recordings):
-                if recording.bench:
-                    refuse(
-                        "Nothing here is read from a bench, so its values cannot be changed.",
-                        found=f"bench of {recording.name}",
-                        expected='bench = "bench.toml" under [estimator], without a curve',
-                        at=("recordings", number, "bench"),
-                    )
+            unused(
+                what and speed is not None,
+                f"{what} have no reference speed.",
+                *(*at, "reference_speed_rpm"),
+            )
+            unused(
+                recording.bench and (not by_bench or (by_amplitude and curve)),
+                "Nothing here is read from a bench, so its values cannot be changed.",
+                *(*at, "bench"),
+            )
         return self
 
 

@@ -320,10 +320,6 @@ class Outbox:
         except (OSError, ValueError, TypeError, AttributeError):
             return {}
 
-    def keep_sent(self, again: Again) -> None:
-        """Keep what the broker has taken: what is lost of it is sent once more."""
-        self.folder.write(_SENT_FILE, json.dumps(again).encode())
-
     def settle(self, stored: set[str], refused: set[str]) -> int:
         """Forget what is stored, set aside what was refused; how many of these there are now."""
         aside = [file for file in self.waiting() if _name_in(file) in refused]
@@ -386,8 +382,8 @@ class Sender:
             time.sleep(0.05)
         self._stop.set()
         self._thread.join()
-        with suppress(OSError):
-            self._outbox.keep_sent(self._again)
+        with suppress(OSError):  # what is lost of it is sent once more
+            self._outbox.folder.write(_SENT_FILE, json.dumps(self._again).encode())
         self._client.disconnect()
         self._client.loop_stop()
         return len(self._outbox.waiting())

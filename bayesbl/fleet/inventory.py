@@ -17,7 +17,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date as Date
 from datetime import datetime
-from glob import glob
+from glob import escape, glob
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, Self, TypeVar
 
@@ -305,21 +305,19 @@ def fetched(found: Sequence[Found], folder: Path) -> list[Found]:
 
     One that cannot be had gets its reason; copies that nothing leads to any more are deleted.
     """
-    taken = [_fetched(one, folder) for one in found]
+    taken = []
+    for one in found:
+        if one.reason is None and is_address(one.file):
+            try:
+                one = replace(one, file=str(copied(one.file, folder)), address=one.file)
+            except OSError as error:
+                one = replace(one, reason=f"The file cannot be read: {error.strerror}.")
+        taken.append(one)
     needed = {Path(one.file).name for one in taken if one.address is not None}
     copies = PrivateFolder(folder)
     for name in copies.entries().keys() - needed:
         copies.delete(name)
     return taken
-
-
-def _fetched(one: Found, folder: Path) -> Found:
-    if one.reason is not None or not is_address(one.file):
-        return one
-    try:
-        return replace(one, file=str(copied(one.file, folder)), address=one.file)
-    except OSError as error:
-        return replace(one, reason=f"The file cannot be read: {error.strerror}.")
 
 
 FileState = tuple[int, int, int, int]
@@ -360,7 +358,7 @@ def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
     remote = is_address(pattern)
     parts = re.split(r"(\{joint\}|\{date\})", pattern)
-    anything = "".join("*" if part.startswith("{") else _glob_escaped(part) for part in parts)
+    anything = "".join("*" if part.startswith("{") else escape(part) for part in parts)
     seen: set[str] = set()
     exact = ""
     for part in parts:
@@ -380,10 +378,6 @@ def _within(folder: str | Path, one: Found, remote: bool = False) -> Found:
     if remote or Path(os.path.realpath(one.file)).is_relative_to(os.path.realpath(folder)):
         return one
     return replace(one, reason=f"This is a link, or below one, that leads out of {folder}.")
-
-
-def _glob_escaped(text: str) -> str:
-    return re.sub(r"([*?\[])", r"[\1]", text)
 
 
 def _by_table(section: FleetSection) -> Iterator[Found]:

@@ -210,19 +210,14 @@ class JointJob:
         else:
             estimator |= {"bench": joint.bench, "route": route or estimator["route"]}
         curve = dict(self.settings["curve"]) | ({"source": joint.curve} if joint.curve else {})
-        repaired = [n for n in numbers if joint.repaired and self._date(n) >= joint.repaired]
+        repaired = [
+            n for n in numbers if joint.repaired and self.recordings[n].date >= joint.repaired
+        ]
         tables: dict[str, Any] = {
             "schema": 1,
             "kind": kind,
             "run": {"seed": self.seed, "workers": 1, "output": self.output},
-            "joint": {
-                name: value
-                for name, value in (
-                    ("gear_ratio", joint.gear_ratio),
-                    ("limit_rad", joint.limit_rad),
-                )
-                if value is not None
-            },
+            "joint": {"gear_ratio": joint.gear_ratio, "limit_rad": joint.limit_rad},
             "recordings": [self._entry(n, repaired=n in repaired[:1]) for n in numbers],
             "estimator": estimator,
             "curve": curve,
@@ -268,9 +263,6 @@ class JointJob:
         if one.reference_speed_rpm is not None:
             entry["reference_speed_rpm"] = one.reference_speed_rpm
         return entry
-
-    def _date(self, number: int) -> str:
-        return self.recordings[number].date
 
 
 DRAWS = 2000
@@ -408,12 +400,14 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
     route = routes[0][0] if routes else ""
     used = [number for number in giving if answers[number].route == route]
     if len({job.recordings[number].date for number in used}) < 2:
+        last = answers[used[-1]].gap_rad if used else None
         after = " since the repair" if job.joint.repaired else ""
+        are = {0: "is none", 1: "is one"}.get(len(used), f"are {len(used)}, of one day")
         return JointAnswer(
-            f"A rate needs δ at two dates or more{after}; there {_are(len(used))}.",
+            f"A rate needs δ at two dates or more{after}; there {are}.",
             route,
             tuple(used[-1:]),
-            None if not used else _alone(answers[used[-1]]),
+            None if last is None else _thin(last)[None],
         )
     asked = used if route == "amplitude" else []
     before_it = _states(job, asked)
@@ -430,23 +424,13 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
     return answer
 
 
-def _alone(answer: RecordingAnswer) -> FloatArray:
-    """Its gap as the only one in use, shape (1, draw)."""
-    assert answer.gap_rad is not None
-    return _thin(answer.gap_rad)[None]
-
-
 def _by_bench(
     job: JointJob, used: Sequence[int], answers: Sequence[RecordingAnswer]
 ) -> JointAnswer:
     config = job.config("compare", used)
     assert isinstance(config, CompareConfig)
-    matched = []
-    for number in used:
-        gap, bench = answers[number].gap_rad, answers[number].bench
-        assert gap is not None
-        assert bench is not None
-        matched.append(MatchedAlone(gap, bench))
+    pairs = [(answers[number].gap_rad, answers[number].bench) for number in used]
+    matched = [MatchedAlone(g, b) for g, b in pairs if g is not None and b is not None]
     names = [job.names[number] for number in used]
     seeds = job.seeds(used)
     gaps = paired_gaps(matched, DRAWS, np.random.default_rng(seeds.gap))
@@ -568,7 +552,3 @@ def _thin(draws: FloatArray) -> FloatArray:
 
 def _flat(draws: FloatArray) -> FloatArray:
     return _thin(np.asarray(draws, dtype=float).ravel())
-
-
-def _are(count: int) -> str:
-    return "is none" if count == 0 else "is one" if count == 1 else f"are {count}, of one day"

@@ -237,7 +237,10 @@ def joint_rows(
     """Rows of ``joints.parquet``: the largest expected cost first, then the most urgent."""
     rows = [_joint_row(one, borrowed.get(one.joint.name), level, decide_before) for one in measured]
     for row in rows:
-        row["expected_cost"] = _expected_cost(row)
+        before, cost = row["probability_limit_before"], row["cost_at_limit"]
+        probability = row["probability_limit_now"] if before is None else before
+        if cost is not None and probability is not None:
+            row["expected_cost"] = float(probability * cost)
     called = alarms([row["probability_limit_now"] for row in rows])
     for row, alarm in zip(rows, called, strict=True):
         row["alarm"] = alarm
@@ -246,13 +249,6 @@ def joint_rows(
     for rank, row in enumerate(dated, start=1):
         row["rank"] = rank
     return rows
-
-
-def _expected_cost(row: Mapping[str, Any]) -> float | None:
-    before = row["probability_limit_before"]
-    probability = row["probability_limit_now"] if before is None else before
-    cost = row["cost_at_limit"]
-    return None if cost is None or probability is None else float(probability * cost)
 
 
 def _urgency(row: Mapping[str, Any]) -> tuple[Any, ...]:

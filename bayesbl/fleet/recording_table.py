@@ -110,11 +110,9 @@ class RecordingTable:
         if row["sha256"] is None:
             return bool(self._where(**same, file=row["file"], reason=row["reason"]))
         known = self._outcomes(**same, sha256=row["sha256"])
-        return bool(known if self._is_unusable(row) else known - UNUSABLE)
-
-    def _is_unusable(self, row: Row) -> bool:
-        """Whether it says nothing, or what it says is of nobody: the same bytes are another's."""
-        return row["outcome"] in UNUSABLE or bool(self._of_others(row))
+        # What it says is of nobody where the same bytes are another joint's.
+        is_unusable = row["outcome"] in UNUSABLE or bool(self._of_others(row))
+        return bool(known if is_unusable else known - UNUSABLE)
 
     def _of_others(self, row: Row) -> list[int]:
         """Rows of the same bytes for another joint."""

@@ -142,12 +142,14 @@ def other_benches(alone: Sequence[MatchedAlone], names: Sequence[str]) -> dict[i
     """
     if len(alone) < 2 or not names:
         return {}
-    return {
-        number: _differing(one, shared_bench([o for o in alone if o is not one]), names)
-        for number, one in enumerate(alone)
-        if _probability(one, shared_bench([o for o in alone if o is not one]))
-        < FALSE_ALARM / len(alone)
-    }
+    found = {}
+    for number, one in enumerate(alone):
+        others = shared_bench([other for other in alone if other is not one])
+        if _probability(one, others) < FALSE_ALARM / len(alone):
+            difference, covariance = _difference(one, others)
+            z = np.abs(difference) / np.sqrt(np.diag(covariance))
+            found[number] = [names[i] for i in np.argsort(-z)[:2]]
+    return found
 
 
 def _difference(
@@ -171,11 +173,3 @@ def _probability(one: MatchedAlone, others: tuple[FloatArray, FloatArray]) -> fl
     difference, covariance = _difference(one, others)
     along, spread = learnt.T @ difference, learnt.T @ covariance @ learnt
     return float(chi2_sf(along @ np.linalg.solve(spread, along), learnt.shape[1]))
-
-
-def _differing(
-    one: MatchedAlone, others: tuple[FloatArray, FloatArray], names: Sequence[str]
-) -> list[str]:
-    difference, covariance = _difference(one, others)
-    z = np.abs(difference) / np.sqrt(np.diag(covariance))
-    return [names[i] for i in np.argsort(-z)[:2]]

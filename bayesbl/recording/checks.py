@@ -86,10 +86,9 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
+    require_alive(recording, (MOTOR_SPEED,))
     if moves(recording):
-        require_varying(recording, MOTOR_SPEED)
         return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
-    require_varying(recording, MOTOR_SPEED)
     require_alive(recording, (MOTOR_POSITION,))
     require_plausible_speed_unit(recording)
     require_unclipped(recording, MOTOR_SPEED)
@@ -228,19 +227,6 @@ def require_rotations(recording: Recording, rotations: float) -> None:
         found=f"{rotations:.2f} rotations in {recording.duration_s:.4g} s",
         expected=f"at least 2{needed}; speed in rpm, and the right gear ratio if one is given",
     )
-
-
-def require_varying(recording: Recording, channel: str) -> None:
-    """The signal is not constant: it varies by more than a millionth of its size."""
-    values = recording.channels[channel]
-    if is_constant(values):
-        raise RecordingError(
-            f"The {CHANNELS.get(channel, channel)} is constant.",
-            file=recording.place,
-            where=channel,
-            found=_all_alike(recording, channel),
-            expected="a signal in which the load's impacts can be seen",
-        )
 
 
 def require_alive(recording: Recording, channels: Sequence[str]) -> None:

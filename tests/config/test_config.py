@@ -223,7 +223,7 @@ WRONG = {
         '[estimator]\nroute = "direct"\nbench = "before.csv"\n'
         '[estimator.search]\nstart_from = "after.csv"\n',
         "cannot start from an earlier result",
-        "[estimator]",
+        "[estimator.search]",
     ),
     "direct with a second sampler": (
         '[estimator]\nroute = "direct"\nbench = "before.csv"\n[posterior]\ncheck_sampler = true\n',

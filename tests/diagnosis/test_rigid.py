@@ -12,8 +12,8 @@ from rigid_machine import LOAD_INERTIA, RATIO, SAMPLING_HZ, bench, motion, recor
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
-from bayesbl.bench.effects.backlash import play
-from bayesbl.bench.effects.shaft_hysteresis import dahl
+from bayesbl.bench.effects.gap import play
+from bayesbl.bench.effects.shaft import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece

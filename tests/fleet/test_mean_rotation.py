@@ -132,7 +132,9 @@ def test_it_comes_as_it_went_but_for_single_precision(reduced):
     kind, given, device = decoded(message)
     assert kind == ROTATION_MESSAGE
     found = decoded_rotation(given, device)
-    assert replace(found, channels={}) == replace(reduced, channels={}, device="d1")
+    assert found.model_copy(update={"channels": {}}) == reduced.model_copy(
+        update={"channels": {}, "device": "d1"}
+    )
     for name, own in reduced.channels.items():
         assert found.channels[name].mean == pytest.approx(own.mean, rel=1e-6)
         assert found.channels[name].noise_sd == own.noise_sd
@@ -141,8 +143,11 @@ def test_it_comes_as_it_went_but_for_single_precision(reduced):
 
 def test_one_that_is_too_large_is_not_sent(reduced):
     speed = reduced.channels["motor_speed_rpm"]
-    long = replace(speed, mean=np.ones(200_000))
-    assert encoded_rotation(replace(reduced, channels={"motor_speed_rpm": long}), "d1") is None
+    long = speed.model_copy(update={"mean": np.ones(200_000)})
+    assert (
+        encoded_rotation(reduced.model_copy(update={"channels": {"motor_speed_rpm": long}}), "d1")
+        is None
+    )
 
 
 @pytest.mark.parametrize(
@@ -182,7 +187,7 @@ def test_anything_else_is_refused_with_a_reason(reduced, change, told):
 
 def test_it_is_stored_as_a_file_that_tells_its_noise(reduced, tmp_path):
     read_table = pytest.importorskip("pyarrow.parquet").read_table
-    reduced = replace(reduced, device="d1")
+    reduced = reduced.model_copy(update={"device": "d1"})
     store_rotation(reduced, tmp_path)
     store_rotation(reduced, tmp_path)
     (file,) = tmp_path.rglob("*.parquet")

@@ -93,7 +93,7 @@ def test_a_missing_channel_is_named_with_its_likely_column(example: Recording) -
 
 @pytest.mark.parametrize("speed", [0.0, 2000.0])
 def test_a_constant_speed_is_refused(example: Recording, speed: float) -> None:
-    with pytest.raises(RecordingError, match="motor speed is constant"):
+    with pytest.raises(RecordingError, match="motor speed never changes"):
         checks.ready_for_fit(with_speed(example, np.full(example.samples, speed)))
 
 

@@ -1,32 +1,27 @@
 """Catalogue of the effects that a real joint may have and the nominal bench lacks.
 
-Each module of this package declares one effect, ``EFFECT``, with all its properties; every module
+Each module of this package declares a family of effects with all their properties; every effect
 found here is in the catalogue. What else the package needs to know about effects it asks here, so
 that no other file holds a list of them. To add one: ``docs/extending.md``.
 """
 
 from __future__ import annotations
 
-import pkgutil
+import sys
 from collections.abc import Iterable, Mapping
-from importlib import import_module
 
 import numpy as np
 
 from bayesbl.bench.effect_declaration import ORDER, Effect
 from bayesbl.bench.kernel import OVER_LOAD_ANGLE, OVER_MOTOR_ANGLE, OVER_SPEED, OVER_TIME, Slot
+from bayesbl.declared import declared
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import FloatArray
 
-
-def _collected() -> tuple[Effect, ...]:
-    names = [module.name for module in pkgutil.iter_modules(__path__)]
-    found: list[Effect] = [import_module(f"{__name__}.{name}").EFFECT for name in names]
-    return tuple(sorted(found, key=lambda effect: effect.place))
-
-
-EFFECTS: tuple[Effect, ...] = _collected()
+EFFECTS: tuple[Effect, ...] = tuple(
+    sorted(declared(sys.modules[__name__], Effect), key=lambda effect: effect.place)
+)
 
 EFFECT_BY_NAME: Mapping[str, Effect] = {effect.name: effect for effect in EFFECTS}
 
@@ -131,7 +126,7 @@ def _late_s(matrix: FloatArray) -> FloatArray:
 def without_ticks(matrix: FloatArray) -> FloatArray:
     """These benches, shape (m, SLOTS), with a continuous controller as late as their sampled one.
 
-    Near enough for differences between benches, at half the time or less: ``sampled_control.py``
+    Near enough for differences between benches, at half the time or less: ``SAMPLED_CONTROL``
     has what a period does to the loop. Those that are not sampled stay as they are.
     """
     matrix = matrix.copy()

@@ -1,0 +1,285 @@
+"""Friction at the motor, in the gear and at the load, behind the gap.
+
+On a rigid bench friction T at the load is the same law as T/N at the motor, of a viscous
+coefficient b that is b/N².
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.bench.effect_declaration import (
+    ARMSTRONG,
+    Amplitude,
+    Effect,
+    RigidLaw,
+    Shape,
+    direction,
+)
+
+# At constant speed the current carries T_c/K_t more, with the sign of the direction, and the speed
+# shows nothing: forward and reverse recordings together tell it from an offset, several speeds from
+# viscous friction.
+MOTOR_COULOMB_FRICTION = Effect(
+    place=20,
+    name="motor_coulomb_friction",
+    sentence="Dry friction at the motor that does not depend on speed.",
+    equation="J_m dω_m/dt: − T_c sign ω_m",
+    parameters=(
+        Amplitude(
+            "torque_nm", "N m", "friction torque T_c", high=2.0, typical=0.2, not_negative=True
+        ),
+    ),
+    enters="motor",
+    depends_on=("direction",),
+    data="constant current offset that changes sign with the direction",
+    reference=ARMSTRONG,
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: given["torque_nm"] * direction(motion),
+        amplitude="torque_nm",
+        same_as=("load_coulomb_friction",),
+    ),
+    free_motion=True,
+)
+
+# Lubricant that is sheared. Recordings at two speeds tell it from Coulomb friction.
+MOTOR_VISCOUS_FRICTION = Effect(
+    place=30,
+    name="motor_viscous_friction",
+    sentence="Friction at the motor in proportion to speed.",
+    equation="J_m dω_m/dt: − b ω_m",
+    parameters=(
+        Amplitude(
+            "coefficient_nm_s_per_rad",
+            "N m s/rad",
+            "coefficient b",
+            high=0.02,
+            typical=1e-3,
+            not_negative=True,
+        ),
+    ),
+    enters="motor",
+    depends_on=("speed",),
+    data="current offset that grows with the reference speed; a little more damping of the ringing",
+    reference=ARMSTRONG,
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: given["coefficient_nm_s_per_rad"] * motion.speed,
+        amplitude="coefficient_nm_s_per_rad",
+        same_as=("load_viscous_friction",),
+    ),
+    free_motion=True,
+    always_in=True,
+)
+
+# Beside another motor friction it takes recordings at three speeds to be seen.
+MOTOR_STRIBECK_FRICTION = Effect(
+    place=40,
+    name="motor_stribeck_friction",
+    sentence="Extra friction at low speed that fades as the lubricant film builds up.",
+    equation="J_m dω_m/dt: − T_s exp(−(ω_m/ω_s)²) sign ω_m",
+    parameters=(
+        Amplitude(
+            "torque_nm",
+            "N m",
+            "extra torque at standstill T_s",
+            high=2.0,
+            typical=0.3,
+            not_negative=True,
+        ),
+        Shape(
+            "speed_rad_per_s",
+            "rad/s",
+            "fading speed ω_s",
+            low=1.0,
+            high=500.0,
+            neutral=50.0,
+            typical=200.0,
+            positive_scale=True,
+        ),
+    ),
+    enters="motor",
+    depends_on=("speed", "direction"),
+    data="more current at low reference speeds than at high ones",
+    reference=ARMSTRONG,
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["torque_nm"]
+            * np.exp(-((motion.speed / given["speed_rad_per_s"]) ** 2))
+            * direction(motion)
+        ),
+        amplitude="torque_nm",
+        usual=0.2,
+        requires="motor_coulomb_friction",
+        scanned="speed_rad_per_s",
+        grid=tuple(np.geomspace(0.01, 2.0, 21)),
+        grid_unit="speed",
+    ),
+    free_motion=True,
+)
+
+# Over a few constant speeds it is a viscous friction of another size, so it is not sought there.
+MOTOR_QUADRATIC_DRAG = Effect(
+    place=45,
+    name="motor_quadratic_drag",
+    sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
+    equation="J_m dω_m/dt: − c |ω_m| ω_m",
+    parameters=(
+        Amplitude(
+            "coefficient_nm_s2_per_rad2",
+            "N m s²/rad²",
+            "drag coefficient c",
+            high=1e-4,
+            typical=5e-6,
+            not_negative=True,
+        ),
+    ),
+    enters="motor",
+    depends_on=("speed",),
+    data="more current at high speed than viscous friction of the low speeds explains",
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["coefficient_nm_s2_per_rad2"] * np.abs(motion.speed) * motion.speed
+        ),
+        amplitude="coefficient_nm_s2_per_rad2",
+        usual=0.2,
+    ),
+    sought_in_loop=False,
+)
+
+# As worn or preloaded gears have it; the mean of the two coefficients is viscous friction.
+FRICTION_ASYMMETRY = Effect(
+    place=50,
+    name="friction_asymmetry",
+    sentence="Viscous friction that differs between the two directions.",
+    equation="J_m dω_m/dt: − c |ω_m|",
+    parameters=(
+        Amplitude(
+            "coefficient_nm_s_per_rad",
+            "N m s/rad",
+            "half the difference of the coefficients, forward less reverse",
+            low=-0.01,
+            high=0.01,
+            typical=5e-4,
+        ),
+    ),
+    enters="motor",
+    depends_on=("speed",),
+    data="current offsets of forward and reverse recordings that differ in size, more at speed",
+    reference=ARMSTRONG,
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["coefficient_nm_s_per_rad"] * motion.speed * direction(motion)
+        ),
+        amplitude="coefficient_nm_s_per_rad",
+        usual=0.1,
+        requires="motor_viscous_friction",
+    ),
+    free_motion=True,
+)
+
+# T₀ repeats every load rotation, the change r does not: such a bench is simulated in full length.
+FRICTION_DRIFT = Effect(
+    place=190,
+    name="friction_drift",
+    sentence="Motor friction that changes during the recording as the joint warms up.",
+    equation="J_m dω_m/dt: − (T₀ + r t) sign ω_m",
+    parameters=(
+        Amplitude("torque_nm", "N m", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1),
+        Amplitude(
+            "rate_nm_per_s",
+            "N m/s",
+            "change r",
+            low=-0.05,
+            high=0.05,
+            typical=0.01,
+            repeats="never",
+            rate_of="torque_nm",
+        ),
+    ),
+    enters="motor",
+    depends_on=("time", "direction"),
+    data="current that drifts from rotation to rotation",
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            (given["torque_nm"] + given["rate_nm_per_s"] * (motion.time_s - motion.time_s[0]))
+            * direction(motion)
+        ),
+        amplitude="rate_nm_per_s",
+        linear=("torque_nm",),
+        contains="motor_coulomb_friction",
+    ),
+    free_motion=True,
+)
+
+# The loss is largest where gravity is lifted or held back, so twice in a load rotation.
+GEAR_MESH_FRICTION = Effect(
+    place=110,
+    name="gear_mesh_friction",
+    sentence="Loss in the gear in proportion to the torque it passes on.",
+    equation="J_m dω_m/dt: − μ |τ_s|/N sign ω_m",
+    parameters=(
+        Amplitude(
+            "coefficient",
+            "",
+            "share of the torque lost μ",
+            high=0.5,
+            typical=0.05,
+            not_negative=True,
+        ),
+    ),
+    enters="motor",
+    depends_on=("transmitted_torque", "direction"),
+    data="current at twice the load rotation: more where gravity is lifted or held back",
+    reference="Hamon, Gautier & Garrec 2010, IROS, 6187",
+    torque=RigidLaw(
+        signal=lambda motion, bench, given: (
+            given["coefficient"] * np.abs(bench.transmitted_torque(motion)) * direction(motion)
+        ),
+        amplitude="coefficient",
+        usual=0.2,
+    ),
+    free_motion=True,
+)
+
+# The teeth part where gravity balances it: the pulses move away from half a rotation apart.
+LOAD_COULOMB_FRICTION = Effect(
+    place=70,
+    name="load_coulomb_friction",
+    sentence="Dry friction at the load, beyond the gap.",
+    equation="J_l dω_l/dt: − T_c sign ω_l",
+    parameters=(
+        Amplitude(
+            "torque_nm", "N m", "friction torque T_c", high=200.0, typical=15.0, not_negative=True
+        ),
+    ),
+    enters="load",
+    depends_on=("direction",),
+    data="pulses move away from half a rotation apart and change in size; current offset",
+    reference=ARMSTRONG,
+    load_torque=lambda motion, bench, given: given["torque_nm"] * direction(motion),
+)
+
+# At one speed it moves the pulses as Coulomb friction at the load does.
+LOAD_VISCOUS_FRICTION = Effect(
+    place=80,
+    name="load_viscous_friction",
+    sentence="Friction at the load in proportion to its speed.",
+    equation="J_l dω_l/dt: − b ω_l",
+    parameters=(
+        Amplitude(
+            "coefficient_nm_s_per_rad",
+            "N m s/rad",
+            "coefficient b",
+            high=100.0,
+            typical=10.0,
+            not_negative=True,
+        ),
+    ),
+    enters="load",
+    depends_on=("speed",),
+    data="as load Coulomb friction, in proportion to the reference speed",
+    reference=ARMSTRONG,
+    load_torque=lambda motion, bench, given: (
+        given["coefficient_nm_s_per_rad"] * motion.speed / bench.value("gear_ratio")
+    ),
+)

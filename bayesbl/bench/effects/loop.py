@@ -1,0 +1,144 @@
+"""What the speed loop is late by, and what the recorder makes of its channels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.bench.effect_declaration import Amplitude, Effect, Law, RigidLaw, Shape
+
+_LAG = Amplitude(
+    "time_s",
+    "s",
+    "time constant T",
+    high=0.01,
+    typical=1e-3,
+    not_negative=True,
+    sought_from=2e-4,  # shorter ones hardly show and cost the simulator tiny steps
+)
+
+# Nearly the same as a lag of the speed sensor together with a skew of the current. A rigid inverse
+# comparison does not see it: the recorded current is the one that flows.
+CURRENT_LOOP_LAG = Effect(
+    place=170,
+    name="current_loop_lag",
+    sentence="The motor torque follows the controller with a first-order lag.",
+    equation="T dτ_m/dt = τ_demand − τ_m",
+    parameters=(_LAG,),
+    enters="loop",
+    data="ringing less damped; current behind speed",
+    always_in=True,
+    in_nominal=True,  # as late as the drive compensates
+)
+
+# A filter between the motor and the controller. Nearly the same as a lag of the current loop with a
+# skew.
+SPEED_SENSOR_LAG = Effect(
+    place=180,
+    name="speed_sensor_lag",
+    sentence="The speed that the controller sees and records is filtered.",
+    equation="T dω_meas/dt = ω_m − ω_meas",
+    parameters=(_LAG,),
+    enters="loop",
+    data="ringing less damped; pulse fronts rounded",
+    always_in=True,
+    in_nominal=True,  # as late as the drive compensates
+)
+
+# at t = k T:  ω_k = (θ_k − θ_{k−1})/T,  e_k = ω_ref − ω_k,  I_k = I_{k−1} + T e_k
+# K_t i = K_p e_k + K_i I_k  held from t = (k + d) T to (k + 1 + d) T
+#
+# The difference lags by half a period, what is held by another half, the computation by d periods:
+# in all about (1 + d) T that the loop is late, and its gain is K_i T/2 higher. A dead time of bus
+# or torque filter is part of d, which may be any number of periods. Drives show speed and current
+# as they are at their ticks, with d above one the mean current from there to the next; a recording
+# begins with a tick.
+SAMPLED_CONTROL = Effect(
+    place=195,
+    name="sampled_control",
+    sentence="A digital controller: it differentiates the encoder and holds its torque.",
+    equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = (θ_k − θ_{k−1})/T, held from (k + d) T on",
+    parameters=(
+        Amplitude(
+            "period_s",
+            "s",
+            "period T of the speed controller",
+            high=4e-3,
+            typical=1e-3,
+            not_negative=True,
+            sought_from=1e-4,  # at the usual noise shorter ones do not show, and cost time
+        ),
+        Shape(
+            "delay_periods",
+            "",
+            "computing and dead time d in periods",
+            high=128.0,  # 8 ms of a bus at 62.5 µs, the shortest period of a drive
+            typical=1.0,
+            neutral=1.0,
+            bounded=True,
+            # At 0 the torque is out at once, which no slope leads to. Then each four times as far,
+            # as the periods that a search tries: dead times from 0.4 to 14 ms.
+            starts=(0.0, 4.0, 16.0),
+        ),
+    ),
+    enters="loop",
+    data="ringing less damped; current behind speed; steps if slower than the recorder",
+)
+
+_NOTHING: Law = lambda motion, bench, given: np.zeros_like(motion.speed)  # noqa: E731
+
+
+def _skew(name: str, typical: float) -> Amplitude:
+    return Amplitude(
+        name,
+        "s",
+        "time by which this channel lags the true signal",
+        low=-0.01,
+        high=0.01,
+        typical=typical,
+    )
+
+
+# As filters and buses differ. All channels together are a start angle in disguise, so a search in
+# the loop frees the current's alone. In a rigid comparison the skew moves the motion, not the
+# signal: its law adds nothing.
+CHANNEL_TIME_SKEW = Effect(
+    place=200,
+    name="channel_time_skew",
+    sentence="One channel lags the others by a fixed time.",
+    equation="channel(t) → channel(t − T)",
+    parameters=(
+        _skew("position_s", typical=1e-3),
+        _skew("speed_s", typical=2e-3),
+        _skew("current_s", typical=-1.5e-3),
+    ),
+    enters="measurement",
+    data="channels whose pulses do not start together",
+    torque=RigidLaw(signal=_NOTHING, amplitude="current_s", usual=0.2),
+    position=RigidLaw(signal=_NOTHING, amplitude="position_s", usual=0.2),
+    sought_alone="current_s",
+)
+
+# An encoder that is differentiated shows it, with T its sampling period, and a trace that the drive
+# smooths. The controller does not see it. It lowers the ringing, and the gap that is read from it.
+SPEED_AVERAGING = Effect(
+    place=205,
+    name="speed_averaging",
+    sentence="The recorded speed is a mean over the time before each sample.",
+    equation="ω_meas(t) = (θ_meas(t) − θ_meas(t − T))/T",
+    parameters=(
+        Amplitude(
+            "time_s",
+            "s",
+            "time T that the speed is averaged over",
+            high=0.02,
+            typical=4e-3,
+            not_negative=True,
+            sought_from=2e-4,  # shorter ones do not show
+        ),
+    ),
+    enters="measurement",
+    data="ringing lower in the speed than in the current, and later",
+    in_bench_file="If the drive smooths the speed that it records, say so in the bench file: "
+    "speed_filter_s under [measurement]; if the speed is the differentiated encoder, "
+    'speed_source = "encoder".',
+)

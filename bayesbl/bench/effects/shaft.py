@@ -1,0 +1,182 @@
+"""Shaft and tooth flanks; e is the compression beyond the gap.
+
+A rigid bench has neither, so these have no law there but hysteresis, which shows as twist between
+motor and load.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw, Shape
+from bayesbl.recording.types import FloatArray
+
+STIFFNESS_HARDENING = Effect(
+    place=150,
+    name="stiffness_hardening",
+    sentence="The shaft stiffens as it is wound up.",
+    equation="τ_s + k₃ e³, e the compression beyond the gap",
+    parameters=(
+        Amplitude("stiffness_nm_per_rad3", "N m/rad³", "k₃", low=-1e9, high=1e10, typical=1e9),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="ringing faster under high load torque than under low",
+    reference="Tuttle & Seering 1996, IEEE Trans. Robot. Autom. 12, 368",
+    always_in=True,
+)
+
+# As curved surfaces of steel do: the flank's torque goes with e^(1+m), m is 0.11 for a line contact
+# (roller bearings, teeth) and 0.5 for a point contact (ball bearings); in series with shafts it is
+# less. K_s is the stiffness at gravity's largest torque, or at e₀ = 1 mrad on an axis without
+# gravity.
+CONTACT_EXPONENT = Effect(
+    place=152,
+    name="contact_exponent",
+    sentence="The contact stiffens with its load (Hertz).",
+    equation="τ_s + K_s e [(|e|/e₀)^m − 1], e the compression beyond the gap, e₀ = m g l/K_s",
+    parameters=(
+        Amplitude(
+            "excess",
+            "",
+            "exponent of the flanks' torque over compression, less 1, m",
+            low=-0.3,
+            high=0.6,
+            typical=0.05,
+            smaller_than=1.0,
+        ),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="ringing faster under high load torque than under low, most where the teeth barely touch",
+    reference="Palmgren 1959, Ball and Roller Bearing Engineering; Hertz 1882",
+)
+
+# Teeth meet one after another, and flanks are not smooth. Contact begins earlier and is softer at
+# first; far from the edge nothing changes, so δ stays where the straight flank meets zero torque.
+# The damper acts as the mean does.
+CONTACT_SOFTNESS = Effect(
+    place=153,
+    name="contact_softness",
+    sentence="The edges of the gap are soft.",
+    equation="K_s max(0, |Δθ| − δ) → its mean over a logistic δ of variance v",
+    parameters=(
+        Amplitude(
+            "variance_rad2",
+            "rad²",
+            "variance of the edge v",
+            high=1e-7,
+            typical=1e-9,
+            not_negative=True,
+        ),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="impacts that begin softly, most beside a small gap",
+    reference="Kahraman & Singh 1991, J. Sound Vib. 146, 135",
+    always_in=True,
+    in_nominal=True,  # the arctan form is soft itself
+)
+
+# Teeth that have just met damp nothing yet, as the shaft's own D_s does at once.
+CONTACT_DAMPING = Effect(
+    place=157,
+    name="contact_damping",
+    sentence="The contact damps more, the more it is compressed (Hunt and Crossley).",
+    equation="τ_s + λ K_s |e| ė, e the compression beyond the gap",
+    parameters=(
+        Amplitude(
+            "factor_s_per_rad",
+            "s/rad",
+            "damping over stiffness and compression λ",
+            high=5.0,
+            typical=0.5,
+            not_negative=True,
+        ),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="ringing that dies sooner under high load torque than under low",
+    reference="Hunt & Crossley 1975, J. Appl. Mech. 42, 440",
+    always_in=True,
+)
+
+# As asymmetric or unevenly worn teeth have them: stiffer by the share a where the shaft drives the
+# load forward, and softer by as much where it drives backward.
+FLANK_ASYMMETRY = Effect(
+    place=155,
+    name="flank_asymmetry",
+    sentence="The two tooth flanks differ in stiffness.",
+    equation="τ_s + a K_s |e|, e the compression beyond the gap",
+    parameters=(
+        Amplitude(
+            "share",
+            "",
+            "half the difference of the two stiffnesses over their mean a",
+            low=-0.6,
+            high=0.6,
+            typical=0.05,
+            smaller_than=1.0,
+        ),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="ringing on one flank faster than on the other",
+    reference="Kapelevich 2000, Mechanism and Machine Theory 35, 117",
+)
+
+
+def dahl(angle: FloatArray, reach: float) -> FloatArray:
+    """z of dz/dx = (1 − z sign dx)/θ_p along the angle, exactly for each step; shape (n,)."""
+    out = np.empty_like(angle)
+    z = 0.0
+    out[0] = z
+    steps = np.diff(angle)
+    fading = np.exp(-np.abs(steps) / reach)
+    signs = np.sign(steps)
+    for i, (keep, sign) in enumerate(zip(fading, signs, strict=True), start=1):
+        z = sign + (z - sign) * keep if sign else z
+        out[i] = z
+    return out
+
+
+SHAFT_HYSTERESIS = Effect(
+    place=160,
+    name="shaft_hysteresis",
+    sentence=(
+        "Dry friction inside the shaft (Dahl): torque that depends on where the twist came from."
+    ),
+    equation="τ_s + T z, dz/dt = (Δω/θ_p)(1 − z sign Δω), also inside the gap",
+    parameters=(
+        Amplitude("torque_nm", "N m", "friction torque T", high=200.0, typical=20.0),
+        Shape(
+            "angle_rad",
+            "rad",
+            "twist that builds it up θ_p",
+            low=1e-5,
+            high=1e-2,
+            neutral=1e-3,
+            typical=1e-3,
+            positive_scale=True,
+        ),
+    ),
+    enters="shaft",
+    depends_on=("twist", "direction"),
+    data="ringing that dies sooner; the gap is crossed more slowly",
+    reference=(
+        "Dahl 1976, AIAA Journal 14, 1675; Ruderman, Bertram & Iwasaki 2014, Mechatronics 24, 407"
+    ),
+    position=RigidLaw(
+        signal=lambda motion, bench, given: (  # the twist −(T/K_s) z
+            -given["torque_nm"]
+            / bench.value("shaft_stiffness_nm_per_rad")
+            * dahl(motion.angle / bench.value("gear_ratio"), given["angle_rad"])
+        ),
+        amplitude="torque_nm",
+        usual=0.2,
+        scanned="angle_rad",
+        grid=tuple(np.geomspace(1e-5, 1e-2, 13)),
+        not_negative=True,
+        bench_parameters=("shaft_stiffness_nm_per_rad",),
+    ),
+)
