@@ -61,7 +61,6 @@ from bayesbl.measurement.model_check import (
     against_the_bench,
     check_of_comparison,
     check_of_snapshot,
-    feature_items,
     undecided_change,
     undecided_gap,
 )
@@ -153,7 +152,6 @@ class DirectMatch:
             "agrees": check["agrees"] and not self.repeating(recording) and beyond is None,
             "items": [
                 *check["items"],
-                *feature_items(self.posterior.fit, recording),
                 *(_item(e) for e in self.check if e.recording == recording),
             ],
         }

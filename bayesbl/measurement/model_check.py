@@ -5,14 +5,12 @@ From what :mod:`bayesbl.model_search.joint_change` finds to the checks of snapsh
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
-from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import (
     BlindSpot,
@@ -21,7 +19,6 @@ from bayesbl.measurement.joint_check import (
     check_item,
     joint_check,
 )
-from bayesbl.measurement.joint_features import compared, folded_signal
 from bayesbl.model_search.always_in import CHANGED_TOGETHER
 from bayesbl.model_search.joint_change import (
     FRICTION,
@@ -43,29 +40,6 @@ def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
         [_item(c) for c in (*own, *allowed)],
         found.could_be if own else (),
     )
-
-
-def feature_items(fit: SimulatedFit, recording: str) -> list[CheckItem]:
-    """What a recording says of its joint beside the gap, and what the bench at the optimum does.
-
-    A motion has no load orders, so nothing of it is compared here.
-    """
-    model = fit.model
-    place = [seen.name for seen in model.recordings].index(recording)
-    seen = model.recordings[place]
-    if seen.motion is not None:
-        return []
-    simulated = fit.simulated(place)
-    direction = math.copysign(1.0, seen.reference_speed_rpm)
-    samples = seen.rotation_period_s * seen.sampling_hz
-
-    def folded(signals: FloatArray) -> FloatArray:
-        return np.stack([folded_signal(direction * row, samples) for row in signals])
-
-    measured, by_bench = folded(simulated + seen.left_by(simulated)), folded(simulated)
-    period_s = seen.rotation_period_s / measured.shape[2]
-    rotation = by_bench.mean(axis=1, keepdims=True)
-    return compared(measured, [rotation], period_s)
 
 
 def check_of_comparison(

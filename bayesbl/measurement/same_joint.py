@@ -238,10 +238,8 @@ def _findings(
     if change is not None:
         shift = change.log_amplitude
         item = check_item(FILTER, math.exp(shift), 1.0, "", change.deviations)
-        if abs(item["z"]) > bound and abs(shift) > _harmless(first, other):
-            yield item, _sentence_of_filter(change, where)
-        else:
-            yield item, _sentence_of_level(first, other, change, bound, where)
+        moved = abs(item["z"]) > bound and abs(shift) > _harmless(first, other)
+        yield item, _sentence_of_filter(change, where) if moved else ""
     for item, order in _lines(first, other):
         yield item, _sentence_of_line(first, other, item, order, bound, where)
 
@@ -344,8 +342,6 @@ def _filters_unseen(
         max(
             change.high - change.log_amplitude,
             change.log_amplitude - change.low,
-            change.folded_high,
-            -change.folded_low,
             _harmless(*pair),
         )
         for pair, change in by_noise
@@ -353,7 +349,8 @@ def _filters_unseen(
     ]
     if reach:
         yield BlindSpot(
-            change="a filter of the speed behind which most of the noise arises",
+            change="a filter of the speed behind which most of the noise arises, or before a "
+            "recorder that keeps one sample in several",
             reason="the noise does not show it",
             delta_error_rad=None,
         )
@@ -443,25 +440,4 @@ def _sentence_of_line(
         f"{measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
         f"torque, not the gap. It could move the ringing by up to {100.0 * furthest:.2g} %, as "
         "much as was seen."
-    )
-
-
-def _sentence_of_level(
-    first: _Seen, other: _Seen, change: FilterChange, bound: float, where: str
-) -> str:
-    """Where a filter that folded noise hides may be all that moved the ringing; else nothing."""
-    moved = other.log_amplitude - first.log_amplitude
-    sd = math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
-    furthest = change.folded_high if moved > 0.0 else -change.folded_low
-    beyond_chance = abs(moved) > bound * sd
-    if not beyond_chance or furthest < max(abs(moved) - bound * sd, _harmless(first, other)):
-        return ""
-    direction, verb = ("raise", "rose") if moved > 0.0 else ("lower", "fell")
-    share = math.expm1(furthest) if moved > 0.0 else -math.expm1(-furthest)
-    factor = math.exp(0.5 * abs(change.level))
-    return (
-        f"The noise of the speed {verb} by a factor of {factor:.2g}{where}, at all frequencies. A "
-        "filter before a recorder that keeps one sample in several does that; it could "
-        f"{direction} the ringing by up to {100.0 * share:.2g} %, as much as was seen. "
-        "Record all snapshots through the same filter, or the motor current as well."
     )
