@@ -706,7 +706,13 @@ def direct_groups(
     seen = posterior.fit.model.recordings[index]
     return {
         "posterior": _draws(POSTERIOR, posterior, recording.name, posterior.draws),
-        "sample_stats": _sample_stats(posterior),
+        "sample_stats": dataset(
+            SAMPLE_STATS,
+            {
+                "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
+                "acceptance_rate": posterior.diagnostics.acceptance,
+            },
+        ),
         **_noise_only(posterior, index, generator),
         **shared.common_groups(
             recording,
@@ -783,16 +789,6 @@ def _noise_only(
             draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES],
         ),
     }
-
-
-def _sample_stats(posterior: DirectPosterior) -> xr.Dataset:
-    return dataset(
-        SAMPLE_STATS,
-        {
-            "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
-            "acceptance_rate": posterior.diagnostics.acceptance,
-        },
-    )
 
 
 def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:

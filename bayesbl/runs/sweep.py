@@ -24,8 +24,8 @@ from bayesbl.measurement.curves import (
     GAP_CURVE,
     SOURCE_PREFIX,
     SweepProblem,
+    curve_group,
     curve_to_dataset,
-    one_curve_group,
 )
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray, Recording
@@ -273,7 +273,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
             "sweep": sweep_group(nominal, problem.model),
             "degrees": degree_group(nominal),
             "examples": example_group(bench, problem.settings),
-            "curve": one_curve_group(curve, config.interval.level, band_seed),
+            "curve": curve_group(curve, config.interval.level, band_seed),
             GAP_CURVE.name: curve_to_dataset(curve),
         }
     )
