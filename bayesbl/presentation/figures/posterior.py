@@ -69,7 +69,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 def _draw_marginal(panel: Axes, values: FloatArray) -> None:
-    panel.hist(values, _BINS, _range(values), color="#6baed6")
+    panel.hist(values, bins=_BINS, range=_range(values), color="#6baed6")
     for quantile in np.quantile(values, (0.05, 0.5, 0.95)):
         panel.axvline(quantile, color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
     panel.set_xlim(*_range(values))
@@ -80,7 +80,12 @@ def _draw_marginal(panel: Axes, values: FloatArray) -> None:
 def _draw_pair(panel: Axes, across: FloatArray, up: FloatArray) -> None:
     """Density as an image, with the outlines that hold 50 % and 90 % of the draws."""
     counts, x, y, _ = panel.hist2d(
-        across, up, _BINS, (_range(across), _range(up)), cmap="Blues", rasterized=True
+        across,
+        up,
+        bins=_BINS,
+        range=(_range(across), _range(up)),
+        cmap="Blues",
+        rasterized=True,
     )
     # A 5-point binomial filter both ways: contours of raw counts are ragged.
     kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0

@@ -53,7 +53,7 @@ def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False)
     highest = max([row["delta_rad_high"] for row in rows] + [limit_rad or 0.0])
 
     def y(gap_rad: float) -> float:
-        return bottom + gap_rad / (1.08 * highest) * (top - bottom)
+        return float(bottom + gap_rad / (1.08 * highest) * (top - bottom))
 
     low, middle, high = (
         [f"{at:.1f},{y(row[f'delta_rad_{end}']):.1f}" for at, row in zip(x, rows, strict=True)]
