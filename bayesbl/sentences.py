@@ -59,14 +59,14 @@ class _Units(Formatter):
         return format(value, form)
 
 
-def told(summary: Any) -> Any:
+def with_sentences(summary: Any) -> Any:
     """A stored summary with the sentence of every reason in it, as ``text``."""
     if isinstance(summary, Mapping):
-        whole = {key: told(value) for key, value in summary.items()}
+        whole = {key: with_sentences(value) for key, value in summary.items()}
         if "code" in summary:
             whole["text"] = sentence(summary)
         return whole
-    return [told(item) for item in summary] if isinstance(summary, list) else summary
+    return [with_sentences(item) for item in summary] if isinstance(summary, list) else summary
 
 
 def beyond_curve(

@@ -330,7 +330,7 @@ class AmplitudeMeasurer(Measurer):
             warnings=self.source.warnings,
             ringing_change=_ringing_change(fits, found, curves),
             same_joint=check,
-            change_reason=None if change is None else Reason.told("joint_changed", change),
+            change_reason=None if change is None else Reason.of_text("joint_changed", change),
         )
 
     def _answer(
@@ -509,11 +509,11 @@ def verdict(
     diagnostics = fit.posterior.diagnostics
     failed = diagnostics.outcome == "withheld"
     sampling = sampling_reasons(diagnostics, withhold=failed)
-    notes = [Reason.told("mended", text) for text in fit.point.notes]
+    notes = [Reason.of_text("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]
     if fit.check is not None and fit.check.reason:
-        against.append(Reason.told("second_sampler", fit.check.reason, withholds=True))
+        against.append(Reason.of_text("second_sampler", fit.check.reason, withholds=True))
     outcome = diagnostics.outcome
     if notes and outcome == "converged":
         outcome = "usable"
@@ -521,7 +521,7 @@ def verdict(
         outcome = "withheld"
     # What is made of draws that fail, fails with them: the cause comes first.
     reasons = [*sampling, *against] if failed else [*against, *sampling]
-    reasons += [*notes, *(Reason.told("recording", n) for n in fit.point.recording.notes)]
+    reasons += [*notes, *(Reason.of_text("recording", n) for n in fit.point.recording.notes)]
     if question is not None and outcome == "withheld":
         reasons.insert(0, question)
     return Verdict(outcome, tuple(reasons))

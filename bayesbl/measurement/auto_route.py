@@ -79,10 +79,10 @@ class AutoMeasurer(Measurer):
             case UserError(), UserError():
                 raise direct
             case Measurement(), UserError():
-                refused = {"amplitude": Reason.told(amplitude.code, str(amplitude))}
+                refused = {"amplitude": Reason.of_text(amplitude.code, str(amplitude))}
                 return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
             case UserError(), Measurement():
-                refusal = Reason.told(direct.code, str(direct))
+                refusal = Reason.of_text(direct.code, str(direct))
                 found = self._by_amplitude(amplitude, [refusal])
                 return replace(found, refused={"direct": refusal})
             case Measurement(), Measurement():

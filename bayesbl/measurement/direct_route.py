@@ -220,7 +220,7 @@ class DirectMeasurer(Measurer):
             ),
             change_reason=None
             if change_reason is None
-            else Reason.told("change_undecided", change_reason),
+            else Reason.of_text("change_undecided", change_reason),
         )
 
     def _answer(
@@ -229,7 +229,7 @@ class DirectMeasurer(Measurer):
         posterior = found.posterior
         check = [entry for entry in found.check if entry.recording == recording.name]
         seen = posterior.fit.model.recordings[index]
-        told = (Reason.told("recording", text) for text in (*recording.notes, *seen.notes))
+        told = (Reason.of_text("recording", text) for text in (*recording.notes, *seen.notes))
         notes = (*told, *_of_the_part(found.joint), *self._counted_twice(recording))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
@@ -463,13 +463,13 @@ def direct_verdict(
     variance = float(edge_variances(found.posterior).mean())
     if outcome != "withheld" and variance > 0.0:
         reasons.append(Reason("soft_edges", {"sd_rad": math.sqrt(variance)}))
-    reasons += [Reason.told("motion", text) for text in motion_notes(fit, index)]
+    reasons += [Reason.of_text("motion", text) for text in motion_notes(fit, index)]
     return Verdict(outcome, (*reasons, *notes))
 
 
 def _withholding(*each: tuple[str, str | None]) -> list[Reason]:
     """Reasons of code and sentence, for those that have one."""
-    return [Reason.told(code, text, withholds=True) for code, text in each if text is not None]
+    return [Reason.of_text(code, text, withholds=True) for code, text in each if text is not None]
 
 
 def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dict[str, Any]:

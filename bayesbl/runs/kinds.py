@@ -32,7 +32,7 @@ from bayesbl.runs.workflow import (
     require_output,
     run_into_folder,
 )
-from bayesbl.sentences import told
+from bayesbl.sentences import with_sentences
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -263,7 +263,7 @@ def summarise(tree: Tree) -> Summary:
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
     module, _, function = KINDS[tree.attrs["kind"]].summarise.partition(":")
-    summary: Summary = told(getattr(import_module(module), function)(tree))
+    summary: Summary = with_sentences(getattr(import_module(module), function)(tree))
     return summary
 
 

@@ -43,7 +43,7 @@ from bayesbl.presentation.figures.style import save
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.wear import LAWS as LAWS_IN_WORDS
 from bayesbl.presentation.wear import blocks
-from bayesbl.sentences import told as summary_told
+from bayesbl.sentences import with_sentences
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])
@@ -476,7 +476,7 @@ def compared(
     if limit is not None:
         tree.attrs["limit_rad"] = limit
     found = summarise_wear(group, names, config.interval, limit)
-    return tree, found | {"reason": None if reason is None else summary_told(reason.stored)}
+    return tree, found | {"reason": None if reason is None else with_sentences(reason.stored)}
 
 
 def told(found, count):
