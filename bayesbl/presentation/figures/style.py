@@ -258,23 +258,6 @@ POINTS = 200
 """Of a smooth density."""
 
 
-def density(
-    panel: Axes,
-    draws: FloatArray,
-    colour: str,
-    *,
-    horizontal: bool = False,
-    **outline: Any,
-) -> tuple[FloatArray, FloatArray]:
-    """The density of draws, filled and outlined; its places and heights."""
-    places, heights = smooth_density(draws.ravel())
-    fill = panel.fill_betweenx if horizontal else panel.fill_between
-    fill(places, heights, color=colour, alpha=0.3, linewidth=0.0)
-    line = (heights, places) if horizontal else (places, heights)
-    panel.plot(*line, color=colour, **outline)
-    return places, heights
-
-
 def smooth_density(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gaussian kernel density of draws, by the bandwidth of Silverman (1986, eq. 3.31).
 
