@@ -44,7 +44,7 @@ from bayesbl.matching.signals import (
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
-from bayesbl.measurement.joint_check import CheckItem, JointCheck, check_item
+from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,
@@ -90,7 +90,6 @@ from bayesbl.model_search.joint_change import (
     find_changes,
 )
 from bayesbl.noise.outside_lines import without_outside_lines
-from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.moving import moves
@@ -104,9 +103,6 @@ from bayesbl.units import unit_of
 WHOLE_ORDER = 0.03
 """Of the load's turns, by which the order of a line is not whole: some times what five rotations
 tell it to."""
-
-LARGEST_Z = 37.0
-"""Beyond it a probability is zero in double precision."""
 
 BOUNDED = ("gap_unseen",)
 """Codes of what withholds δ and leaves a bound of it."""
@@ -147,14 +143,8 @@ class DirectMatch:
         """
         beyond = self.posterior.beyond_tolerance(recording, level)
         check = check_of_snapshot(self.joint, recording)
-        return {
-            **check,
-            "agrees": check["agrees"] and not self.repeating(recording) and beyond is None,
-            "items": [
-                *check["items"],
-                *(_item(e) for e in self.check if e.recording == recording),
-            ],
-        }
+        agrees = check["agrees"] and not self.repeating(recording) and beyond is None
+        return {**check, "agrees": agrees}
 
 
 class DirectMeasurer(Measurer):
@@ -482,18 +472,6 @@ def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dic
         "channels": sorted({f"{e.channel} of {e.recording}" for e in entries}),
         "is_motion": is_motion,
     }
-
-
-def _item(entry: RepeatingPower) -> CheckItem:
-    band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
-    z = normal_isf(entry.probability)
-    return check_item(
-        f"power that repeats every rotation over that of noise, {entry.channel} {band}",
-        entry.ratio,
-        1.0,
-        "",
-        min(z, LARGEST_Z),
-    )
 
 
 def _numbers(
