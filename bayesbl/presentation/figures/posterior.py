@@ -46,11 +46,10 @@ def corner(snapshot: Snapshot) -> Figure:
                 _draw_marginal(panel, up)
             else:
                 _draw_pair(panel, across, up)
-            for axis in (panel.xaxis, panel.yaxis):
-                axis.set_major_locator(MaxNLocator(3, prune="both"))
+                panel.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+            panel.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
             panel.tick_params(labelsize=6.0)
             panel.tick_params(axis="x", rotation=90.0)
-            panel.tick_params(axis="y", left=row != column)
             panel.label_outer()
             if row == count - 1:
                 panel.set_xlabel(_label(horizontal))
