@@ -61,8 +61,7 @@ from bayesbl.measurement.model_check import (
     against_the_bench,
     check_of_comparison,
     check_of_snapshot,
-    undecided_change,
-    undecided_gap,
+    undecided,
 )
 from bayesbl.measurement.motion_verdict import (
     excluded_ends,
@@ -194,7 +193,7 @@ class DirectMeasurer(Measurer):
             self._answer(recording, index, found, own)
             for index, (recording, own) in enumerate(zip(task.recordings, seeds, strict=True))
         ]
-        change_reason = undecided_change(
+        change_reason = undecided(
             found.joint,
             found.change_rad,
             level,
@@ -422,7 +421,7 @@ def direct_verdict(
         ("against_the_bench", against_the_bench(found.joint)),
         (
             "gap_undecided",
-            undecided_gap(found.joint, index, gap, level, with_current=with_current),
+            undecided(found.joint, gap, level, index, with_current=with_current),
         ),
     )
     misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
