@@ -612,7 +612,8 @@ def test_a_limit_that_may_have_been_passed_before_is_never_said_to_lie_ahead(tmp
     assert f"may have passed the limit of 1.2 mrad before {last}" in text
     assert "does not reach" not in text
     assert f"before {last} to {found['date_of_limit']['high']}" in text
-    shown = [item.get_text() for item in wear_figure(tree).axes[1].texts]
+    legend = wear_figure(tree).axes[1].get_legend()
+    shown = [item.get_text() for item in legend.get_texts()]
     assert re.fullmatch(rf"passed before {last}: \d+ %", shown[0])
 
 
