@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from string import Formatter
 from typing import Any
-
-from bayesbl.units import number
 
 UNLESS_REPAIRED = (
     "If the joint was repaired, mark the first recording after the repair (repaired = true). If "
@@ -29,9 +28,13 @@ def sentence(reason: Mapping[str, Any]) -> str:
         ``also`` with further reasons.
     """
     values = {k: v for k, v in reason.items() if k not in _NO_VALUES}
-    told = values.pop("text", None)
-    made = SENTENCES.get(reason["code"])
-    text = str(told) if made is None or told is not None else made(**values)
+    made = SENTENCES.get(reason["code"], "{text}")
+    if "text" in values:
+        text = str(values["text"])
+    elif callable(made):
+        text = made(**values)
+    else:
+        text = _Units().vformat(made, (), values)
     if reason.get("recordings"):
         text = f"{', '.join(reason['recordings'])}: {text}"
     return " ".join([text, *map(sentence, reason.get("also", ()))])
@@ -40,14 +43,30 @@ def sentence(reason: Mapping[str, Any]) -> str:
 _NO_VALUES = ("code", "recordings", "also", "withholds", "route")
 
 
-def told(summary: Any) -> Any:
+class _Units(Formatter):
+    """``{share:.0f %}`` is a share in per cent, ``{gap_rad:.2g mrad}`` an angle of so many rad.
+
+    A list is set with commas.
+    """
+
+    def format_field(self, value: Any, form: str) -> str:
+        """A value in the unit at the end of its format."""
+        if isinstance(value, list):
+            return ", ".join(self.format_field(item, form) for item in value)
+        for unit, one in ((" %", 100.0), (" mrad", 1e3)):
+            if form.endswith(unit):
+                return f"{one * value:{form.removesuffix(unit)}}{unit}"
+        return format(value, form)
+
+
+def with_sentences(summary: Any) -> Any:
     """A stored summary with the sentence of every reason in it, as ``text``."""
     if isinstance(summary, Mapping):
-        whole = {key: told(value) for key, value in summary.items()}
+        whole = {key: with_sentences(value) for key, value in summary.items()}
         if "code" in summary:
             whole["text"] = sentence(summary)
         return whole
-    return [told(item) for item in summary] if isinstance(summary, list) else summary
+    return [with_sentences(item) for item in summary] if isinstance(summary, list) else summary
 
 
 def beyond_curve(
@@ -62,23 +81,6 @@ def beyond_curve(
         f"{high_rad:.3g} rad). δ is {side} {bound_rad:.3g} rad with {100.0 * level:g} % "
         "probability. Use a curve that reaches farther, or ask for extrapolation by [curve] "
         "allow_extrapolation = true."
-    )
-
-
-def box_search_missed(
-    searched: str,
-    amplitude_rpm: float,
-    rmse_rpm: float,
-    gap_as_printed_rad: float,
-    optimum_amplitude_rpm: float,
-    optimum_rmse_rpm: float,
-) -> str:
-    """The paper's own search ended elsewhere."""
-    return (
-        f"The search of {searched}, missed the best fit. It ended at A = {amplitude_rpm:.3g} rpm "
-        f"with RMSE {rmse_rpm:.3g} rpm (by eq. 4, {1e3 * gap_as_printed_rad:.3g} mrad); the best "
-        f"fit has A = {optimum_amplitude_rpm:.3g} rpm and RMSE {optimum_rmse_rpm:.3g} rpm. Use "
-        '[estimator.search] method = "guess".'
     )
 
 
@@ -198,203 +200,108 @@ def torque_offset(low_nm: float, high_nm: float) -> str:
     )
 
 
-def play_not_told(probability: float, upper_mrad: float, lost_mrad: float) -> str:
-    """The lag, or what there is of one, may be wind-up."""
-    return (
-        f"There may be no play (probability of play {100.0 * probability:.0f} %): both directions "
-        f"are {lost_mrad:.2g} mrad apart, which skew, wind-up or noise can cause. δ is below "
-        f"{upper_mrad:.2g} mrad with 95 % probability."
-    )
-
-
-def held_by_weight(share: float) -> str:
-    """Gravity sets the flank."""
-    return (
-        f"The load's weight is above its friction {100.0 * share:.0f} % of the time, so it rests "
-        "on one flank in both directions and hides the play. Record with the load balanced or "
-        "the axis upright, or move it over the top and back."
-    )
-
-
-def nothing_told(upper_mrad: float) -> str:
-    """The bound is no answer."""
-    return (
-        f"These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "
-        "more reversals, slow and fast ones, with friction or a brake at the output."
-    )
-
-
-def few_reversals(count: int) -> str:
-    """The play is shown at reversals alone."""
-    return (
-        f"The motor reverses only {count} time{'' if count == 1 else 's'}, and only reversals show "
-        "play. Record ten or more, slow and fast, to separate play from a skew of the channels."
-    )
-
-
-def no_torque() -> str:
-    """What is taken for granted without one."""
-    return (
-        "Without torque, wind-up and weight are unknown: 0.05 mrad is subtracted as typical "
-        "wind-up, and friction is assumed to hold the load back. A load that its weight holds on "
-        "one flank hides its play."
-    )
-
-
-def torque_unused() -> str:
-    """It does not separate play and wind-up."""
-    return (
-        "The torque does not show how far the joint winds up between the flanks. 0.05 mrad is "
-        "subtracted as typical wind-up."
-    )
-
-
-def ratio_differs(stated: float, seen: float) -> str:
-    """The stated ratio is outside the interval."""
-    return f"The gear ratio looks like {seen:.6g}, not {stated:g} as stated."
-
-
-def motor_at_output() -> str:
-    """The motor's position was divided already."""
-    return "The motor's position is at the output already: the gear ratio was not applied again."
-
-
-def channels_skewed(skew_ms: float) -> str:
-    """A skew worth mending."""
-    late = "late" if skew_ms > 0.0 else "early"
-    return f"The load's stamps are {abs(skew_ms):.2g} ms {late}; this was corrected."
-
-
-def lag_changes(before_mrad: float, after_mrad: float) -> str:
-    """One recording, two plays."""
-    return (
-        f"The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "
-        f"and {after_mrad:.2g} mrad in the second, so the interval of δ includes both. Check for "
-        "slip or a loose part, then record again, or give both halves as two recordings."
-    )
-
-
-def load_coasts(misfit_mrad: float, lost_mrad: float) -> str:
-    """The load leaves the flanks."""
-    return (
-        "The load does not rest on a flank from one reversal to the next: it coasts, bounces or "
-        f"winds up by {misfit_mrad:.2g} mrad beside the {lost_mrad:.2g} mrad between both "
-        "directions, so the interval of δ is wide. Move more slowly, or with friction or "
-        "a brake at the load."
-    )
-
-
-def misfit_repeats(times: float) -> str:
-    """Model error."""
-    return (
-        "The model error repeats in every cycle, so it is not noise: the intervals are "
-        f"{math.sqrt(times):.2g} times wider for it."
-    )
-
-
-SENTENCES: Mapping[str, Callable[..., str]] = {
+SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Which route answers.
-    "only_route": lambda: "It is the only route that was asked for.",
-    "sharper_and_checked": lambda: (
-        "it uses the whole recording and passes its checks against the bench"
-    ),
-    "direct_withheld": lambda: (
-        "it uses the whole recording, and its checks against the bench decide"
-    ),
-    "motion": lambda: "the joint does not turn at one speed, where the ringing has no curve",
-    "direct_has_no_answer": lambda because="": "simulation of the bench has no answer",
-    "amplitude_has_no_answer": lambda: "the ringing cannot be measured in these recordings",
+    "only_route": "It is the only route that was asked for.",
+    "sharper_and_checked": "it uses the whole recording and passes its checks against the bench",
+    "direct_withheld": "it uses the whole recording, and its checks against the bench decide",
+    "motion": "the joint does not turn at one speed, where the ringing has no curve",
+    "direct_has_no_answer": "simulation of the bench has no answer",
+    "amplitude_has_no_answer": "the ringing cannot be measured in these recordings",
     # Against a gap.
-    "no_curve": lambda: (
+    "no_curve": (
         "The same ringing means different gaps on different joints. For δ, give a bench of this "
         "joint (--bench FILE) or the curve of a sweep (--curve RESULT)."
     ),
-    "ringing_contradicts_bench": lambda: (
+    "ringing_contradicts_bench": (
         "The ringing's frequency and decay do not fit the curve's bench at this amplitude, even "
         "within its tolerances: this is another joint, or something besides the gap changed. "
         "Correct the bench or widen its tolerances."
     ),
-    "few_curve_draws": lambda effective, total: (
-        f"Only {effective:.0f} of {total} draws of the curve match the ringing's frequency and "
+    "few_curve_draws": (
+        "Only {effective:.0f} of {total} draws of the curve match the ringing's frequency and "
         "decay, too few to narrow the bench's tolerances. State narrower tolerances."
     ),
     "beyond_curve": beyond_curve,
-    "box_search_missed": box_search_missed,
-    "no_baseline": lambda amplitude_rpm, with_baseline_rpm: (
+    "box_search_missed": (
+        "The search of {searched}, missed the best fit. It ended at A = {amplitude_rpm:.3g} rpm "
+        "with RMSE {rmse_rpm:.3g} rpm (by eq. 4, {gap_as_printed_rad:.3g mrad}); the best fit has "
+        "A = {optimum_amplitude_rpm:.3g} rpm and RMSE {optimum_rmse_rpm:.3g} rpm. Use "
+        '[estimator.search] method = "guess".'
+    ),
+    "no_baseline": (
         "Without a baseline the pulses fit gravity's wave in the speed: "
-        f"A = {amplitude_rpm:.3g} rpm, but {with_baseline_rpm:.3g} rpm beside one harmonic of the "
+        "A = {amplitude_rpm:.3g} rpm, but {with_baseline_rpm:.3g} rpm beside one harmonic of the "
         "load angle. Set [estimator.model] baseline_harmonics = 1."
     ),
     "other_speed": other_speed,
-    "other_rotation": lambda rotation_s, expected_s, gear_ratio, speed_rpm, fitting_ratio: (
-        f"The speed repeats every {rotation_s:.4g} s, but with a gear ratio of {gear_ratio:g} the "
-        f"load turns once in {expected_s:.4g} s at {speed_rpm:.4g} rpm. Is the gear ratio right "
-        f"(the recording would fit one of {fitting_ratio:.4g}), and the unit of the speed?"
+    "other_rotation": (
+        "The speed repeats every {rotation_s:.4g} s, but with a gear ratio of {gear_ratio:g} the "
+        "load turns once in {expected_s:.4g} s at {speed_rpm:.4g} rpm. Is the gear ratio right "
+        "(the recording would fit one of {fitting_ratio:.4g}), and the unit of the speed?"
     ),
-    "other_bench": lambda quantity, measured, expected, unit: (
-        f"The recording is not of the curve's bench: the {quantity} is {measured:.4g} {unit}, and "
-        f"{expected:.4g} {unit} by the bench. Correct the bench file, or give uncertain values "
+    "other_bench": (
+        "The recording is not of the curve's bench: the {quantity} is {measured:.4g} {unit}, and "
+        "{expected:.4g} {unit} by the bench. Correct the bench file, or give uncertain values "
         "a tolerance (`bayesbl identify` finds the values)."
     ),
-    "recording_contradicts_bench": lambda: (
+    "recording_contradicts_bench": (
         "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
     ),
     "repeats_beyond_noise": repeats_beyond_noise,
     "allows_for_misfit": repeats_beyond_noise,
     # Of a change.
-    "change_without_drift": lambda: (
+    "change_without_drift": (
         "The change by the amplitude does not include what [joint] may_drift allows, so it is "
         "withheld."
     ),
-    "routes_disagree": lambda names: (
+    "routes_disagree": (
         "Simulation of the bench and the ringing's amplitude disagree beyond their intervals in "
-        f"{', '.join(names)}, although both use one bench, so the change is withheld: the bench "
+        "{names}, although both use one bench, so the change is withheld: the bench "
         "lacks an effect or has wrong values (`bayesbl diagnose` looks for what is missing)."
     ),
     # What limits an answer.
     "by_amplitude_instead": by_amplitude_instead,
-    "no_current": lambda: (
+    "no_current": (
         "There is no motor current in the recording, so the speed alone was used: with the "
         "current δ would be several times sharper."
     ),
-    "widened": lambda times: (
+    "widened": (
         "Sensor noise fed back through the speed loop makes impacts vary: the interval is "
-        f"{times:.2g} times wider for it."
+        "{times:.2g} times wider for it."
     ),
-    "gap_not_told": lambda upper_rad, smallest_rad: (
-        f"There may be no gap: the recording does not exclude one below "
-        f"{1e3 * smallest_rad:.2g} mrad, which counts as none. δ is below "
-        f"{1e3 * upper_rad:.2g} mrad with 95 % probability."
+    "gap_not_told": (
+        "There may be no gap: the recording does not exclude one below {smallest_rad:.2g mrad}, "
+        "which counts as none. δ is below {upper_rad:.2g mrad} with 95 % probability."
     ),
-    "soft_edges": lambda sd_rad: (
-        "The gap has soft edges: contact builds up over about "
-        f"±{number(1e3 * sd_rad, 2)} mrad. δ is in the middle, and its interval includes that; "
-        "the change does not depend on it."
+    "soft_edges": (
+        "The gap has soft edges: contact builds up over about ±{sd_rad:.2f mrad}. δ is in the "
+        "middle, and its interval includes that; the change does not depend on it."
     ),
-    "elastic_part": lambda name, frequency_hz, probability: (
-        f"The joint probably has a part that the bench lacks: {name} with a resonance near "
-        f"{frequency_hz:.2g} Hz (probability {probability:.2g}). The interval of δ includes this; "
+    "elastic_part": (
+        "The joint probably has a part that the bench lacks: {name} with a resonance near "
+        "{frequency_hz:.2g} Hz (probability {probability:.2g}). The interval of δ includes this; "
         "add the part to the bench file to make δ sharper."
     ),
-    "counted_twice": lambda name: (
-        f"The bench was identified from {name} as well, so this recording counts twice and its "
+    "counted_twice": (
+        "The bench was identified from {name} as well, so this recording counts twice and its "
         "interval is somewhat too narrow. Measure later recordings with that bench."
     ),
     # Of wear.
     "one_date": one_date,
-    "gap_withheld": lambda names: f"The gap is withheld for {', '.join(names)}.",
-    "gap_fell": lambda name, fall_rad, standard_deviations: (
-        f"{name} is {number(1e3 * fall_rad, 3)} mrad below the snapshot before it "
-        f"({standard_deviations:.1f} standard deviations), and wear does not heal. "
+    "gap_withheld": "The gap is withheld for {names}.",
+    "gap_fell": (
+        "{name} is {fall_rad:.3f mrad} below the snapshot before it "
+        "({standard_deviations:.1f} standard deviations), and wear does not heal. "
         f"{UNLESS_REPAIRED}"
     ),
-    "gap_shrank": lambda: f"The gap shrank, and wear does not heal. {UNLESS_REPAIRED}",
+    "gap_shrank": f"The gap shrank, and wear does not heal. {UNLESS_REPAIRED}",
     # Of ramps of torque.
     "ramps_held": ramps_held,
     "no_play": no_play,
-    "play_unsure": lambda probability, relative_compliance: (
-        f"There may be no play (probability of play {100.0 * probability:.0f} %): around zero "
-        f"torque the joint is {relative_compliance:.2g} times as soft as beyond, but this differs "
+    "play_unsure": (
+        "There may be no play (probability of play {probability:.0f %}): around zero "
+        "torque the joint is {relative_compliance:.2g} times as soft as beyond, but this differs "
         "between positions. The interval of δ includes no play."
     ),
     "soft_flanks": soft_flanks,
@@ -403,39 +310,77 @@ SENTENCES: Mapping[str, Callable[..., str]] = {
         f"joint, as friction holds it; those of ±{amplitude_nm:.3g} N m were used."
     ),
     "torque_offset": torque_offset,
-    "torque_turned": lambda: "The torque's sign was opposite to the position's; it was reversed.",
-    "no_gear_ratio": lambda: (
+    "torque_turned": "The torque's sign was opposite to the position's; it was reversed.",
+    "no_gear_ratio": (
         "No gear_ratio is given: position and torque are taken as those of the output."
     ),
-    "files_without_cycle": lambda missing, files, amplitude_nm: (
-        f"{missing} of {files} files have no cycle of ±{amplitude_nm:.3g} N m, and do not count "
+    "files_without_cycle": (
+        "{missing} of {files} files have no cycle of ±{amplitude_nm:.3g} N m, and do not count "
         "for δ."
     ),
-    "positions_differ": lambda: (
+    "positions_differ": (
         "Each snapshot has one position, and these differ: the intervals allow for a gap that "
         "varies by up to 70 % over the turn. Give ramps at three positions or more "
         "(files = […])."
     ),
-    "one_position": lambda: (
+    "one_position": (
         "δ was measured at one position of the turn. How it varies over the turn is unknown and "
         "not in the interval: give ramps at three positions or more (files = […])."
     ),
-    "one_cycle": lambda: (
+    "one_cycle": (
         "With one cycle the scatter of repeated ramps is unknown; the interval allows for up to "
         "70 % of the gap."
     ),
     # Of two encoders.
-    "play_not_told": play_not_told,
-    "held_by_weight": held_by_weight,
-    "nothing_told": nothing_told,
-    "few_reversals": few_reversals,
-    "no_torque": no_torque,
-    "torque_unused": torque_unused,
-    "ratio_differs": ratio_differs,
-    "motor_at_output": motor_at_output,
-    "channels_skewed": channels_skewed,
-    "lag_changes": lag_changes,
-    "load_coasts": load_coasts,
-    "misfit_repeats": misfit_repeats,
+    "play_not_told": (
+        "There may be no play (probability of play {probability:.0f %}): both directions are "
+        "{lost_mrad:.2g} mrad apart, which skew, wind-up or noise can cause. δ is below "
+        "{upper_mrad:.2g} mrad with 95 % probability."
+    ),
+    "held_by_weight": (
+        "The load's weight is above its friction {share:.0f %} of the time, so it rests on one "
+        "flank in both directions and hides the play. Record with the load balanced or the axis "
+        "upright, or move it over the top and back."
+    ),
+    "nothing_told": (
+        "These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "
+        "more reversals, slow and fast ones, with friction or a brake at the output."
+    ),
+    "few_reversals": lambda count: (
+        f"The motor reverses only {count} time{'' if count == 1 else 's'}, and only reversals show "
+        "play. Record ten or more, slow and fast, to separate play from a skew of the channels."
+    ),
+    "no_torque": (
+        "Without torque, wind-up and weight are unknown: 0.05 mrad is subtracted as typical "
+        "wind-up, and friction is assumed to hold the load back. A load that its weight holds on "
+        "one flank hides its play."
+    ),
+    "torque_unused": (
+        "The torque does not show how far the joint winds up between the flanks. 0.05 mrad is "
+        "subtracted as typical wind-up."
+    ),
+    "ratio_differs": "The gear ratio looks like {seen:.6g}, not {stated:g} as stated.",
+    "motor_at_output": (
+        "The motor's position is at the output already: the gear ratio was not applied again."
+    ),
+    "channels_skewed": lambda skew_ms: (
+        f"The load's stamps are {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}; this "
+        "was corrected."
+    ),
+    "lag_changes": (
+        "The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "
+        "and {after_mrad:.2g} mrad in the second, so the interval of δ includes both. Check for "
+        "slip or a loose part, then record again, or give both halves as two recordings."
+    ),
+    "load_coasts": (
+        "The load does not rest on a flank from one reversal to the next: it coasts, bounces or "
+        "winds up by {misfit_mrad:.2g} mrad beside the {lost_mrad:.2g} mrad between both "
+        "directions, so the interval of δ is wide. Move more slowly, or with friction or "
+        "a brake at the load."
+    ),
+    "misfit_repeats": lambda times: (
+        "The model error repeats in every cycle, so it is not noise: the intervals are "
+        f"{math.sqrt(times):.2g} times wider for it."
+    ),
 }
-"""Code to what makes its sentence of its values."""
+"""Code to its sentence, with places for values, or to what makes it of them."""

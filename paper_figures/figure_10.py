@@ -32,14 +32,14 @@ def data(stored: Stored) -> xr.DataTree:
 def caption(tree: xr.DataTree) -> str:
     """What is seen, with gaps and change."""
     gaps = "; ".join(
-        f"{s.name} {interval_in_words(tree, gap_interval(tree, s))}" for s in snapshots(tree)
+        f"{s.name} {interval_in_words(gap_interval(tree, s))}" for s in snapshots(tree)
     )
     draws = 1e3 * tree["change"].to_dataset()["change_rad"].values
     return (
         "(a) Gap δ of both recordings, by the amplitude of their ringing and the curve that was "
         f"swept on the bench: {gaps}. (b) The change of the gap, both recordings through the same "
         "draws of the curve: "
-        f"{interval_in_words(tree, credible_interval(tree, draws))}."
+        f"{interval_in_words(credible_interval(tree, draws))}."
     )
 
 

@@ -143,7 +143,7 @@ def test_a_measurement_makes_no_sentence_and_every_code_has_one(imports):
     for name, path in files().items():
         if name.startswith(("measurement", "fleet")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                # Reason.told carries the sentence of a room below.
+                # Reason.of_text carries the sentence of a room below.
                 if isinstance(node, ast.Call) and ast.unparse(node.func) == "Reason":
                     used |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
     assert used

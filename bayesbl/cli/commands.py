@@ -260,14 +260,14 @@ def init_command(
             found="nothing",
             expected="one or more recordings; or --bench for a joint's data sheet to fill in",
         )
-    from bayesbl.presentation.console import guessed, what_next
+    from bayesbl.presentation.console import guess_blocks, what_next
     from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.kinds import check
 
     path, guess = start_config(recordings, out, joint=joint, force=force)
     plan = check(path)
-    print_blocks(guessed(guess), make_console())
+    print_blocks(guess_blocks(guess), make_console())
     told = what_next(
         path,
         sound=not plan.problems,
@@ -279,7 +279,7 @@ def init_command(
 
 
 def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, force: bool) -> None:
-    from bayesbl.presentation.console import chosen, guessed
+    from bayesbl.presentation.console import choice_blocks, guess_blocks
     from bayesbl.presentation.terminal import make_console, print_blocks, say
     from bayesbl.runs.first_diagnosis import start_diagnosis
     from bayesbl.runs.kinds import check
@@ -294,8 +294,8 @@ def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, forc
         )
     path, columns, guess = start_diagnosis(given[0], given[1:], out, joint=joint, force=force)
     plan = check(path)
-    print_blocks(guessed(columns), make_console())
-    print_blocks(chosen(guess), make_console())
+    print_blocks(guess_blocks(columns), make_console())
+    print_blocks(choice_blocks(guess), make_console())
     next_step = f"Correct it there, then: bayesbl run {shlex.quote(str(path))}"
     say(f"Written to {path}. " + ("It cannot run yet:" if plan.problems else next_step))
     _print_findings(plan)

@@ -38,7 +38,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.optimum import EarlierOptimum
-from bayesbl.sentences import sentence, told
+from bayesbl.sentences import sentence, with_sentences
 
 REFUSED, FAILED = "refused", "failed"
 """Outcomes beside those of a measurement: a recording that cannot be used; a bug met in it."""
@@ -342,7 +342,7 @@ def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
 
 
 def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
-    route, whole = tree.attrs["route"], told(summary_of(tree))
+    route, whole = tree.attrs["route"], with_sentences(summary_of(tree))
     (stored,) = stored_answers(tree)
     gap = bench = None
     if "gap" in tree.children:
@@ -440,7 +440,7 @@ def _by_bench(
         told_apart = "; ".join(
             f"{names[number]} ({' or '.join(what)})" for number, what in differing.items()
         )
-        reason = Reason.told(
+        reason = Reason.of_text(
             "other_benches",
             "Something other than the gap changed between the recordings, so their change is "
             f"withheld: another bench than by the others is needed in {told_apart}. `bayesbl "
@@ -466,7 +466,7 @@ def _by_curve(
     )
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
-    found = told(summary_of(tree))["wear"]
+    found = with_sentences(summary_of(tree))["wear"]
     reason = None if found is None or found["reason"] is None else found["reason"]["text"]
     return _of_group(wear, reason, "amplitude", used, gaps.reshape(len(used), -1))
 

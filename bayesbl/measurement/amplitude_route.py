@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +24,7 @@ from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
-from bayesbl.measurement.curves import CURVE, curve_group, curve_source
+from bayesbl.measurement.curves import CURVE, curve_source, curves_group
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.joint_check import JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
@@ -331,7 +330,7 @@ class AmplitudeMeasurer(Measurer):
             warnings=self.source.warnings,
             ringing_change=_ringing_change(fits, found, curves),
             same_joint=check,
-            change_reason=None if change is None else Reason.told("joint_changed", change),
+            change_reason=None if change is None else Reason.of_text("joint_changed", change),
         )
 
     def _answer(
@@ -405,13 +404,7 @@ class AmplitudeMeasurer(Measurer):
         rows = {n: gap.rows for n, gap in zip(task.names, found, strict=True) if gap is not None}
         named = dict(zip(task.names, curves, strict=True))
         level = task.config.interval.level
-        return {CURVE.name: curve_group(named, rows, level, task.seeds.curve)}
-
-    def _gear_ratio(self, recording: Recording) -> float | None:
-        """The joint's, or its bench's."""
-        bench = self.source.bench_of(recording)
-        known = None if bench is None else bench.value("gear_ratio")
-        return self.config.joint.gear_ratio or known
+        return {CURVE.name: curves_group(named, rows, level, task.seeds.curve)}
 
     def _jobs(self, task: Task, curves: Sequence[GapCurve | None]) -> list[FitJob]:
         start_from = task.config.estimator.search.start_from
@@ -420,21 +413,18 @@ class AmplitudeMeasurer(Measurer):
         if check:
             require_second_sampler()
         last = next(reversed([*earlier.values()]), None)
-        return [
-            FitJob(
-                self.estimator,
-                curve,
-                recording,
-                seed,
-                self._gear_ratio(recording),
-                earlier.get(recording.name) or last or task.earlier.get(recording.name),
-                check,
-                task.work,
+        jobs = []
+        for recording, seed, curve in zip(
+            task.recordings, task.seeds.recordings, curves, strict=True
+        ):
+            bench = self.source.bench_of(recording)
+            known = None if bench is None else bench.value("gear_ratio")
+            ratio = self.config.joint.gear_ratio or known
+            start = earlier.get(recording.name) or last or task.earlier.get(recording.name)
+            jobs.append(
+                FitJob(self.estimator, curve, recording, seed, ratio, start, check, task.work)
             )
-            for recording, seed, curve in zip(
-                task.recordings, task.seeds.recordings, curves, strict=True
-            )
-        ]
+        return jobs
 
 
 def _second_sampler() -> str:
@@ -519,11 +509,11 @@ def verdict(
     diagnostics = fit.posterior.diagnostics
     failed = diagnostics.outcome == "withheld"
     sampling = sampling_reasons(diagnostics, withhold=failed)
-    notes = [Reason.told("mended", text) for text in fit.point.notes]
+    notes = [Reason.of_text("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]
     if fit.check is not None and fit.check.reason:
-        against.append(Reason.told("second_sampler", fit.check.reason, withholds=True))
+        against.append(Reason.of_text("second_sampler", fit.check.reason, withholds=True))
     outcome = diagnostics.outcome
     if notes and outcome == "converged":
         outcome = "usable"
@@ -531,7 +521,7 @@ def verdict(
         outcome = "withheld"
     # What is made of draws that fail, fails with them: the cause comes first.
     reasons = [*sampling, *against] if failed else [*against, *sampling]
-    reasons += [*notes, *(Reason.told("recording", n) for n in fit.point.recording.notes)]
+    reasons += [*notes, *(Reason.of_text("recording", n) for n in fit.point.recording.notes)]
     if question is not None and outcome == "withheld":
         reasons.insert(0, question)
     return Verdict(outcome, tuple(reasons))
@@ -559,7 +549,14 @@ def amplitude_groups(
         **checked,
         **searched,
         "posterior": _posterior(fit, gap, draws, baseline),
-        "sample_stats": _sample_stats(fit, gap, index),
+        "sample_stats": dataset(
+            SAMPLE_STATS,
+            {
+                "lp": fit.posterior.log_likelihood.ravel()[index],
+                "acceptance_rate": fit.posterior.diagnostics.acceptance,
+                "outside_curve": None if gap is None else gap.outside,
+            },
+        ),
         **_noise_only(fit, curve, np.random.default_rng(seed)),
         **shared.common_groups(
             fit.point.recording,
@@ -573,7 +570,11 @@ def amplitude_groups(
         "search_history": dataset(
             SEARCH_HISTORY, attributes(SEARCH_HISTORY, fit.point.optimum.history)
         ),
-        "noise": _noise(fit),
+        "noise": dataset(
+            NOISE,
+            attributes(NOISE, fit.point.noise)
+            | {"degrees_of_freedom": fit.point.noise.degrees_of_freedom or np.inf},
+        ),
         "misfit": dataset(MISFIT, attributes(MISFIT, fit.point.misfit)),
     }
 
@@ -601,17 +602,6 @@ def _posterior(
 
 def _baseline_terms(fit: Fit) -> list[str]:
     return [n for n in jacobian_columns(fit.point.optimum.model) if n not in SYMBOLS]
-
-
-def _sample_stats(fit: Fit, gap: Gap | None, index: NDArray[np.int64]) -> xr.Dataset:
-    return dataset(
-        SAMPLE_STATS,
-        {
-            "lp": fit.posterior.log_likelihood.ravel()[index],
-            "acceptance_rate": fit.posterior.diagnostics.acceptance,
-            "outside_curve": None if gap is None else gap.outside,
-        },
-    )
 
 
 def _noise_only(
@@ -767,12 +757,6 @@ def _box_values(box: BoxSearch, point: PointEstimate) -> dict[str, float]:
     }
 
 
-def _noise(fit: Fit) -> xr.Dataset:
-    noise = fit.point.noise
-    freedom = noise.degrees_of_freedom or np.inf
-    return dataset(NOISE, attributes(NOISE, noise) | {"degrees_of_freedom": freedom})
-
-
 def _sampler_check(check: SamplerCheck) -> xr.Dataset:
     names = list(check.width_ratio)
     return dataset(
@@ -872,16 +856,14 @@ def run_fits(jobs: Sequence[FitJob], workers: int, progress: StageProgress | Non
     count = min(workers, len(jobs) // per_process)
     if count <= 1:
         return [job.run(progress) for job in jobs]
+    fits: list[Fit] = []
     with processes(count) as pool:
-        places = {pool.submit(job.run): n for n, job in enumerate(jobs)}
-        done: dict[int, Fit] = {}
-        for future in as_completed(places):
-            place = places[future]
-            done[place] = future.result()
+        for fit in pool.map(FitJob.run, jobs):
+            fits.append(fit)
             if progress is not None:
-                steps = done[place].posterior.diagnostics.steps
-                progress(f"Sampling {jobs[place].recording.name}", steps, steps)
-    return [done[n] for n in range(len(jobs))]
+                steps = fit.posterior.diagnostics.steps
+                progress(f"Sampling {fit.point.recording.name}", steps, steps)
+    return fits
 
 
 def measured_ringing(fit: Fit) -> MeasuredRinging:

@@ -79,10 +79,10 @@ class AutoMeasurer(Measurer):
             case UserError(), UserError():
                 raise direct
             case Measurement(), UserError():
-                refused = {"amplitude": Reason.told(amplitude.code, str(amplitude))}
+                refused = {"amplitude": Reason.of_text(amplitude.code, str(amplitude))}
                 return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
             case UserError(), Measurement():
-                refusal = Reason.told(direct.code, str(direct))
+                refusal = Reason.of_text(direct.code, str(direct))
                 found = self._by_amplitude(amplitude, [refusal])
                 return replace(found, refused={"direct": refusal})
             case Measurement(), Measurement():
@@ -103,7 +103,7 @@ class AutoMeasurer(Measurer):
             return replace(self._by_amplitude(amplitude, failed), beside=(direct,))
         withheld = any(answer.is_withheld for answer in direct.answers)
         found = replace(
-            _with_checks_of(direct, amplitude),
+            direct,
             why=Reason("direct_withheld" if withheld else "sharper_and_checked"),
             beside=(amplitude,),
         )
@@ -129,18 +129,6 @@ def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | 
         return measure(task)
     except (RecordingError, CurveError, BenchError) as refusal:
         return refusal  # what cannot be written or read is no matter of the route
-
-
-def _with_checks_of(direct: Measurement, amplitude: Measurement) -> Measurement:
-    """The direct answers, with what the ringing was compared with listed in their checks too."""
-    answers = []
-    for answer, beside in zip(direct.answers, amplitude.answers, strict=True):
-        own = answer.model_check
-        known = {item["quantity"] for item in own["items"]}
-        others = (item for item in beside.model_check["items"] if item["quantity"] not in known)
-        items = [*own["items"], *others]
-        answers.append(replace(answer, model_check={**own, "items": items}))
-    return replace(direct, answers=answers)
 
 
 def _noted(verdict: Verdict, note: Reason) -> Verdict:

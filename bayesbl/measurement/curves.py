@@ -10,12 +10,10 @@ and rates too.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -59,10 +57,8 @@ from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
 
-NOTHING: Mapping[str, object] = MappingProxyType({})
-
-AMPLITUDES = 200
-"""At which a curve is stored for figures."""
+AMPLITUDES, BAND_DRAWS = 200, 1000
+"""At which a curve is stored for figures, and behind its band."""
 
 SOURCE_PREFIX = "source_"
 """Of the variables of a stored gap curve that hold draws of one source of its uncertainty."""
@@ -135,7 +131,7 @@ GAP_CURVE = Group(
 )
 
 
-def curve_group(
+def curves_group(
     curves: Mapping[str, GapCurve],
     rows: Mapping[str, Mapping[str, NDArray[np.int64]]],
     level: float,
@@ -152,37 +148,46 @@ def curve_group(
     """
     first = next(iter(curves.values()))
     if all(curve is first for curve in curves.values()):
-        amplitude = np.geomspace(*first.amplitude_range_rpm, AMPLITUDES)
-        return _with_draws(first, next(iter(rows.values())), amplitude, level, seed)
+        return curve_group(first, level, seed, next(iter(rows.values())))
     ranges = np.array([curve.amplitude_range_rpm for curve in curves.values()])
-    amplitude = np.geomspace(ranges.min(), ranges.max(), AMPLITUDES)
+    ends = (float(ranges.min()), float(ranges.max()))
     parts = {
-        name: {CURVE.name: _with_draws(curve, rows[name], amplitude, level, seed)}
+        name: {CURVE.name: curve_group(curve, level, seed, rows[name], ends)}
         for name, curve in curves.items()
     }
     return stack_snapshots(parts)[CURVE.name]
 
 
-def one_curve_group(curve: GapCurve, level: float, seed: np.random.SeedSequence) -> xr.Dataset:
-    """The gap curve over its range with the band of its draws."""
-    return _curve(curve, np.geomspace(*curve.amplitude_range_rpm, AMPLITUDES), level, seed)
-
-
-def _with_draws(
+def curve_group(
     curve: GapCurve,
-    rows: Mapping[str, NDArray[np.int64]],
-    amplitude: FloatArray,
     level: float,
     seed: np.random.SeedSequence,
+    rows: Mapping[str, NDArray[np.int64]] | None = None,
+    range_rpm: tuple[float, float] | None = None,
 ) -> xr.Dataset:
-    drawn = coefficient_draws(curve)
-    values: dict[str, object] = attributes(CURVE, curve)
-    if drawn is not None:
-        values |= {"coefficient_draws": drawn, "covariance": np.cov(drawn, rowvar=False)}
-    # As figures and checks need them: a sweep keeps all digits.
-    sources = {f"{SOURCE_PREFIX}{n}": d.astype(np.float32) for n, d in curve.sources.items()}
-    which = {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
-    return _curve(curve, amplitude, level, seed, {**values, **sources, **which})
+    """Group :data:`CURVE`: over a range, its own by default, with the band of its draws.
+
+    ``rows``: by source, which draw each draw of δ went through; all draws are stored then.
+    """
+    values: dict[str, object] = {}
+    if rows is not None:
+        drawn = coefficient_draws(curve)
+        values = attributes(CURVE, curve)
+        if drawn is not None:
+            values |= {"coefficient_draws": drawn, "covariance": np.cov(drawn, rowvar=False)}
+        # As figures and checks need them: a sweep keeps all digits.
+        values |= {f"{SOURCE_PREFIX}{n}": d.astype(np.float32) for n, d in curve.sources.items()}
+        values |= {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
+    amplitude = np.geomspace(*(range_rpm or curve.amplitude_range_rpm), AMPLITUDES)
+    draws = curve.draw(BAND_DRAWS, np.random.default_rng(seed))
+    table = np.stack([draws.gap(np.full(BAND_DRAWS, a)) for a in amplitude])
+    low, high = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
+    values |= {"delta_rad": curve.gap(amplitude), "low_rad": low, "high_rad": high}
+    result = dataset(
+        CURVE, {**values, "coefficients": curve.coefficients}, {"amplitude": amplitude}
+    )
+    result.attrs = {"name": curve.name, "warnings": list(curve.warnings), "level": level}
+    return result
 
 
 def coefficient_draws(curve: GapCurve) -> FloatArray | None:
@@ -198,33 +203,6 @@ def coefficient_draws(curve: GapCurve) -> FloatArray | None:
     inverse = np.linalg.pinv(powers / nominal[:, None], rcond=1e-15)
     shares = np.expm1(np.sum(departures, axis=0))
     return np.asarray(curve.coefficients + shares @ inverse.T)
-
-
-def _curve(
-    curve: GapCurve,
-    amplitude: FloatArray,
-    level: float,
-    seed: np.random.SeedSequence,
-    beside: Mapping[str, object] = NOTHING,
-) -> xr.Dataset:
-    """A group :data:`CURVE` at these amplitudes."""
-    count = 1000
-    draws = curve.draw(count, np.random.default_rng(seed))
-    table = np.stack([draws.gap(np.full(count, a)) for a in amplitude])
-    edges = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
-    result = dataset(
-        CURVE,
-        {
-            **beside,
-            "delta_rad": curve.gap(amplitude),
-            "low_rad": edges[0],
-            "high_rad": edges[1],
-            "coefficients": curve.coefficients,
-        },
-        {"amplitude": amplitude},
-    )
-    result.attrs = {"name": curve.name, "warnings": list(curve.warnings), "level": level}
-    return result
 
 
 def curve_to_dataset(curve: GapCurve) -> xr.Dataset:
@@ -415,8 +393,8 @@ MOST_KEPT = 5000
 """Rows in the store, some 10 kB each; the oldest go first."""
 
 
-class CurveSource(ABC):
-    """Gives the curve of each recording.
+class CurveSource:
+    """Gives the curve of each recording; this one none, for the ringing alone.
 
     ``is_of_bench``: the curves are those of the configured bench.
     """
@@ -433,9 +411,9 @@ class CurveSource(ABC):
         """What every reader of its gaps must know."""
         return ()
 
-    @abstractmethod
     def describe(self) -> str:
-        """Which curve this is."""
+        """Which curve this is, or what gives one."""
+        return "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
 
     def require_usable(self, recording: Recording) -> None:
         """Raises where no curve means the same amplitude as a fit of this recording."""
@@ -460,9 +438,9 @@ class CurveSource(ABC):
         """The bench that the curve of a recording is of, where that is known."""
         return None
 
-    @abstractmethod
     def curves(self, task: Task) -> list[GapCurve] | None:
         """The curve of each recording, in order; ``None`` without one."""
+        return None
 
 
 def curve_source(config: SnapshotConfig, bench: Bench | None) -> CurveSource:
@@ -479,18 +457,7 @@ def curve_source(config: SnapshotConfig, bench: Bench | None) -> CurveSource:
         return NamedCurve(read_curve(config.curve.source), config)
     if bench is not None:
         return BenchCurves(bench, config)
-    return NoCurve()
-
-
-class NoCurve(CurveSource):
-    """No curve: the ringing alone."""
-
-    def describe(self) -> str:
-        """That there is none, and what gives one."""
-        return "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
-
-    def curves(self, task: Task) -> None:
-        """None."""
+    return CurveSource()
 
 
 @dataclass(frozen=True, slots=True)
@@ -528,7 +495,7 @@ class NamedCurve(CurveSource):
     def question(self, recording: Recording) -> Reason | None:
         """Whether the speed is in another unit."""
         text = speed_in_another_unit(recording, self.curve.reference_speed_rpm)
-        return None if text is None else Reason.told("speed_unit", text, withholds=True)
+        return None if text is None else Reason.of_text("speed_unit", text, withholds=True)
 
     def curves(self, task: Task) -> list[GapCurve]:
         """The same for all."""

@@ -44,7 +44,7 @@ from bayesbl.matching.signals import (
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
-from bayesbl.measurement.joint_check import CheckItem, JointCheck, check_item
+from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,
@@ -61,9 +61,7 @@ from bayesbl.measurement.model_check import (
     against_the_bench,
     check_of_comparison,
     check_of_snapshot,
-    feature_items,
-    undecided_change,
-    undecided_gap,
+    undecided,
 )
 from bayesbl.measurement.motion_verdict import (
     excluded_ends,
@@ -91,7 +89,6 @@ from bayesbl.model_search.joint_change import (
     find_changes,
 )
 from bayesbl.noise.outside_lines import without_outside_lines
-from bayesbl.probabilities import normal_isf
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import require_alive
 from bayesbl.recording.moving import moves
@@ -105,9 +102,6 @@ from bayesbl.units import unit_of
 WHOLE_ORDER = 0.03
 """Of the load's turns, by which the order of a line is not whole: some times what five rotations
 tell it to."""
-
-LARGEST_Z = 37.0
-"""Beyond it a probability is zero in double precision."""
 
 BOUNDED = ("gap_unseen",)
 """Codes of what withholds δ and leaves a bound of it."""
@@ -148,15 +142,8 @@ class DirectMatch:
         """
         beyond = self.posterior.beyond_tolerance(recording, level)
         check = check_of_snapshot(self.joint, recording)
-        return {
-            **check,
-            "agrees": check["agrees"] and not self.repeating(recording) and beyond is None,
-            "items": [
-                *check["items"],
-                *feature_items(self.posterior.fit, recording),
-                *(_item(e) for e in self.check if e.recording == recording),
-            ],
-        }
+        agrees = check["agrees"] and not self.repeating(recording) and beyond is None
+        return {**check, "agrees": agrees}
 
 
 class DirectMeasurer(Measurer):
@@ -206,7 +193,7 @@ class DirectMeasurer(Measurer):
             self._answer(recording, index, found, own)
             for index, (recording, own) in enumerate(zip(task.recordings, seeds, strict=True))
         ]
-        change_reason = undecided_change(
+        change_reason = undecided(
             found.joint,
             found.change_rad,
             level,
@@ -222,7 +209,7 @@ class DirectMeasurer(Measurer):
             ),
             change_reason=None
             if change_reason is None
-            else Reason.told("change_undecided", change_reason),
+            else Reason.of_text("change_undecided", change_reason),
         )
 
     def _answer(
@@ -231,7 +218,7 @@ class DirectMeasurer(Measurer):
         posterior = found.posterior
         check = [entry for entry in found.check if entry.recording == recording.name]
         seen = posterior.fit.model.recordings[index]
-        told = (Reason.told("recording", text) for text in (*recording.notes, *seen.notes))
+        told = (Reason.of_text("recording", text) for text in (*recording.notes, *seen.notes))
         notes = (*told, *_of_the_part(found.joint), *self._counted_twice(recording))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
@@ -434,7 +421,7 @@ def direct_verdict(
         ("against_the_bench", against_the_bench(found.joint)),
         (
             "gap_undecided",
-            undecided_gap(found.joint, index, gap, level, with_current=with_current),
+            undecided(found.joint, gap, level, index, with_current=with_current),
         ),
     )
     misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
@@ -465,13 +452,13 @@ def direct_verdict(
     variance = float(edge_variances(found.posterior).mean())
     if outcome != "withheld" and variance > 0.0:
         reasons.append(Reason("soft_edges", {"sd_rad": math.sqrt(variance)}))
-    reasons += [Reason.told("motion", text) for text in motion_notes(fit, index)]
+    reasons += [Reason.of_text("motion", text) for text in motion_notes(fit, index)]
     return Verdict(outcome, (*reasons, *notes))
 
 
 def _withholding(*each: tuple[str, str | None]) -> list[Reason]:
     """Reasons of code and sentence, for those that have one."""
-    return [Reason.told(code, text, withholds=True) for code, text in each if text is not None]
+    return [Reason.of_text(code, text, withholds=True) for code, text in each if text is not None]
 
 
 def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dict[str, Any]:
@@ -484,18 +471,6 @@ def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dic
         "channels": sorted({f"{e.channel} of {e.recording}" for e in entries}),
         "is_motion": is_motion,
     }
-
-
-def _item(entry: RepeatingPower) -> CheckItem:
-    band = f"up to load order {entry.highest_order}" if entry.highest_order else "in the mean"
-    z = normal_isf(entry.probability)
-    return check_item(
-        f"power that repeats every rotation over that of noise, {entry.channel} {band}",
-        entry.ratio,
-        1.0,
-        "",
-        min(z, LARGEST_Z),
-    )
 
 
 def _numbers(
@@ -708,7 +683,13 @@ def direct_groups(
     seen = posterior.fit.model.recordings[index]
     return {
         "posterior": _draws(POSTERIOR, posterior, recording.name, posterior.draws),
-        "sample_stats": _sample_stats(posterior),
+        "sample_stats": dataset(
+            SAMPLE_STATS,
+            {
+                "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
+                "acceptance_rate": posterior.diagnostics.acceptance,
+            },
+        ),
         **_noise_only(posterior, index, generator),
         **shared.common_groups(
             recording,
@@ -785,16 +766,6 @@ def _noise_only(
             draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES],
         ),
     }
-
-
-def _sample_stats(posterior: DirectPosterior) -> xr.Dataset:
-    return dataset(
-        SAMPLE_STATS,
-        {
-            "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
-            "acceptance_rate": posterior.diagnostics.acceptance,
-        },
-    )
 
 
 def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:

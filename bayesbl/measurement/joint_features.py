@@ -11,7 +11,6 @@ in both speed and current (:func:`controller_gains`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -85,10 +84,17 @@ def folded_rotations(point: PointEstimate) -> tuple[FloatArray, float]:
 def beside_bench(
     point: PointEstimate, bench: Bench, delta_rad: FloatArray, rng: np.random.Generator
 ) -> list[CheckItem]:
-    """Features of a recording beside those of its bench, drawn, at as many draws of δ, (k,)."""
+    """Features of a recording beside those of its bench, drawn, at as many draws of δ, (k,).
+
+    What does not repeat in the recording is added to the simulation: noise moves both alike.
+    Nothing tells the noise of less than two rotations.
+    """
     measured, period_s = folded_rotations(point)
+    if measured.shape[1] < 2:
+        return []
+    scatter = measured - measured.mean(axis=1, keepdims=True)
     speed_rpm = float(point.recording.motor_speed_rpm.mean())
-    count, rotations = measured.shape[2], []
+    count, simulated = measured.shape[2], []
     for gap in delta_rad:
         drawn = bench.draw(rng).with_parameters(reference_speed_rpm=speed_rpm)
         made = drawn.simulate_many(
@@ -97,25 +103,12 @@ def beside_bench(
             sampling_hz=count / drawn.rotation_period_s(speed_rpm),
             channels="all",
         )[0, 1:, :count]
-        rotations.append(math.copysign(1.0, speed_rpm) * made[: len(measured), None])
-    return compared(measured, rotations, period_s)
-
-
-def compared(
-    measured: FloatArray, rotations: Sequence[FloatArray], period_s: float
-) -> list[CheckItem]:
-    """Features of folded signals beside those of rotations of benches, (channels, 1, samples) each.
-
-    What does not repeat in the recording is added to the simulation: noise moves both alike.
-    Nothing tells the noise of less than two rotations.
-    """
-    if measured.shape[1] < 2:
-        return []
-    scatter = measured - measured.mean(axis=1, keepdims=True)
-    found = [feature_values(rotation + scatter, period_s) for rotation in rotations]
+        rotation = math.copysign(1.0, speed_rpm) * made[: len(measured), None] + scatter
+        gains = {gain.name: gain.value for gain in controller_gains(rotation, period_s)}
+        simulated.append(gains | _values(rotation))
     items = []
     for feature in features(measured, period_s):
-        values = [own[feature.name] for own in found if feature.name in own]
+        values = [each[feature.name] for each in simulated if feature.name in each]
         if values:
             mean, sd = float(np.mean(values)), float(np.std(values))
             sd = math.hypot(feature.standard_error, sd)
@@ -142,12 +135,6 @@ def features(folded: FloatArray, period_s: float) -> list[Feature]:
         Feature(name, _unit(name), value, float(np.std([d[name] for d in drawn], ddof=1)))
         for name, value in _values(folded).items()
     ]
-
-
-def feature_values(folded: FloatArray, period_s: float) -> dict[str, float]:
-    """The features by name without their standard errors; arguments as in :func:`features`."""
-    gains = {gain.name: gain.value for gain in controller_gains(folded, period_s)}
-    return gains | _values(folded)
 
 
 def controller_gains(folded: FloatArray, period_s: float) -> list[Feature]:

@@ -139,7 +139,7 @@ class Reason:
     withholds: bool = False
 
     @classmethod
-    def told(cls, code: str, text: str, *, withholds: bool = False) -> Reason:
+    def of_text(cls, code: str, text: str, *, withholds: bool = False) -> Reason:
         """One that a room below has already put into a sentence."""
         return cls(code, {"text": text}, withholds)
 
@@ -158,7 +158,7 @@ def sampling_reasons(diagnostics: Diagnostics, *, withhold: bool) -> list[Reason
     """Why draws are not simply converged, which may withhold the answer."""
     codes = chain([diagnostics.code], repeat("sampling"))
     told = zip(codes, diagnostics.reasons, strict=False)
-    return [Reason.told(code, text, withholds=withhold) for code, text in told]
+    return [Reason.of_text(code, text, withholds=withhold) for code, text in told]
 
 
 NO_CURVE = Reason("no_curve")

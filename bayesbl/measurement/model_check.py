@@ -5,14 +5,12 @@ From what :mod:`bayesbl.model_search.joint_change` finds to the checks of snapsh
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
-from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import (
     BlindSpot,
@@ -21,7 +19,6 @@ from bayesbl.measurement.joint_check import (
     check_item,
     joint_check,
 )
-from bayesbl.measurement.joint_features import compared, folded_signal
 from bayesbl.model_search.always_in import CHANGED_TOGETHER
 from bayesbl.model_search.joint_change import (
     FRICTION,
@@ -43,29 +40,6 @@ def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
         [_item(c) for c in (*own, *allowed)],
         found.could_be if own else (),
     )
-
-
-def feature_items(fit: SimulatedFit, recording: str) -> list[CheckItem]:
-    """What a recording says of its joint beside the gap, and what the bench at the optimum does.
-
-    A motion has no load orders, so nothing of it is compared here.
-    """
-    model = fit.model
-    place = [seen.name for seen in model.recordings].index(recording)
-    seen = model.recordings[place]
-    if seen.motion is not None:
-        return []
-    simulated = fit.simulated(place)
-    direction = math.copysign(1.0, seen.reference_speed_rpm)
-    samples = seen.rotation_period_s * seen.sampling_hz
-
-    def folded(signals: FloatArray) -> FloatArray:
-        return np.stack([folded_signal(direction * row, samples) for row in signals])
-
-    measured, by_bench = folded(simulated + seen.left_by(simulated)), folded(simulated)
-    period_s = seen.rotation_period_s / measured.shape[2]
-    rotation = by_bench.mean(axis=1, keepdims=True)
-    return compared(measured, [rotation], period_s)
 
 
 def check_of_comparison(
@@ -123,47 +97,35 @@ UNEXPLAINED = (
 """Why δ is withheld where a change was found that leaves something, though little repeats."""
 
 
-def undecided_gap(
+def undecided(
     found: JointFindings,
-    index: int,
-    gap_rad: FloatArray,
+    draws_rad: FloatArray,
     level: float,
+    index: int | None = None,
     *,
     with_current: bool = True,
 ) -> str | None:
-    """Why δ of a recording depends on which of several changes is the true one.
+    """Why δ, or its change from first to last, depends on which of several changes is true.
 
-    ``index``: of the recording; ``gap_rad``: draws of its δ; ``with_current``: it was recorded.
+    Parameters
+    ----------
+    draws_rad
+        Of δ of the recording of this ``index``; without one, of its change.
+    with_current
+        Whether the current was recorded.
     """
-    apart = [(r, float(r.gaps_rad[index])) for r in found.rivals]
-    return _undecided(found, apart, gap_rad, level, "δ", with_current=with_current)
-
-
-def undecided_change(
-    found: JointFindings, change_rad: FloatArray, level: float, *, with_current: bool = True
-) -> str | None:
-    """The same of the change of δ from the first recording to the last."""
-    apart = [(r, float(r.gaps_rad[-1] - r.gaps_rad[0])) for r in found.rivals]
-    what = "the change of δ"
-    return _undecided(found, apart, change_rad, level, what, with_current=with_current)
-
-
-def _undecided(
-    found: JointFindings,
-    rivals: Sequence[tuple[Rival, float]],
-    draws_rad: FloatArray,
-    level: float,
-    what: str,
-    *,
-    with_current: bool,
-) -> str | None:
     if not found.explained:
         return None
     chosen_rad, width_rad = float(np.median(draws_rad)), _width(draws_rad, level)
-    apart = [(r, value) for r, value in rivals if abs(value - chosen_rad) > MATTERS * width_rad]
+    what, apart = "δ" if index is not None else "the change of δ", []
+    for rival in found.rivals:
+        gaps = rival.gaps_rad
+        value = float(gaps[-1] - gaps[0] if index is None else gaps[index])
+        if abs(value - chosen_rad) > MATTERS * width_rad:
+            apart.append((abs(value - chosen_rad), value, rival))
     if not apart:
         return None
-    rival, value = max(apart, key=lambda own: abs(own[1] - chosen_rad))
+    _, value, rival = max(apart, key=lambda each: each[0])
     chosen = _listed([_where(found, changed) for changed in found.changed], "and")
     other = _where(found, rival)
     differs = "is not as the bench file says" if found.against_bench else "changed in the joint"

@@ -10,13 +10,6 @@ fitted by that of two first-order filters,
 f_r the ringing's frequency, c the level, u the strength. Among common filters the first-order one
 lowers the ringing most for a given loss at higher frequencies, so this errs on the safe side. Noise
 from another source may look like a filter.
-
-A recorder that keeps one sample in several folds noise from above half its rate onto what it keeps.
-A filter ahead of it lowers what is folded more than what is not, so the colour may stay while the
-level falls; but at every frequency the noise falls by the filter's own loss there or more, which
-bounds what such a filter can have done to the ringing:
-
-    ½ ln(1 + u) with 1 + u (f/f_r)² ≤ S₁/S₂ at every f
 """
 
 from __future__ import annotations
@@ -77,20 +70,12 @@ class FilterChange:
         Where χ² is higher than at the best by the square of the deviations asked for.
     deviations
         Of the best from no change, in standard deviations, with the sign of ``log_amplitude``.
-    level
-        ln S₂/S₁ of the power, mean over the bands.
-    folded_low, folded_high
-        Furthest that a filter ahead of a recorder that keeps one sample in several can have moved
-        ln A: below zero where the noise fell at all frequencies, above where it rose.
     """
 
     log_amplitude: float
     low: float
     high: float
     deviations: float
-    level: float
-    folded_low: float
-    folded_high: float
 
 
 def noise_spectrum(point: PointEstimate) -> NoiseSpectrum | None:
@@ -162,16 +147,7 @@ def filter_change(
         float(within.min()),
         float(within.max()),
         float(np.sign(shifts[best]) * math.sqrt(chi2[STRENGTHS.size] - chi2[best])),
-        float(ratio @ weight / weight.sum()),
-        -_furthest(-ratio + deviations / np.sqrt(weight), place),
-        _furthest(ratio + deviations / np.sqrt(weight), place),
     )
-
-
-def _furthest(log_loss: FloatArray, place: FloatArray) -> float:
-    """½ ln(1 + u) of the strongest filter that loses no more than this of ln power anywhere."""
-    strength = float(np.min(np.expm1(np.maximum(log_loss, 0.0)) / place**2))
-    return 0.5 * math.log1p(strength)
 
 
 def _in_bands(spectrum: NoiseSpectrum, edges: FloatArray) -> tuple[FloatArray, FloatArray]:

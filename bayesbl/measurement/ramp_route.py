@@ -70,41 +70,43 @@ of the gearboxes of ``configs/torque_ramps_study.toml``, by about 3 or less in t
 (``held_ratio_3_of_4`` of its table).
 """
 
-DIFFERS = 2.0
+CHANGED_SD = 2.0
 """Standard deviations from which friction or compliance counts as changed: 5 % each by chance."""
 
 ROUNDING = float(np.finfo(float).eps)
 """Of a logarithm, so that changes without scatter have a finite size too."""
 
-TOLD = {
+COMPARED = {
     "compliance_rad_per_nm": ("compliance", "rad/N m"),
     "friction_torque_nm": ("friction", "N m"),
 }
 
 
-NOT_TOLD = "ramps cannot distinguish it from play"
+INDISTINGUISHABLE = "ramps cannot distinguish it from play"
 SOFTER = BlindSpot(
-    change="flanks that became softer at small torque alone", reason=NOT_TOLD, delta_error_rad=None
+    change="flanks that became softer at small torque alone",
+    reason=INDISTINGUISHABLE,
+    delta_error_rad=None,
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HeldCompliance:
     """What the ramps of a snapshot show beside its width.
 
     Attributes
     ----------
     draws
-        Of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`TOLD`, rad and N m.
+        Of ``delta_rad``, ``held_windup_rad`` and the quantities in :data:`COMPARED`, rad and N m.
     measured
-        The quantities in :data:`TOLD`, by file and cycle.
+        The quantities in :data:`COMPARED`, by file and cycle.
     """
 
     draws: Mapping[str, FloatArray]
     measured: Mapping[str, Sequence[FloatArray]]
 
 
-def held_alike(first: Held, last: Held) -> JointCheck:
+def compliance_check(first: HeldCompliance, last: HeldCompliance) -> JointCheck:
     """What changed in friction and compliance, and how far it may have moved the change of δ."""
     if first.draws is last.draws:
         return joint_check()
@@ -117,19 +119,19 @@ def held_alike(first: Held, last: Held) -> JointCheck:
             unit,
             _deviations(last.measured[name], first.measured[name]),
         )
-        for name, (quantity, unit) in TOLD.items()
+        for name, (quantity, unit) in COMPARED.items()
     ]
     held = float(np.median(after["held_windup_rad"]) - np.median(before["held_windup_rad"]))
     low, middle, high = np.quantile(after["delta_rad"] - before["delta_rad"], (0.05, 0.5, 0.95))
     # Less compliance held cannot pass for growth. A width falls with it, and also where more
     # friction keeps the ramps from the flanks.
     error = HELD * (max(held, 0.0) if middle > 0.0 else abs(held))
-    changed = [item for item in items if abs(item["z"]) > DIFFERS]
+    changed = [item for item in items if abs(item["z"]) > CHANGED_SD]
     if not changed or error <= MATTERS * (high - low):
         return joint_check(True, items, blind_spots=(SOFTER,))
     told = " and ".join(_in_words(item) for item in changed)
     change = f"compliance that friction holds, with {told}"
-    held_more = BlindSpot(change=change, reason=NOT_TOLD, delta_error_rad=error)
+    held_more = BlindSpot(change=change, reason=INDISTINGUISHABLE, delta_error_rad=error)
     return joint_check(True, items, blind_spots=(held_more, SOFTER))
 
 
@@ -270,7 +272,7 @@ class RampMeasurer(Measurer):
                 self._answered(recording, answer, elsewhere=elsewhere)
                 for recording, answer in zip(task.recordings, answers, strict=True)
             ],
-            same_joint=held_alike(answers[since], answers[-1]),
+            same_joint=compliance_check(answers[since], answers[-1]),
         )
 
     def _answer(
@@ -319,7 +321,7 @@ class RampMeasurer(Measurer):
         reasons += notes_on(
             answer.files, answer.flanks, answer.draws, ratio_given=given, elsewhere=elsewhere
         )
-        reasons += [Reason.told("recording", text) for text in recording.notes]
+        reasons += [Reason.of_text("recording", text) for text in recording.notes]
         groups = ramp_groups(answer, recording)
         gap = answer.draws["delta_rad"]
         told_from_none = answer.flanks.probability_of_play >= UPPER_BOUND_LEVEL
@@ -680,7 +682,7 @@ GROUPS = (
 
 
 @dataclass(frozen=True, slots=True)
-class RampAnswer(Held):
+class RampAnswer(HeldCompliance):
     """What one snapshot stores beside its recording; ``draws`` of all of :data:`POSTERIOR`."""
 
     files: tuple[Ramps, ...]

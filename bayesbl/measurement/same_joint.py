@@ -126,7 +126,7 @@ WITHOUT_CURRENT = (
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _Snapshot:
     """What is compared of one snapshot."""
 
     name: str
@@ -138,6 +138,32 @@ class _Seen:
     period_s: float
     noise: NoiseSpectrum | None
     lines: Mapping[int, MotorLine]
+
+    @classmethod
+    def of(cls, point: PointEstimate) -> _Snapshot:
+        centre, covariance = point.ringing
+        features = {feature.name: feature for feature in features_of(point)}
+        for name, unit, place, scale in (
+            (FREQUENCY, "Hz", 1, 2.0 * math.pi),
+            (DECAY, "1/s", 2, 1.0),
+        ):
+            sd = math.sqrt(covariance[place, place])
+            if sd > 0.0:  # a fixed one is no measurement
+                value = math.exp(centre[place]) / scale
+                sd = math.hypot(sd, START_ANGLE_SD[name])
+                features[name] = Feature(name, unit, value, value * sd)
+        recording = point.recording
+        return cls(
+            recording.name,
+            features,
+            math.log(centre[0]),
+            math.sqrt(covariance[0, 0]) / centre[0],
+            math.log(nominal_speed_rpm(recording)),
+            float(np.sign(recording.motor_speed_rpm.mean())),
+            recording.sampling_period_s,
+            noise_spectrum(point),
+            {line.order: line for line in point.lines},
+        )
 
 
 def same_joint(
@@ -156,39 +182,35 @@ def same_joint(
     """
     if len(points) < 2:
         return joint_check()
-    seen = [_seen(point) for point in points]
-    pairs: list[tuple[_Seen, _Seen]] = []
-    first: dict[Hashable, _Seen] = {}
-    for snapshot, anew, said in zip(seen, repaired, stated or [None] * len(seen), strict=True):
+    pairs: list[_Pair] = []
+    first: dict[Hashable, _Snapshot] = {}
+    for point, anew, said in zip(points, repaired, stated or [None] * len(points), strict=True):
+        snapshot = _Snapshot.of(point)
         if anew:
             first.clear()
         if said in first:
-            pairs.append((first[said], snapshot))
+            pairs.append(_Pair(first[said], snapshot))
         else:
             first[said] = snapshot
-    compared = sum(
-        len(_compared(*pair)) + (not _gains_seen(*pair)) + len(list(_lines(*pair)))
-        for pair in pairs
-    )
+    compared = sum(len(p.items) + (not p.shows_gains) + len(p.lines) for p in pairs)
     if not compared:
         return joint_check()
     bound = normal_isf(0.5 * FALSE_ALARM / compared)
-    places = [f" in {other.name}" if len(pairs) > 1 else "" for _, other in pairs]
-    filters = [None if _gains_seen(*pair) else _filter_change(*pair, bound) for pair in pairs]
-    found = [
+    filters = [pair.filter_change(bound) for pair in pairs]
+    findings = [
         finding
-        for pair, change, where in zip(pairs, filters, places, strict=True)
-        for finding in _findings(*pair, change, bound, where)
+        for pair, change in zip(pairs, filters, strict=True)
+        for finding in pair.findings(change, bound, f" in {pair.other.name}" * (len(pairs) > 1))
     ]
-    told = [(item, sentence) for item, sentence in found if sentence]
+    changed = [(item, sentence) for item, sentence in findings if sentence]
     blind = [*_too_small(pairs, bound), *_filters_unseen(pairs, filters)]
     if not all(MOTOR_CURRENT in point.recording.channels for point in points):
         blind = [*WITHOUT_CURRENT, *blind]
     return joint_check(
-        not told,
-        [item for item, _ in found],
-        (cause for item, _ in told for cause in COULD_BE[item["quantity"]]),
-        [sentence for _, sentence in told],
+        not changed,
+        [item for item, _ in findings],
+        (cause for item, _ in changed for cause in COULD_BE[item["quantity"]]),
+        [sentence for _, sentence in changed],
         blind,
     )
 
@@ -203,112 +225,131 @@ def change_reason(check: JointCheck) -> str | None:
     )
 
 
-def _seen(point: PointEstimate) -> _Seen:
-    centre, covariance = point.ringing
-    found = {feature.name: feature for feature in features_of(point)}
-    for name, unit, place, scale in (
-        (FREQUENCY, "Hz", 1, 2.0 * math.pi),
-        (DECAY, "1/s", 2, 1.0),
-    ):
-        sd = math.sqrt(covariance[place, place])
-        if sd > 0.0:  # a fixed one is no measurement
-            value = math.exp(centre[place]) / scale
-            sd = math.hypot(sd, START_ANGLE_SD[name])
-            found[name] = Feature(name, unit, value, value * sd)
-    recording = point.recording
-    return _Seen(
-        recording.name,
-        found,
-        math.log(centre[0]),
-        math.sqrt(covariance[0, 0]) / centre[0],
-        math.log(nominal_speed_rpm(recording)),
-        float(np.sign(recording.motor_speed_rpm.mean())),
-        recording.sampling_period_s,
-        noise_spectrum(point),
-        {line.order: line for line in point.lines},
-    )
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Two snapshots that are compared."""
+
+    first: _Snapshot
+    other: _Snapshot
+
+    @property
+    def shows_gains(self) -> bool:
+        """The law of the controller shows a filter of the speed, and better than the noise does."""
+        return all(PROPORTIONAL in each.features for each in (self.first, self.other))
+
+    @property
+    def change(self) -> float:
+        """Of ln A."""
+        return self.other.log_amplitude - self.first.log_amplitude
+
+    @property
+    def change_sd(self) -> float:
+        return math.hypot(self.first.log_amplitude_sd, self.other.log_amplitude_sd)
+
+    @property
+    def harmless(self) -> float:
+        """What may be done to ln A without harm to an interval."""
+        return HARMLESS_SD * self.change_sd
+
+    @property
+    def items(self) -> list[CheckItem]:
+        """Each feature that both have."""
+        items = []
+        for name, before in self.first.features.items():
+            after = self.other.features.get(name)
+            turned = self.first.direction != self.other.direction
+            # In the other direction a constant torque changes sides.
+            if after is None or (name == MEAN_CURRENT and turned):
+                continue
+            difference, late = after.value - before.value, self.by_lateness(name)
+            difference -= min(max(difference, min(late, 0.0)), max(late, 0.0))
+            beyond = max(abs(difference) - self.explained(name), 0.0)
+            z = math.copysign(beyond, difference) / self.sd(name)
+            items.append(check_item(name, after.value, before.value, before.unit, z))
+        return items
+
+    @property
+    def lines(self) -> dict[int, CheckItem]:
+        """Every line of the motor by its order; one that does not stand out counts as none."""
+        if abs(self.other.log_speed - self.first.log_speed) > SAME_SPEED:
+            return {}
+        items = {}
+        for order in sorted({*self.first.lines, *self.other.lines}):
+            none = MotorLine(order, 0.0, 0.0)
+            before, after = (each.lines.get(order, none) for each in (self.first, self.other))
+            sd = math.hypot(before.standard_error_rpm, after.standard_error_rpm)
+            z = (after.size_rpm - before.size_rpm) / sd if sd > 0.0 else 0.0
+            items[order] = check_item(LINE, after.size_rpm, before.size_rpm, "rpm", z)
+        return items
+
+    def filter_change(self, bound: float) -> FilterChange | None:
+        """By the noise, where nothing shows it better; another rate folds another part of it."""
+        first, other = self.first, self.other
+        same_rate = abs(math.log(other.period_s / first.period_s)) < SAME_RATE
+        if self.shows_gains or first.noise is None or other.noise is None or not same_rate:
+            return None
+        return filter_change(first.noise, other.noise, bound)
+
+    def findings(
+        self, change: FilterChange | None, bound: float, where: str
+    ) -> Iterator[tuple[CheckItem, str]]:
+        """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
+        for item in self.items:
+            yield item, _sentence(item, where) if abs(item["z"]) > bound else ""
+        if change is not None:
+            shift = change.log_amplitude
+            item = check_item(FILTER, math.exp(shift), 1.0, "", change.deviations)
+            moved = abs(item["z"]) > bound and abs(shift) > self.harmless
+            yield item, _sentence_of_filter(change, where) if moved else ""
+        for order, item in self.lines.items():
+            # What repeats with the motor is there when the teeth meet, so they meet faster or
+            # slower by as much as it moves the motor: the ringing behind is that much louder.
+            furthest = abs(item["measured"] - item["expected"]) / math.exp(self.first.log_amplitude)
+            least = max(abs(self.change) - bound * self.change_sd, 0.0)
+            moved = abs(item["z"]) > bound and abs(self.change) > self.harmless
+            told = moved and furthest >= least
+            yield item, _sentence_of_line(item, order, furthest, where) if told else ""
+
+    def sd(self, name: str) -> float:
+        """Of a feature's change."""
+        return math.hypot(*(s.features[name].standard_error for s in (self.first, self.other)))
+
+    def explained(self, name: str) -> float:
+        """How far gap, speed and sampling may have moved a feature."""
+        first, other = self.first, self.other
+        value = first.features[name].value
+        by_speed = BY_SPEED * abs(value * (other.log_speed - first.log_speed))
+        if name in BY_AMPLITUDE:
+            angular_frequency = 2.0 * math.pi * first.features[FREQUENCY].value
+            squares = angular_frequency**2 * (other.period_s**2 - first.period_s**2)
+            by_sampling = BY_SAMPLING[name] * abs(squares)
+            return by_speed + abs(value) * (abs(BY_AMPLITUDE[name] * self.change) + by_sampling)
+        if name in (PROPORTIONAL, INTEGRAL):
+            return 0.0  # what the controller makes of a speed error does not depend on either
+        channel = "speed" if name.startswith("speed") else "current"
+        return by_speed + BY_GAP[channel] * first.features[harmonic_name(channel, 1)].value
+
+    def by_lateness(self, name: str) -> float:
+        """What the speed may differ by for being a mean over the sampling period, if it is one.
+
+        Such a mean over T comes T/2 late, by which K_p + K_i/jω seems larger by K_i T/2.
+        """
+        if name != PROPORTIONAL:
+            return 0.0
+        later_s = self.other.period_s - self.first.period_s
+        return 0.5 * self.first.features[INTEGRAL].value * later_s
 
 
-def _findings(
-    first: _Seen, other: _Seen, change: FilterChange | None, bound: float, where: str
-) -> Iterator[tuple[CheckItem, str]]:
-    """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
-    for item in _compared(first, other):
-        yield item, _sentence(item, where) if abs(item["z"]) > bound else ""
-    if change is not None:
-        shift = change.log_amplitude
-        item = check_item(FILTER, math.exp(shift), 1.0, "", change.deviations)
-        if abs(item["z"]) > bound and abs(shift) > _harmless(first, other):
-            yield item, _sentence_of_filter(change, where)
-        else:
-            yield item, _sentence_of_level(first, other, change, bound, where)
-    for item, order in _lines(first, other):
-        yield item, _sentence_of_line(first, other, item, order, bound, where)
-
-
-def _gains_seen(first: _Seen, other: _Seen) -> bool:
-    """The law of the controller shows a filter of the speed, and better than the noise does."""
-    return all(PROPORTIONAL in seen.features for seen in (first, other))
-
-
-def _filter_change(first: _Seen, other: _Seen, bound: float) -> FilterChange | None:
-    if first.noise is None or other.noise is None or not _same_rate(first, other):
-        return None
-    return filter_change(first.noise, other.noise, bound)
-
-
-def _same_rate(first: _Seen, other: _Seen) -> bool:
-    """Another rate folds another part of the noise, so its colour says nothing of a filter."""
-    return abs(math.log(other.period_s / first.period_s)) < SAME_RATE
-
-
-def _harmless(first: _Seen, other: _Seen) -> float:
-    """What a filter may do to ln A without harm to an interval."""
-    return HARMLESS_SD * math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
-
-
-def _compared(first: _Seen, other: _Seen) -> list[CheckItem]:
-    items = []
-    for name, before in first.features.items():
-        after = other.features.get(name)
-        # In the other direction a constant torque changes sides.
-        if after is None or (name == MEAN_CURRENT and first.direction != other.direction):
-            continue
-        difference = after.value - before.value
-        late = _by_lateness(name, first, other)
-        difference -= min(max(difference, min(late, 0.0)), max(late, 0.0))
-        explained = _explained(name, first, other)
-        beyond = math.copysign(max(abs(difference) - explained, 0.0), difference)
-        z = beyond / _sd(name, first, other)
-        items.append(check_item(name, after.value, before.value, before.unit, z))
-    return items
-
-
-def _lines(first: _Seen, other: _Seen) -> Iterator[tuple[CheckItem, int]]:
-    """Every line of the motor with its order; one that does not stand out counts as none."""
-    if abs(other.log_speed - first.log_speed) > SAME_SPEED:
-        return
-    for order in sorted({*first.lines, *other.lines}):
-        before, after = (
-            seen.lines.get(order, MotorLine(order, 0.0, 0.0)) for seen in (first, other)
-        )
-        sd = math.hypot(before.standard_error_rpm, after.standard_error_rpm)
-        z = (after.size_rpm - before.size_rpm) / sd if sd > 0.0 else 0.0
-        yield check_item(LINE, after.size_rpm, before.size_rpm, "rpm", z), order
-
-
-def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[BlindSpot]:
+def _too_small(pairs: Sequence[_Pair], bound: float) -> Iterator[BlindSpot]:
     """How much of each quantity could change unseen, by the pair that shows it worst."""
     for name in SHOWN_BEST:
         least = [
             (
-                bound * _sd(name, first, other)
-                + _explained(name, first, other)
-                + abs(_by_lateness(name, first, other)),
-                first.features[name].value,
+                bound * pair.sd(name) + pair.explained(name) + abs(pair.by_lateness(name)),
+                pair.first.features[name].value,
             )
-            for first, other in pairs
-            if name in first.features and name in other.features
+            for pair in pairs
+            if name in pair.first.features and name in pair.other.features
         ]
         if not least:
             continue
@@ -317,22 +358,15 @@ def _too_small(pairs: Sequence[tuple[_Seen, _Seen]], bound: float) -> Iterator[B
             change = f"a change of the {name} by less than {percent:.2g} %"
         else:  # a harmonic that noise hides
             change = f"a change of the {name}, which one of them does not show"
-        yield BlindSpot(
-            change=f"{change} ({IN_WORDS[name]})",
-            reason="too small for these recordings to show",
-            delta_error_rad=None,
-        )
+        why = "too small for these recordings to show"
+        yield BlindSpot(change=f"{change} ({IN_WORDS[name]})", reason=why, delta_error_rad=None)
 
 
 def _filters_unseen(
-    pairs: Sequence[tuple[_Seen, _Seen]], filters: Sequence[FilterChange | None]
+    pairs: Sequence[_Pair], filters: Sequence[FilterChange | None]
 ) -> Iterator[BlindSpot]:
     """What filter of the speed would pass, by the pair that shows it worst."""
-    by_noise = [
-        (pair, change)
-        for pair, change in zip(pairs, filters, strict=True)
-        if not _gains_seen(*pair)
-    ]
+    by_noise = [(p, f) for p, f in zip(pairs, filters, strict=True) if not p.shows_gains]
     if any(change is None for _, change in by_noise):
         yield BlindSpot(
             change="a filter of the speed",
@@ -341,19 +375,14 @@ def _filters_unseen(
             delta_error_rad=None,
         )
     reach = [
-        max(
-            change.high - change.log_amplitude,
-            change.log_amplitude - change.low,
-            change.folded_high,
-            -change.folded_low,
-            _harmless(*pair),
-        )
+        max(change.high - change.log_amplitude, change.log_amplitude - change.low, pair.harmless)
         for pair, change in by_noise
         if change is not None
     ]
     if reach:
         yield BlindSpot(
-            change="a filter of the speed behind which most of the noise arises",
+            change="a filter of the speed behind which most of the noise arises, or before a "
+            "recorder that keeps one sample in several",
             reason="the noise does not show it",
             delta_error_rad=None,
         )
@@ -363,35 +392,6 @@ def _filters_unseen(
             reason="too small for the noise of these recordings to show",
             delta_error_rad=None,
         )
-
-
-def _sd(name: str, first: _Seen, other: _Seen) -> float:
-    return math.hypot(first.features[name].standard_error, other.features[name].standard_error)
-
-
-def _explained(name: str, first: _Seen, other: _Seen) -> float:
-    """How far gap, speed and sampling may have moved a quantity."""
-    value = first.features[name].value
-    by_speed = BY_SPEED * abs(value * (other.log_speed - first.log_speed))
-    if name in BY_AMPLITUDE:
-        by_amplitude = BY_AMPLITUDE[name] * (other.log_amplitude - first.log_amplitude)
-        angular_frequency = 2.0 * math.pi * first.features[FREQUENCY].value
-        squares = angular_frequency**2 * (other.period_s**2 - first.period_s**2)
-        return by_speed + abs(value) * (abs(by_amplitude) + BY_SAMPLING[name] * abs(squares))
-    if name in (PROPORTIONAL, INTEGRAL):
-        return 0.0  # what the controller makes of a speed error does not depend on either
-    channel = "speed" if name.startswith("speed") else "current"
-    return by_speed + BY_GAP[channel] * first.features[harmonic_name(channel, 1)].value
-
-
-def _by_lateness(name: str, first: _Seen, other: _Seen) -> float:
-    """What the speed may differ by for being a mean over the sampling period, if it is one.
-
-    Such a mean over T comes T/2 late, by which K_p + K_i/jω seems larger by K_i T/2.
-    """
-    if name != PROPORTIONAL:
-        return 0.0
-    return 0.5 * first.features[INTEGRAL].value * (other.period_s - first.period_s)
 
 
 def _sentence(item: CheckItem, where: str) -> str:
@@ -419,49 +419,13 @@ def _sentence_of_filter(change: FilterChange, where: str) -> str:
     )
 
 
-def _sentence_of_line(
-    first: _Seen, other: _Seen, item: CheckItem, order: int, bound: float, where: str
-) -> str:
-    """Where a line that changed may be all that moved the ringing; else nothing.
-
-    What repeats with the motor is there when the teeth meet, so they meet faster or slower by as
-    much as it moves the motor: the ringing behind is that much louder at most.
-    """
-    moved = other.log_amplitude - first.log_amplitude
-    chance = bound * math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
+def _sentence_of_line(item: CheckItem, order: int, furthest: float, where: str) -> str:
+    """Of a line that changed and may be all that moved the ringing."""
     measured, expected = item["measured"], item["expected"]
-    furthest = abs(measured - expected) / math.exp(first.log_amplitude)
-    if (
-        abs(item["z"]) <= bound
-        or abs(moved) <= _harmless(first, other)
-        or furthest < abs(moved) - chance
-    ):
-        return ""
     direction = "rose" if measured > expected else "fell"
     return (
         f"The {LINE} at motor order {order} {direction} from {expected:.2g} to "
         f"{measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
         f"torque, not the gap. It could move the ringing by up to {100.0 * furthest:.2g} %, as "
         "much as was seen."
-    )
-
-
-def _sentence_of_level(
-    first: _Seen, other: _Seen, change: FilterChange, bound: float, where: str
-) -> str:
-    """Where a filter that folded noise hides may be all that moved the ringing; else nothing."""
-    moved = other.log_amplitude - first.log_amplitude
-    sd = math.hypot(first.log_amplitude_sd, other.log_amplitude_sd)
-    furthest = change.folded_high if moved > 0.0 else -change.folded_low
-    beyond_chance = abs(moved) > bound * sd
-    if not beyond_chance or furthest < max(abs(moved) - bound * sd, _harmless(first, other)):
-        return ""
-    direction, verb = ("raise", "rose") if moved > 0.0 else ("lower", "fell")
-    share = math.expm1(furthest) if moved > 0.0 else -math.expm1(-furthest)
-    factor = math.exp(0.5 * abs(change.level))
-    return (
-        f"The noise of the speed {verb} by a factor of {factor:.2g}{where}, at all frequencies. A "
-        "filter before a recorder that keeps one sample in several does that; it could "
-        f"{direction} the ringing by up to {100.0 * share:.2g} %, as much as was seen. "
-        "Record all snapshots through the same filter, or the motor current as well."
     )

@@ -206,7 +206,7 @@ class TwoEncoderMeasurer(Measurer):
         sure = found.probability_of_play >= UPPER_BOUND_LEVEL
         sound = sure and not _misfit_lasts(found)
         outcome: Outcome = "withheld" if withheld else "converged" if sound else "usable"
-        reasons += [Reason.told("recording", text) for text in recording.notes]
+        reasons += [Reason.of_text("recording", text) for text in recording.notes]
         groups = groups_of(found, recording, at_output=self._is_at_output(found))
         upper = upper_bound_rad(found)
         return Answer(

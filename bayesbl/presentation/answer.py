@@ -362,7 +362,11 @@ def _gap_table(summary: MeasuredSummary) -> Table:
     kind = words.short_kind(first or next(iter(parts[0][1]["parameters"].values())))
     columns = [text("Snapshot")] if compared else []
     for route in routes:
-        by = f"{words.capitalised(words.short_route(route))}\n" if len(routes) > 1 else "Gap "
+        by = (
+            f"{words.capitalised(route_in_words(route).removeprefix('the '))}\n"
+            if len(routes) > 1
+            else "Gap "
+        )
         columns += [numbers(f"{by}δ (mrad)"), numbers(f"{kind}\n(mrad)")]
     columns.append(text("Outcome"))
     rows = []

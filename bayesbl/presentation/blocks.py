@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
-
-if TYPE_CHECKING:
-    pass
+from typing import ClassVar, Literal
 
 Tone = Literal["", "answer", "withheld", "aside", "warning"]
 

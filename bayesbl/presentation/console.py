@@ -135,7 +135,7 @@ def _repeats(effect: Effect) -> str:
 _SHARE = re.compile(r"[\[(]\s*(%|‰|prozent|promille|per ?cent|per ?mille)", re.IGNORECASE)
 
 
-def guessed(guess: Guess) -> Iterator[Block]:
+def guess_blocks(guess: Guess) -> Iterator[Block]:
     """Columns with channel, unit and the reason for it."""
     yield Sentence("Guessed from the recording; please confirm:", "answer")
     rows = [(column.name, column.channel, column.unit, column.reason) for column in guess.columns]
@@ -159,7 +159,7 @@ def guessed(guess: Guess) -> Iterator[Block]:
             yield Sentence(unit, "warning", "Check")
 
 
-def chosen(guess: Iterable[Choice]) -> Iterator[Block]:
+def choice_blocks(guess: Iterable[Choice]) -> Iterator[Block]:
     """How recordings and bench would be compared, with the reasons."""
     for choice in guess:
         yield Sentence(choice.told)

@@ -333,11 +333,11 @@ def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_
     return f"{significant(row[key], 3)}{unit}"
 
 
-def assumptions(_: DiagnosisSummary) -> Iterator[str]:
-    """Assumptions of a diagnosis."""
-    yield "What is missing, if anything, is in the catalogue (bayesbl effects)."
-    yield "Noise does not repeat; a named effect predicts what it was not fitted on."
-    yield "The other parameters are as the bench file says, within their tolerances."
+ASSUMES = (
+    "What is missing, if anything, is in the catalogue (bayesbl effects).",
+    "Noise does not repeat; a named effect predicts what it was not fitted on.",
+    "The other parameters are as the bench file says, within their tolerances.",
+)
 
 
 def advice(summary: DiagnosisSummary) -> Advice:

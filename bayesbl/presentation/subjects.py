@@ -6,7 +6,7 @@ Sweeps, plans and studies are put in words here, other kinds in modules of their
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -111,11 +111,11 @@ def _degree_table(summary: SweepSummary) -> Table:
     return table((*map(numbers, titles), text("")), rows)
 
 
-def sweep_assumptions(_: SweepSummary) -> Iterator[str]:
-    """Assumptions of a gap curve."""
-    yield "The simulated bench is a two-mass drive whose only play is one gap."
-    yield "The joint has the bench's parameters, within their tolerances where they have any."
-    yield "Measured recordings are fitted as these simulated ones were."
+SWEEP_ASSUMES = (
+    "The simulated bench is a two-mass drive whose only play is one gap.",
+    "The joint has the bench's parameters, within their tolerances where they have any.",
+    "Measured recordings are fitted as these simulated ones were.",
+)
 
 
 def sweep_advice(_: SweepSummary) -> Advice:
@@ -201,10 +201,10 @@ def _sd(motion: PlannedEntry) -> str:
     return "–" if sd is None else percent(sd)
 
 
-def plan_assumptions(_: PlanSummary) -> Iterator[str]:
-    """Assumptions of a plan."""
-    yield "The joint behaves as its bench file says, within the tolerances given there."
-    yield "Its noise is that of the bench file, and it starts from rest."
+PLAN_ASSUMES = (
+    "The joint behaves as its bench file says, within the tolerances given there.",
+    "Its noise is that of the bench file, and it starts from rest.",
+)
 
 
 def plan_advice(summary: PlanSummary) -> Advice:
@@ -252,9 +252,7 @@ def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> T
     return table((text(first), *map(numbers, others)), rows)
 
 
-def study_assumptions(_: StudySummary) -> Iterator[str]:
-    """Assumptions of a study."""
-    yield "Each case has random numbers of its own, from the seed, the row and its number."
+STUDY_ASSUMES = ("Each case has random numbers of its own, from the seed, the row and its number.",)
 
 
 def study_advice(summary: StudySummary) -> Advice:
@@ -288,7 +286,7 @@ class Subject(Generic[S]):
     headline: Callable[[S], str]
     blocks: Callable[[S], Iterator[Block]]
     advice: Callable[[S], Advice]
-    assumptions: Callable[[S], Iterator[str]]
+    assumptions: Callable[[S], Iterable[str]]
     details: Callable[[xr.DataTree, S], Iterator[Block]] = lambda tree, summary: iter(())
     warning_label: str = "Warning"
 
@@ -311,7 +309,7 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             diagnosis.headline,
             diagnosis.blocks,
             diagnosis.advice,
-            diagnosis.assumptions,
+            lambda _: diagnosis.ASSUMES,
             diagnosis.residual_blocks,
             warning_label="Note",
         ),
@@ -328,16 +326,18 @@ SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
             sweep_headline,
             sweep_blocks,
             sweep_advice,
-            sweep_assumptions,
+            lambda _: SWEEP_ASSUMES,
         ),
         "plan": Subject(
             "Motions that would show the gap",
             plan_headline,
             plan_blocks,
             plan_advice,
-            plan_assumptions,
+            lambda _: PLAN_ASSUMES,
         ),
-        "study": Subject("Study", study_headline, study_blocks, study_advice, study_assumptions),
+        "study": Subject(
+            "Study", study_headline, study_blocks, study_advice, lambda _: STUDY_ASSUMES
+        ),
         "fleet": Subject(
             "Backlash gaps of a plant",
             fleet.headline,

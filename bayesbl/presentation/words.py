@@ -145,14 +145,6 @@ def route_in_words(route: str) -> str:
     return ROUTES.get(route, route.replace("_", " "))
 
 
-SHORT = {"amplitude": "ringing", "direct": "simulation"}
-
-
-def short_route(route: str) -> str:
-    """The same for the head of a column."""
-    return SHORT.get(route, route_in_words(route))
-
-
 def sampling(part: RouteSummary) -> str:
     """Convergence in one line."""
     found = part["diagnostics"]

@@ -43,14 +43,20 @@ def _derived(bench: Bench) -> Iterator[tuple[str, str]]:
 
 
 def _doubts(bench: Bench) -> Iterator[str]:
-    frequency, ratio = _frequency_hz(bench), _inertia_ratio(bench)
-    if not USUAL_FREQUENCY_HZ[0] < frequency < USUAL_FREQUENCY_HZ[1]:
-        yield _unusual("natural frequency", f"{frequency:.3g} Hz", USUAL_FREQUENCY_HZ, "stiffness")
-    if not USUAL_INERTIA_RATIO[0] < ratio < USUAL_INERTIA_RATIO[1]:
-        yield _unusual("inertia ratio", f"{ratio:.3g}", USUAL_INERTIA_RATIO, "gear ratio")
-    pendulum_m = _pendulum_m(bench)
-    if pendulum_m is not None and not USUAL_PENDULUM_M[0] < pendulum_m < USUAL_PENDULUM_M[1]:
-        low, high = USUAL_PENDULUM_M
+    for what, value, unit, (low, high), culprit in (
+        ("natural frequency", _frequency_hz(bench), " Hz", USUAL_FREQUENCY_HZ, "stiffness"),
+        ("inertia ratio", _inertia_ratio(bench), "", USUAL_INERTIA_RATIO, "gear ratio"),
+    ):
+        if not low < value < high:
+            yield (
+                f"the {what} of {value:.3g}{unit} is not that of a robot joint (usually {low:g} "
+                f"to {high:g}): check the inertias and the {culprit}, and their units."
+            )
+    low, high = USUAL_PENDULUM_M
+    gravity_nm = bench.value("gravity_torque_nm")
+    # J_l g/(m g l): length of a point mass that swings as the load does, where one does.
+    pendulum_m = bench.value("load_inertia_kg_m2") * STANDARD_GRAVITY / (gravity_nm or math.nan)
+    if pendulum_m <= low or pendulum_m >= high:
         yield (
             f"load inertia and gravity torque are those of a pendulum {pendulum_m:.3g} m long "
             f"(usually {low:g} to {high:g}): check load_inertia_kg_m2 and gravity_torque_nm, and "
@@ -70,14 +76,6 @@ def _doubts(bench: Bench) -> Iterator[str]:
         )
 
 
-def _unusual(what: str, found: str, usual: tuple[float, float], culprit: str) -> str:
-    low, high = usual
-    return (
-        f"the {what} of {found} is not that of a robot joint (usually {low:g} to {high:g}): check "
-        f"the inertias and the {culprit}, and their units."
-    )
-
-
 def _frequency_hz(bench: Bench) -> float:
     values = {name: parameter.value for name, parameter in bench.parameters.items()}
     stiffness = values["shaft_stiffness_nm_per_rad"]
@@ -87,12 +85,6 @@ def _frequency_hz(bench: Bench) -> float:
 def _inertia_ratio(bench: Bench) -> float:
     motor = bench.value("gear_ratio") ** 2 * bench.value("motor_inertia_kg_m2")
     return bench.value("load_inertia_kg_m2") / motor
-
-
-def _pendulum_m(bench: Bench) -> float | None:
-    """J_l g/(m g l): length of a point mass that swings as the load does; ``None`` if none does."""
-    torque = bench.value("gravity_torque_nm")
-    return bench.value("load_inertia_kg_m2") * STANDARD_GRAVITY / torque if torque > 0.0 else None
 
 
 def _steady_current_a(bench: Bench) -> float:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from types import MappingProxyType, ModuleType
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from bayesbl.arguments import Tree, checked
 from bayesbl.config.files import require_text_names
@@ -23,16 +23,8 @@ from bayesbl.errors import ConfigError, ResultError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import CONFIG_FILE, require_apart
 from bayesbl.results.work import NOTHING_KEPT
-from bayesbl.runs.workflow import (
-    Draw,
-    Options,
-    OwnWorkflow,
-    Plan,
-    Workflow,
-    require_output,
-    run_into_folder,
-)
-from bayesbl.sentences import told
+from bayesbl.runs.workflow import Draw, Options, Plan, require_output, run_into_folder
+from bayesbl.sentences import with_sentences
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -66,7 +58,11 @@ class Kind:
     Attributes
     ----------
     workflow
-        Module of :mod:`bayesbl.runs` that runs it.
+        Module of :mod:`bayesbl.runs` that runs it. Its ``describe(config, plan)`` asks everything
+        that can be asked before the first expensive step: ``check`` prints the plan, ``run`` goes
+        by it. ``make(config, options, work)`` gives the result, and what takes long goes through
+        ``work``; ``run(config, options)``, in its place, writes an output folder that is added to
+        and gives the summary.
     groups
         Module whose ``declared_groups`` lists the groups of its result; empty without one.
     summarise
@@ -129,9 +125,6 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
 )
 
 _STORED = tuple(name for name, kind in KINDS.items() if kind.groups)
-
-_ADDED_TO = ("study", "fleet")
-"""Kinds that write their output folder themselves."""
 
 _FILES = ("simulate", "bench")
 """Kinds without an output folder: their workflow takes the file itself."""
@@ -197,8 +190,8 @@ def run(
     for sentence in plan.withheld:
         say(sentence)
     options = Options(draw, force, progress, say, formats, plan.recordings)
-    if config.kind in _ADDED_TO:
-        summary: Summary = cast(OwnWorkflow, workflow).run(config, options)
+    if hasattr(workflow, "run"):
+        summary: Summary = workflow.run(config, options)
         return summary
     return run_into_folder(config, options, workflow.make, summarise)
 
@@ -211,7 +204,10 @@ def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> x
     UserError
         If anything in the configuration cannot be used.
     """
-    return _workflow(config.kind).make(config, Options(progress=progress), NOTHING_KEPT)
+    made: xr.DataTree = _workflow(config.kind).make(
+        config, Options(progress=progress), NOTHING_KEPT
+    )
+    return made
 
 
 def check(path: str | Path) -> Plan:
@@ -234,7 +230,7 @@ def check(path: str | Path) -> Plan:
     return plan
 
 
-def _described(config: RunConfig, plan: Plan) -> Workflow:
+def _described(config: RunConfig, plan: Plan) -> ModuleType:
     """The workflow of a configuration, which has said all that it can before it runs."""
     plan.add("output", partial(require_output, config.run.output))
     workflow = _workflow(config.kind)
@@ -252,8 +248,8 @@ def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
     require_apart([output], inputs)
 
 
-def _workflow(kind: str) -> Workflow:
-    return cast(Workflow, import_module(f"bayesbl.runs.{KINDS[kind].workflow}"))
+def _workflow(kind: str) -> ModuleType:
+    return import_module(f"bayesbl.runs.{KINDS[kind].workflow}")
 
 
 @checked
@@ -263,7 +259,7 @@ def summarise(tree: Tree) -> Summary:
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
     module, _, function = KINDS[tree.attrs["kind"]].summarise.partition(":")
-    summary: Summary = told(getattr(import_module(module), function)(tree))
+    summary: Summary = with_sentences(getattr(import_module(module), function)(tree))
     return summary
 
 

@@ -17,15 +17,15 @@ from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.sweep import SweepRow, SweepSettings
-from bayesbl.curve.swept_curve import SweptDraws, degree_reports, swept_curve
+from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import (
     CURVE,
     GAP_CURVE,
     SOURCE_PREFIX,
     SweepProblem,
+    curve_group,
     curve_to_dataset,
-    one_curve_group,
 )
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray, Recording
@@ -106,11 +106,6 @@ def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
     )
 
 
-def degree_group(nominal: SweepRow) -> xr.Dataset:
-    """How well polynomials of several degrees describe the sweep."""
-    return dataset(DEGREES, columns(DEGREES, degree_reports(nominal)))
-
-
 def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
     """Noise-free speed over one rotation at a few gaps, for the figures."""
     gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
@@ -119,18 +114,6 @@ def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
     )
     time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
     return dataset(EXAMPLES, {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds})
-
-
-def draw_group(swept: SweptDraws) -> xr.Dataset:
-    """Drawn benches, and how their ringing departs from the nominal bench's."""
-    return dataset(
-        BENCH_DRAWS,
-        {"shift": swept.shifts, "departure": swept.departures},
-        {
-            "parameter": list(swept.names),
-            "quantity": ["ln_amplitude", "ln_frequency", "ln_decay"],
-        },
-    )
 
 
 def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
@@ -271,14 +254,21 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     tree = xr.DataTree.from_dict(
         {
             "sweep": sweep_group(nominal, problem.model),
-            "degrees": degree_group(nominal),
+            "degrees": dataset(DEGREES, columns(DEGREES, degree_reports(nominal))),
             "examples": example_group(bench, problem.settings),
-            "curve": one_curve_group(curve, config.interval.level, band_seed),
+            "curve": curve_group(curve, config.interval.level, band_seed),
             GAP_CURVE.name: curve_to_dataset(curve),
         }
     )
     if swept is not None:
-        tree[BENCH_DRAWS.name] = xr.DataTree(draw_group(swept))
+        quantities = ["ln_amplitude", "ln_frequency", "ln_decay"]
+        tree[BENCH_DRAWS.name] = xr.DataTree(
+            dataset(
+                BENCH_DRAWS,
+                {"shift": swept.shifts, "departure": swept.departures},
+                {"parameter": list(swept.names), "quantity": quantities},
+            )
+        )
     tree.attrs = {
         "kind": "sweep",
         "outcome": "converged",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import RESULT_FILE
@@ -102,26 +102,6 @@ class Plan:
             raise self.problems[0]
 
 
-class Workflow(Protocol):
-    """The module of a kind of run."""
-
-    def make(self, config: Any, options: Options, work: WorkStore) -> xr.DataTree:
-        """The result of a configuration; what takes long goes through ``work``."""
-
-    def describe(self, config: Any, plan: Plan) -> None:
-        """Ask everything that can be asked before the first expensive step.
-
-        The one place where a kind asks: ``check`` prints the plan, ``run`` goes by it.
-        """
-
-
-class OwnWorkflow(Protocol):
-    """A kind whose output folder is added to, so that it writes it itself."""
-
-    def run(self, config: Any, options: Options) -> Any:
-        """Run a configuration and write its output folder; the summary that was stored."""
-
-
 def run_into_folder(
     config: RunConfig,
     options: Options,
@@ -133,7 +113,7 @@ def run_into_folder(
     Parameters
     ----------
     make
-        As of :class:`Workflow`.
+        As of :class:`bayesbl.runs.kinds.Kind`.
     summarise
         From the result to its ``summary.json``.
 

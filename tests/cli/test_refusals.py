@@ -201,7 +201,7 @@ def test_a_withheld_answer_asks_for_the_unit_before_all_else():
         posterior=SimpleNamespace(diagnostics=diagnostics), check=None, point=point
     )
     beyond = SimpleNamespace(notes=(), reasons=(Reason("beyond_curve", withholds=True),))
-    question = Reason.told("speed_unit", "Is the unit right?", withholds=True)
+    question = Reason.of_text("speed_unit", "Is the unit right?", withholds=True)
     found = verdict(fit, beyond, question=question)
     assert [reason.code for reason in found.withholding] == ["speed_unit", "beyond_curve"]
     inside = SimpleNamespace(notes=(), reasons=())

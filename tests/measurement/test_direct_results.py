@@ -114,7 +114,7 @@ def test_a_fit_shows_the_amplitude_route_beside_it(fit):
 
 
 def test_the_model_check_compares_what_can_be_named_with_what_the_bench_does(fit):
-    check = summary(fit)["model_check"]
+    check = summary(fit)["routes"]["amplitude"]["model_check"]
     items = {item["quantity"]: item for item in check["items"]}
     assert check["agrees"]
     bench = load_bench(KNOWN)

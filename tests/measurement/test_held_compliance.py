@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesbl.measurement.ramp_route import DIFFERS, HELD, SOFTER, Held, held_alike
+from bayesbl.measurement.ramp_route import (
+    CHANGED_SD,
+    HELD,
+    SOFTER,
+    HeldCompliance,
+    compliance_check,
+)
 
 RNG = np.random.default_rng(1)
 CYCLES = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
@@ -13,7 +19,7 @@ CYCLES = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
 
 def snapshot(
     delta_mrad: float, held_mrad: float, friction_nm: float = 2.0, round_the_turn=(1.0,)
-) -> Held:
+) -> HeldCompliance:
     """A joint, each known to 2 %, at positions whose friction and compliance go as given."""
     values = {
         "delta_rad": 1e-3 * delta_mrad,
@@ -26,7 +32,7 @@ def snapshot(
         name: [v * at * (1.0 + 0.02 * CYCLES[n:]) for n, at in enumerate(round_the_turn)]
         for name, v in values.items()
     }
-    return Held(draws, measured)
+    return HeldCompliance(draws, measured)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +45,7 @@ def snapshot(
     ],
 )
 def test_what_is_held_explains_a_width_of_its_own_sign_alone(before, after, error_mrad):
-    check = held_alike(snapshot(*before), snapshot(*after, friction_nm=3.0))
+    check = compliance_check(snapshot(*before), snapshot(*after, friction_nm=3.0))
     *others, always = check["blind_spots"]
     assert always == SOFTER
     errors = [spot["delta_error_rad"] for spot in others]
@@ -52,26 +58,26 @@ def test_what_is_held_explains_a_width_of_its_own_sign_alone(before, after, erro
 
 def test_one_snapshot_is_compared_with_nothing():
     only = snapshot(5.0, 1.0)
-    assert not held_alike(only, only)["items"]
+    assert not compliance_check(only, only)["items"]
 
 
 @pytest.mark.parametrize("round_the_turn", [(1.0,) * 3, (1.0, 1.4, 0.6), (0.3, 1.0, 1.7)])
 def test_a_pattern_round_the_turn_that_stays_hides_no_change(round_the_turn):
     before = snapshot(5.0, 1.0, 2.0, round_the_turn)
     after = snapshot(6.0, 1.4, 3.0, round_the_turn)
-    compliance, friction = held_alike(before, after)["items"]
-    assert friction["z"] > DIFFERS > abs(compliance["z"])
+    compliance, friction = compliance_check(before, after)["items"]
+    assert friction["z"] > CHANGED_SD > abs(compliance["z"])
 
 
 def test_positions_that_are_not_the_same_tell_no_change_within_their_scatter():
     before = snapshot(5.0, 1.0, 2.0, (1.0, 1.4, 0.6))
     after = snapshot(6.0, 1.4, 3.0, (0.6, 1.0, 1.4))
-    assert all(abs(item["z"]) < DIFFERS for item in held_alike(before, after)["items"])
+    assert all(abs(item["z"]) < CHANGED_SD for item in compliance_check(before, after)["items"])
 
 
 def test_one_cycle_tells_no_scatter_and_so_no_change():
     before, after = (
-        Held(s.draws, {name: [v[0][:1]] for name, v in s.measured.items()})
+        HeldCompliance(s.draws, {name: [v[0][:1]] for name, v in s.measured.items()})
         for s in (snapshot(5.0, 1.0, 2.0), snapshot(6.0, 1.4, 3.0))
     )
-    assert all(item["z"] == 0.0 for item in held_alike(before, after)["items"])
+    assert all(item["z"] == 0.0 for item in compliance_check(before, after)["items"])

@@ -146,38 +146,3 @@ def test_what_the_noise_cannot_show_is_a_blind_spot() -> None:
     check = same_joint([point(recording(1)), point(recording(2))], (False, False))
     assert check["agrees"]
     assert any("filter of the speed that moves" in spot["change"] for spot in check["blind_spots"])
-
-
-def thinned(made: Recording, lag_s: float) -> Recording:
-    """Noise of an encoder differentiated at 4 kHz and filtered there, one sample in eight kept."""
-    rng = np.random.default_rng(round(1e6 * lag_s) + 11)
-    noise = np.diff(rng.standard_normal(8 * made.samples + 1))
-    keep = math.exp(-1.0 / (4000.0 * lag_s)) if lag_s else 0.0
-    noise = lfilter([1.0 - keep], [1.0, -keep], noise)[::8] * 0.5
-    clean = smoothed(made, lag_s) if lag_s else made
-    speed = clean.motor_speed_rpm + noise
-    return replace(made, channels={**made.channels, MOTOR_SPEED: speed})
-
-
-@pytest.mark.parametrize("was_smoothed", [True, False])
-def test_a_filter_whose_colour_a_recorder_folded_away_is_no_wear(was_smoothed: bool) -> None:
-    """The ratio of folded spectra is level; how far the noise moved bounds the filter."""
-    behind, without = (thinned(recording(seed, 0.0), lag) for seed, lag in ((1, LAG_S), (2, 0.0)))
-    pair = (behind, without) if was_smoothed else (without, behind)
-    check = same_joint([point(made) for made in pair], (False, False))
-    assert not check["agrees"]
-    assert "speed_averaging" in check["could_be"]
-    assert "filter" in (change_reason(check) or "")
-
-
-def test_the_level_bounds_a_filter_that_is_folded_away() -> None:
-    made = spectrum(recording(1))
-    for factor, sign in ((9.0, 1.0), (1.0 / 9.0, -1.0)):
-        louder = replace(made, log_power=made.log_power + math.log(factor))
-        found = filter_change(made, louder, 0.0)
-        assert found is not None
-        assert found.level == pytest.approx(math.log(factor))
-        highest = made.highest_hz / made.ringing_hz
-        bound = found.folded_high if sign > 0.0 else -found.folded_low
-        assert 0.5 * math.log1p(8.0 / highest**2) < bound < 0.6 * math.log1p(8.0 / highest**2)
-        assert (found.folded_low if sign > 0.0 else found.folded_high) == 0.0

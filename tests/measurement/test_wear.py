@@ -43,7 +43,7 @@ from bayesbl.presentation.figures.style import save
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.wear import LAWS as LAWS_IN_WORDS
 from bayesbl.presentation.wear import blocks
-from bayesbl.sentences import told as summary_told
+from bayesbl.sentences import with_sentences
 
 RATE, START, LIMIT = 1e-4, 8e-4, 1.2e-3
 YEARS = np.array([0.0, 0.5, 1.25, 2.0, 3.0])
@@ -476,7 +476,7 @@ def compared(
     if limit is not None:
         tree.attrs["limit_rad"] = limit
     found = summarise_wear(group, names, config.interval, limit)
-    return tree, found | {"reason": None if reason is None else summary_told(reason.stored)}
+    return tree, found | {"reason": None if reason is None else with_sentences(reason.stored)}
 
 
 def told(found, count):
@@ -612,7 +612,8 @@ def test_a_limit_that_may_have_been_passed_before_is_never_said_to_lie_ahead(tmp
     assert f"may have passed the limit of 1.2 mrad before {last}" in text
     assert "does not reach" not in text
     assert f"before {last} to {found['date_of_limit']['high']}" in text
-    shown = [item.get_text() for item in wear_figure(tree).axes[1].texts]
+    legend = wear_figure(tree).axes[1].get_legend()
+    shown = [item.get_text() for item in legend.get_texts()]
     assert re.fullmatch(rf"passed before {last}: \d+ %", shown[0])
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date as Date
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -221,53 +220,32 @@ _MOST_SHOWN = 400
 
 
 @stored_figure(
-    "The gap curve with the draws of the ringing's amplitude pushed through it: above them the "
-    "distribution of the amplitude, beside them that of the gap.",
+    "The gap curve with the draws of the ringing's amplitude pushed through it, and the intervals "
+    "of both.",
     30,
     holding("posterior/curve_amplitude_rpm", "curve/delta_rad"),
 )
 def amplitude_to_gap(tree: xr.DataTree) -> Figure:
-    """δ against A with the draws of both, and their densities along the axes."""
+    """δ against A with the draws of both."""
     parts = snapshots(tree, "posterior/curve_amplitude_rpm")
     lines = 2 + len(parts) + ("limit_rad" in tree.attrs)
     top = 0.1 + style.LINE_IN * ((lines + 1) // 2)
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + 3.2)
-    joint = style.grid(figure, 1, 1, top=top)[0, 0].subgridspec(
-        2, 2, height_ratios=(1.0, 4.0), width_ratios=(4.0, 1.0), hspace=0.06, wspace=0.06
-    )
-    main = figure.add_subplot(joint[1, 0])
-    above = figure.add_subplot(joint[0, 0], sharex=main)
-    side = figure.add_subplot(joint[1, 1], sharey=main)
-    _draw_joint(main, above, side, tree, parts)
-    style.legend_over(figure, main, 2)
-    return figure
-
-
-def _draw_joint(
-    main: Axes, top: Axes, side: Axes, tree: xr.DataTree, parts: list[Snapshot]
-) -> None:
-    _draw_curve(main, tree)
-    for index, snapshot in enumerate(parts):
-        _draw_snapshot(main, tree, snapshot, index)
-        _draw_marginals(top, side, snapshot, index)
-    _set_view(main, tree, parts)
-    for panel in (main, side):
-        style.limit_line(panel, tree)
-    main.set_xlabel("Amplitude of the ringing A (rpm)")
-    main.set_ylabel("Gap δ (mrad)")
-    for panel, spine, axis in ((top, "left", top.yaxis), (side, "bottom", side.xaxis)):
-        panel.tick_params(labelbottom=False, labelleft=False)
-        panel.spines[spine].set_visible(False)
-        axis.set_visible(False)
-
-
-def _draw_curve(main: Axes, tree: xr.DataTree) -> None:
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + 2.9)
+    panel = figure.add_subplot(style.grid(figure, 1, 1, top=top)[0, 0])
     curve = group_of(tree, "curve")
-    if STACKED not in curve.dims:
-        _draw_one_curve(main, curve, "")
-        return
-    for name in curve[STACKED].values:
-        _draw_one_curve(main, curve.sel({STACKED: name}), f" of {name}")
+    if STACKED in curve.dims:
+        for name in curve[STACKED].values:
+            _draw_one_curve(panel, curve.sel({STACKED: name}), f" of {name}")
+    else:
+        _draw_one_curve(panel, curve, "")
+    for index, snapshot in enumerate(parts):
+        _draw_snapshot(panel, tree, snapshot, index)
+    _set_view(panel, tree, parts)
+    style.limit_line(panel, tree)
+    panel.set_xlabel("Amplitude of the ringing A (rpm)")
+    panel.set_ylabel("Gap δ (mrad)")
+    style.legend_over(figure, panel, 2)
+    return figure
 
 
 def _draw_one_curve(main: Axes, curve: xr.Dataset, whose: str) -> None:
@@ -309,37 +287,14 @@ def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int
     )
 
 
-def _draw_marginals(top: Axes, side: Axes, snapshot: Snapshot, index: int) -> None:
-    own = style.look(index)
-    outline: dict[str, Any] = {"linestyle": own.dashes, "linewidth": 0.9}
-    style.density(top, snapshot.values("posterior", AMPLITUDE), own.colour, **outline)
-    draws = 1e3 * snapshot.values("posterior", GAP)
-    style.density(side, draws, gap_colour(snapshot, index), horizontal=True, **outline)
-    if snapshot.withheld:
-        side.annotate(
-            "withheld",
-            (0.75, float(np.median(draws))),
-            xycoords=("axes fraction", "data"),
-            rotation=90.0,
-            va="center",
-            fontsize=7.0,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
-        )
-
-
-def _spread(parts: list[Snapshot], name: str) -> tuple[float, float]:
-    draws = np.concatenate([p.values("posterior", name).ravel() for p in parts])
-    low, high = np.quantile(draws, (0.001, 0.999))
-    return float(low), float(high)
-
-
 def _set_view(main: Axes, tree: xr.DataTree, parts: list[Snapshot]) -> None:
     """Around the posteriors, and up to a limit that is not far away."""
     for name, factor, setter in (
         (AMPLITUDE, 1.0, main.set_xlim),
         (GAP, 1e3, main.set_ylim),
     ):
-        low, high = _spread(parts, name)
+        draws = np.concatenate([p.values("posterior", name).ravel() for p in parts])
+        low, high = map(float, np.quantile(draws, (0.001, 0.999)))
         margin = max(0.35 * (high - low), 0.12 * high)
         limit = tree.attrs.get("limit_rad")
         bottom, top = max(0.0, low - margin), high + margin
@@ -501,25 +456,18 @@ def _draw_limit_reached(panel: Axes, group: xr.Dataset, ahead: float) -> None:
     last = _days(used_dates(group))[-1]
     passed = float(reached(group, np.zeros(1))[0])
     if passed > RAREST:
-        low = passed < 0.2  # no room below
-        panel.plot([last], [passed], color=style.MODEL, marker="o")
-        panel.annotate(
-            f"passed before {used_dates(group)[-1]}: {probability(passed)}", (last, passed),
-            xytext=(4.0, 6.0 if low else -6.0), textcoords="offset points",
-            va="bottom" if low else "top", fontsize=7.0,
-        )  # fmt: skip
+        label = f"passed before {used_dates(group)[-1]}: {probability(passed)}"
+        panel.plot([last], [passed], "o", color=style.MODEL, label=label)
     panel.plot(last + DAYS_PER_YEAR * years, reached(group, years), color=style.MODEL)
     if "decide_before" in group.attrs:
         asked = group.attrs["decide_before"]
         day = _days([Date.fromisoformat(asked)])[0]
         share = float(reached(group, np.array([(day - last) / DAYS_PER_YEAR]))[0])
         panel.axvline(day, color=style.NEUTRAL, linewidth=0.8, linestyle=(0.0, (3.0, 2.0)))
-        panel.plot([day], [share], color=style.NEUTRAL, marker="o")
-        early = day < last + 0.5 * DAYS_PER_YEAR * ahead  # no room before
-        panel.annotate(
-            f"by {asked}: {probability(share)}", (day, share),
-            xytext=(4.0, -4.0) if early else (-4.0, 4.0), textcoords="offset points",
-            ha="left" if early else "right", va="top" if early else "bottom", fontsize=7.0,
-        )  # fmt: skip
+        panel.plot(
+            [day], [share], "o", color=style.NEUTRAL, label=f"by {asked}: {probability(share)}"
+        )
+    if panel.get_legend_handles_labels()[0]:
+        panel.legend(loc="lower right")
     panel.set_ylim(0.0, 1.03)
     panel.set_ylabel("Probability")

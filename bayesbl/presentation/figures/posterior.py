@@ -11,15 +11,14 @@ from scipy.ndimage import convolve
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
-from bayesbl.presentation.figures.style import Scale
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import AMPLITUDE, DECAY, SYMBOLS
 
 _BINS = 30
 _LEVELS = (0.9, 0.5)
-_PANEL = 0.95
-"""Side of a panel where panels are one apart."""
-_LEFT, _BOTTOM = 0.62, 0.62
+_BETWEEN_IN = 0.05
+_RANGE = (0.001, 0.999)
+"""Quantiles between which draws are shown; outliers would squeeze the rest."""
 
 
 @stored_figure(
@@ -29,169 +28,99 @@ _LEFT, _BOTTOM = 0.62, 0.62
     parts=each_snapshot("posterior/amplitude_rpm"),
 )
 def corner(snapshot: Snapshot) -> Figure:
-    """Marginals on the diagonal, pairs below it; every free symbol and δ have a row.
-
-    All panels are drawn into one: forty of them take seconds each with its own axes.
-    """
-    names = _symbols(snapshot)
-    draws = {n: snapshot.values("posterior", n).ravel() for n in names}
-    scales = {n: style.scale_of(n, draws[n]) for n in names}
-    shown = {n: scales[n].shown(draws[n]) for n in names}
-    ranges = {n: _range(shown[n]) for n in names}
-    count = len(names)
+    """Marginals on the diagonal, pairs below it; every free symbol and δ have a row."""
+    draws = {
+        name: (1e3 if name == style.GAP else 1.0) * snapshot.values("posterior", name).ravel()
+        for name in (*SYMBOLS, style.GAP)
+        if name in snapshot.groups["posterior"]
+    }
+    count = len(draws)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, style.DOUBLE_COLUMN_IN)
-    size = style.DOUBLE_COLUMN_IN
-    panel = figure.add_axes(
-        (_LEFT / size, _BOTTOM / size, 0.99 - _LEFT / size, 0.99 - _BOTTOM / size)
+    spec = style.grid(
+        figure, count, count, left=0.75, bottom=0.7, top=0.1, between=(_BETWEEN_IN, _BETWEEN_IN)
     )
-    for row, vertical in enumerate(names):
-        y = float(count - 1 - row)
-        for column, horizontal in enumerate(names[: row + 1]):
-            x = float(column)
+    for row, (vertical, up) in enumerate(draws.items()):
+        for column, (horizontal, across) in enumerate(list(draws.items())[: row + 1]):
+            panel = figure.add_subplot(spec[row, column])
             if row == column:
-                _draw_marginal(panel, x, y, shown[vertical], ranges[vertical])
+                _draw_marginal(panel, up)
             else:
-                _draw_pair(
-                    panel, x, y, shown[horizontal], shown[vertical],
-                    ranges[horizontal], ranges[vertical],
-                )  # fmt: skip
-            _frame(panel, x, y, whole=row != column)
-        _label(panel, float(row), ranges[vertical], scales[vertical], across=True)
-        if row:
-            _label(panel, y, ranges[vertical], scales[vertical], across=False)
-    panel.set_xlim(0.0, count)
-    panel.set_ylim(0.0, count)
-    panel.set_axis_off()
-    _explain(figure, snapshot)
+                _draw_pair(panel, across, up)
+                panel.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+            panel.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+            panel.tick_params(labelsize=6.0)
+            panel.tick_params(axis="x", rotation=90.0)
+            panel.label_outer()
+            if row == count - 1:
+                panel.set_xlabel(_label(horizontal))
+                panel.xaxis.set_label_coords(0.5, -0.48 / panel.bbox.height * style.PNG_DPI)
+            if row and not column:
+                panel.set_ylabel(_label(vertical))
+                panel.yaxis.set_label_coords(-0.48 / panel.bbox.width * style.PNG_DPI, 0.5)
+    _explain(figure, snapshot, DECAY in draws)
     return figure
 
 
-def _symbols(snapshot: Snapshot) -> tuple[str, ...]:
-    """Free symbols in the paper's order, δ behind them: all that has draws."""
-    return tuple(n for n in (*SYMBOLS, style.GAP) if n in snapshot.groups["posterior"])
-
-
 def _range(values: FloatArray) -> tuple[float, float]:
-    """Where nearly all draws are, with a margin; outliers would squeeze the rest."""
-    low, high = np.quantile(values, (0.001, 0.999))
+    low, high = np.quantile(values, _RANGE)
     margin = 0.08 * (high - low) or 1.0
     return float(low - margin), float(high + margin)
 
 
-def _inside(values: FloatArray, ends: tuple[float, float], at: float) -> FloatArray:
-    return np.asarray(at + _PANEL * (values - ends[0]) / (ends[1] - ends[0]))
-
-
-def _draw_marginal(
-    panel: Axes, x: float, y: float, values: FloatArray, ends: tuple[float, float]
-) -> None:
-    heights, edges = np.histogram(values, _BINS, ends)
-    panel.stairs(
-        y + _PANEL * 0.95 * heights / heights.max(), _inside(edges, ends, x), baseline=y, fill=True,
-        color="#6baed6",
-    )  # fmt: skip
+def _draw_marginal(panel: Axes, values: FloatArray) -> None:
+    panel.hist(values, bins=_BINS, range=_range(values), color="#6baed6")
     for quantile in np.quantile(values, (0.05, 0.5, 0.95)):
-        at = _inside(quantile, ends, x)
-        panel.plot([at, at], [y, y + _PANEL], color=style.NEUTRAL, linewidth=0.6,
-                   linestyle=(0.0, (3.0, 2.0)))  # fmt: skip
+        panel.axvline(quantile, color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
+    panel.set_xlim(*_range(values))
+    panel.spines["left"].set_visible(False)
+    panel.set_yticks([])
 
 
-def _draw_pair(
-    panel: Axes,
-    x: float,
-    y: float,
-    horizontal: FloatArray,
-    vertical: FloatArray,
-    across: tuple[float, float],
-    up: tuple[float, float],
-) -> None:
+def _draw_pair(panel: Axes, across: FloatArray, up: FloatArray) -> None:
     """Density as an image, with the outlines that hold 50 % and 90 % of the draws."""
-    counts, _, _ = np.histogram2d(horizontal, vertical, _BINS, (across, up))
-    panel.imshow(
-        counts.T, origin="lower", extent=(x, x + _PANEL, y, y + _PANEL), aspect="auto",
-        cmap="Blues", interpolation="nearest",
-    )  # fmt: skip
-    smooth = _smoothed(counts)
-    levels = enclosing_levels(smooth, _LEVELS)
-    if np.all(np.diff(levels) > 0.0):
-        middles = _PANEL * (np.arange(_BINS) + 0.5) / _BINS
-        panel.contour(
-            x + middles, y + middles, smooth.T, levels=levels, colors=style.NEUTRAL,
-            linewidths=(0.5, 0.9),
-        )  # fmt: skip
-
-
-def _smoothed(counts: FloatArray) -> FloatArray:
-    """A 5-point binomial filter both ways: contours of raw counts are ragged."""
+    counts, x, y, _ = panel.hist2d(
+        across,
+        up,
+        bins=_BINS,
+        range=(_range(across), _range(up)),
+        cmap="Blues",
+        rasterized=True,
+    )
+    # A 5-point binomial filter both ways: contours of raw counts are ragged.
     kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-    return np.asarray(convolve(counts, np.outer(kernel, kernel), mode="constant"))
+    smooth = np.asarray(convolve(counts, np.outer(kernel, kernel), mode="constant"))
+    ordered = np.sort(smooth.ravel())[::-1]
+    levels = ordered[np.searchsorted(np.cumsum(ordered) / ordered.sum(), _LEVELS)]
+    if levels[0] < levels[1]:
+        middles = (0.5 * (ends[1:] + ends[:-1]) for ends in (x, y))
+        panel.contour(
+            *middles, smooth.T, levels=levels, colors=style.NEUTRAL, linewidths=(0.5, 0.9)
+        )
 
 
-def enclosing_levels(density: FloatArray, shares: tuple[float, ...]) -> FloatArray:
-    """Heights above which the density holds the given shares of its mass, same order."""
-    ordered = np.sort(density.ravel())[::-1]
-    mass = np.cumsum(ordered) / ordered.sum()
-    return np.asarray(ordered[np.searchsorted(mass, shares)])
+def _label(name: str) -> str:
+    """``T$_{w}$`` above its unit."""
+    if name == style.GAP:
+        return "δ\n(mrad)"
+    letter, _, index = SYMBOLS[name].paper.partition("_")
+    return letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"
 
 
-def _frame(panel: Axes, x: float, y: float, *, whole: bool) -> None:
-    ends = [(x, y + _PANEL), (x, y)] if whole else []
-    corners = [*ends, (x, y), (x + _PANEL, y)]
-    panel.plot(*zip(*corners, strict=True), color="black", linewidth=0.6)
-
-
-def _label(
-    panel: Axes, at: float, ends: tuple[float, float], scale: Scale, *, across: bool
-) -> None:
-    """Numbers and names at the outer edge only; inside there is nothing but the posterior."""
-    middle = at + 0.5 * _PANEL
-    for tick in _inner_ticks(*ends):
-        place = float(_inside(np.array(tick), ends, at))
-        line = ([place, place], [0.0, -0.03]) if across else ([0.0, -0.03], [place, place])
-        panel.plot(*line, color="black", linewidth=0.6, clip_on=False)
-        panel.text(
-            *((place, -0.06) if across else (-0.06, place)), f"{tick:.10g}".replace("-", "−"),
-            ha="center" if across else "right", va="top" if across else "center",
-            rotation=0.0 if across else 90.0, fontsize=6.0,
-        )  # fmt: skip
-    where = (middle, -0.24) if across else (-0.36, middle)
-    panel.text(
-        *where, scale.label("\n"), ha="center", va="top" if across else "center",
-        rotation=0.0 if across else 90.0, fontsize=7.0,
-    )  # fmt: skip
-
-
-def _inner_ticks(low: float, high: float) -> list[float]:
-    """Two round values away from the panel's corners, where neighbours' would collide.
-
-    As round as they can be while far enough apart for their numbers not to touch.
-    """
-    margin = 0.12 * (high - low)
-    inner: list[float] = []
-    for count in range(3, 12):
-        ticks = MaxNLocator(count).tick_values(low, high)
-        inner = [float(t) for t in ticks if low + margin < t < high - margin]
-        if len(inner) > 1 and inner[-1] - inner[0] > 0.4 * (high - low):
-            break
-    return [inner[0], inner[-1]] if len(inner) > 1 else inner
-
-
-def _explain(figure: Figure, snapshot: Snapshot) -> None:
+def _explain(figure: Figure, snapshot: Snapshot, decays: bool) -> None:
     """Name, what the lines mean, and what has no row, in the empty upper corner."""
     count = snapshot.values("posterior", AMPLITUDE).size
     terms = snapshot.groups["posterior"].sizes.get("baseline_term", 0)
-    constant = (
-        style.time_constant(snapshot.values("posterior", DECAY))
-        if DECAY in _symbols(snapshot)
-        else ""
-    )
     lines = [
         f"{count} draws; contours hold 50 % and 90 % of them,",
         "dashed lines are the median and the 5 % and 95 % quantiles",
-        f"τ is a decay rate: the time constant 1/τ is {constant}" if constant else "",
-        f"not shown: {terms} baseline terms, sampled with the others" if terms else "",
-        "δ is withheld" if snapshot.withheld and "delta_rad" in _symbols(snapshot) else "",
     ]
+    if decays:  # which a reader takes for a time
+        constant_ms = 1e3 / float(np.median(snapshot.values("posterior", DECAY)))
+        lines.append(f"τ is a decay rate: the time constant 1/τ is {constant_ms:.3g} ms")
+    if terms:
+        lines.append(f"not shown: {terms} baseline terms, sampled with the others")
+    if snapshot.withheld and style.GAP in snapshot.groups["posterior"]:
+        lines.append("δ is withheld")
     figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
-    text = figure.text(0.98, 0.94, "\n".join(line for line in lines if line), ha="right", va="top")
+    text = figure.text(0.98, 0.94, "\n".join(lines), ha="right", va="top")
     text.set_linespacing(1.4)

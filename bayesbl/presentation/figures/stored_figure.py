@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from bayesbl.errors import ResultError
 from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_style, save
-from bayesbl.presentation.words import decimals
+from bayesbl.presentation.words import bounds, decimals, short_kind
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.units import number
@@ -67,18 +65,18 @@ def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
     return credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
 
 
-def interval_in_words(tree: xr.DataTree, found: Interval) -> str:
+def interval_in_words(found: Interval) -> str:
     """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
     places = decimals(found, units=FIGURE_UNITS)
-    low, middle, high = (number(found[key], places) for key in ("low", "median", "high"))
-    return f"{middle} mrad ({interval_name(tree)} {low} to {high})"
+    middle = number(found["median"], places)
+    return f"{middle} mrad ({short_kind(found)} {bounds(found, places=places)})"
 
 
 def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
     """``after: 0.953 mrad (90 % interval 0.927 to 0.981)``, or that δ is withheld."""
     if snapshot.withheld:
         return f"{snapshot.name}: δ withheld"
-    return f"{snapshot.name}: {interval_in_words(tree, gap_interval(tree, snapshot))}"
+    return f"{snapshot.name}: {interval_in_words(gap_interval(tree, snapshot))}"
 
 
 def interval_name(tree: xr.DataTree) -> str:
@@ -222,28 +220,11 @@ def draw_all(
 
 
 def drawn(tree: xr.DataTree) -> Iterator[tuple[StoredFigure, str, Figure]]:
-    """Each figure of a result with the ending of its file's name, in reading order.
-
-    It is saved before the next one is drawn: a figure holds itself in circles, and up to 15 MB.
-    """
-    with publication_style(), _collecting_the_new_alone():
+    """Each figure of a result with the ending of its file's name, in reading order."""
+    with publication_style():
         for stored in figures_of(tree):
             for ending, drawn_from in stored.parts(tree):
                 yield stored, ending, stored(*drawn_from)
-                gc.collect()
-                gc.freeze()
-
-
-@contextmanager
-def _collecting_the_new_alone() -> Iterator[None]:
-    """Collections do not look through what was there before: most of the time that they take."""
-    frozen_for_good = gc.get_freeze_count() > 0  # what a command imported
-    gc.freeze()
-    try:
-        yield
-    finally:
-        if not frozen_for_good:
-            gc.unfreeze()
 
 
 def figures_of(tree: xr.DataTree) -> list[StoredFigure]:

@@ -28,7 +28,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import figure_title
 from bayesbl.results.intervals import Interval
-from bayesbl.ringing.symbols import SYMBOLS
 
 SINGLE_COLUMN_IN = 3.4
 DOUBLE_COLUMN_IN = 7.0
@@ -259,23 +258,6 @@ POINTS = 200
 """Of a smooth density."""
 
 
-def density(
-    panel: Axes,
-    draws: FloatArray,
-    colour: str,
-    *,
-    horizontal: bool = False,
-    **outline: Any,
-) -> tuple[FloatArray, FloatArray]:
-    """The density of draws, filled and outlined; its places and heights."""
-    places, heights = smooth_density(draws.ravel())
-    fill = panel.fill_betweenx if horizontal else panel.fill_between
-    fill(places, heights, color=colour, alpha=0.3, linewidth=0.0)
-    line = (heights, places) if horizontal else (places, heights)
-    panel.plot(*line, color=colour, **outline)
-    return places, heights
-
-
 def smooth_density(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gaussian kernel density of draws, by the bandwidth of Silverman (1986, eq. 3.31).
 
@@ -340,64 +322,3 @@ def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None
     axis.set_major_locator(FixedLocator([m * 10.0**k for k in range(-6, 7) for m in steps]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-_RELATIVE_SPREAD = 2e-3
-"""Values that vary less than this are drawn as differences from a round number near them."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """shown = factor · (stored − reference).
-
-    Attributes
-    ----------
-    symbol
-        As mathtext.
-    unit
-        Of the values shown.
-    """
-
-    symbol: str
-    unit: str
-    factor: float
-    reference: float = 0.0
-    reference_text: str = ""
-
-    def shown(self, stored: FloatArray) -> FloatArray:
-        """Values to draw, same shape as the stored ones."""
-        return self.factor * (stored - self.reference)
-
-    def label(self, between: str = " ") -> str:
-        """``T$_w$ − 3.6 s (ms)``, the unit set apart by ``between``."""
-        return f"{self.symbol}{self.reference_text}{between}({self.unit})"
-
-
-def scale_of(name: str, draws: FloatArray) -> Scale:
-    """The scale on which draws of a symbol, or of δ, are readable."""
-    if name == GAP:
-        return Scale("δ", "mrad", 1e3)
-    symbol = SYMBOLS[name]
-    text = _mathtext(symbol.paper)
-    middle, spread = float(np.median(draws)), float(np.std(draws))
-    if spread > _RELATIVE_SPREAD * abs(middle):
-        return Scale(text, symbol.unit, 1.0)
-    factor, unit = (1e3, "ms") if symbol.unit == "s" and spread < 0.05 else (1.0, symbol.unit)
-    places = max(0, math.ceil(-math.log10(8.0 * spread))) if spread > 0.0 else 6
-    reference = round(middle, places)
-    sign = "−" if reference >= 0.0 else "+"
-    text_of_reference = f" {sign} {abs(reference):.10g}" + (
-        f" {symbol.unit}" if factor != 1.0 else ""
-    )
-    return Scale(text, unit, factor, reference, text_of_reference)
-
-
-def time_constant(decay_rate_per_s: FloatArray) -> str:
-    """``53 ms``: what a reader takes τ for, which is a rate."""
-    return f"{1e3 / float(np.median(decay_rate_per_s)):.3g} ms"
-
-
-def _mathtext(paper: str) -> str:
-    """``T_w`` as T with a subscript."""
-    letter, _, index = paper.partition("_")
-    return f"{letter}$_{{{index}}}$" if index else letter

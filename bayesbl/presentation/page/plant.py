@@ -34,106 +34,62 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 
 
-def sparkline(rows: Sequence[Row], limit_rad: float | None) -> Markup | str:
-    """Medians with the band of their intervals, and the limit; nothing without a gap."""
+def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False) -> Markup | str:
+    """Medians with the band of their intervals, and the limit; nothing without a gap.
+
+    ``axes``: large, with scales and a bar for each recording. That of the gap starts at 0, as
+    shares are compared.
+    """
     from markupsafe import Markup
 
     if not rows:
         return ""
-    width, height, margin = 132.0, 30.0, 3.0
-    x, y = _scales(rows, limit_rad, (margin, width - margin), (height - margin, margin))
-    return Markup(
-        f'<svg class="spark" width="{width:g}" height="{height:g}" '
-        f'viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{_told(rows)}">'
-        f"{_limit_line(limit_rad, y, 0.0, width)}{_drawn(rows, x, y, 2.0)}</svg>"
-    )
-
-
-def history(rows: Sequence[Row], limit_rad: float | None) -> Markup | str:
-    """The same with its axes."""
-    from markupsafe import Markup
-
-    if not rows:
-        return ""
-    width, height = 760.0, 280.0
-    left, right, top, bottom = 52.0, 14.0, 14.0, 34.0
-    x, y = _scales(rows, limit_rad, (left + 8.0, width - right - 8.0), (height - bottom, top))
-    highest = max([row["delta_rad_high"] for row in rows] + [limit_rad or 0.0])
-    step = _step(1e3 * highest)
-    ticks = [n * step for n in range(math.floor(1e3 * highest / step) + 1)]
-    axes = "".join(
-        f'<path class="grid" d="M{left} {y(1e-3 * v):.1f}H{width - right}"/>'
-        f'<text x="{left - 6}" y="{y(1e-3 * v) + 4:.1f}" text-anchor="end">{v:g}</text>'
-        for v in ticks
-    )
-    days = [rows[0]["date"]] if len(rows) == 1 else [rows[0]["date"], rows[-1]["date"]]
-    anchors = ("start", "end")
-    axes += "".join(
-        f'<text x="{x(day):.1f}" y="{height - 10}" text-anchor="{anchor}">{day}</text>'
-        for day, anchor in zip(days, anchors, strict=False)
-    )
-    bars = "".join(
-        f'<path class="bar" d="M{x(r["date"]):.1f} {y(r["delta_rad_low"]):.1f}'
-        f'V{y(r["delta_rad_high"]):.1f}"/>'
-        for r in rows
-    )
-    return Markup(
-        f'<svg class="history" viewBox="0 0 {width:g} {height:g}" role="img" '
-        f'aria-label="{_told(rows)}">{axes}{_limit_line(limit_rad, y, left, width - right)}'
-        f"{_drawn(rows, x, y, 3.5)}{bars}"
-        f'<text x="{left}" y="{top - 2}">Gap (mrad)</text></svg>'
-    )
-
-
-def _scales(
-    rows: Sequence[Row],
-    limit_rad: float | None,
-    across: tuple[float, float],
-    up: tuple[float, float],
-) -> tuple[Any, Any]:
-    """From a date and from a gap to places; the gap's axis starts at 0, as shares are compared."""
+    width, height, inset, radius = (760.0, 280.0, 8.0, 3.5) if axes else (132.0, 30.0, 3.0, 2.0)
+    left, right, top, bottom = (52.0, 746.0, 14.0, 246.0) if axes else (0.0, 132.0, 3.0, 27.0)
     days = [Date.fromisoformat(row["date"]).toordinal() for row in rows]
-    first, span = days[0], max(days[-1] - days[0], 1)
-    highest = 1.08 * max([row["delta_rad_high"] for row in rows] + [limit_rad or 0.0])
-
-    def x(day: str) -> float:
-        share = (Date.fromisoformat(day).toordinal() - first) / span if len(rows) > 1 else 0.5
-        return across[0] + share * (across[1] - across[0])
+    shares = [(day - days[0]) / (days[-1] - days[0] or 1) for day in days]
+    begin, room = left + inset, right - left - 2.0 * inset
+    x = [begin + room * share for share in (shares if len(rows) > 1 else [0.5])]
+    highest = max([row["delta_rad_high"] for row in rows] + [limit_rad or 0.0])
 
     def y(gap_rad: float) -> float:
-        return float(up[0] + gap_rad / highest * (up[1] - up[0]))
+        return float(bottom + gap_rad / (1.08 * highest) * (top - bottom))
 
-    return x, y
-
-
-def _drawn(rows: Sequence[Row], x: Any, y: Any, radius: float) -> str:
-    places = [x(row["date"]) for row in rows]
     low, middle, high = (
-        [f"{p:.1f},{y(row[f'delta_rad_{end}']):.1f}" for p, row in zip(places, rows, strict=True)]
+        [f"{at:.1f},{y(row[f'delta_rad_{end}']):.1f}" for at, row in zip(x, rows, strict=True)]
         for end in ("low", "median", "high")
     )
-    dots = "".join(
-        f'<circle cx="{one.split(",")[0]}" cy="{one.split(",")[1]}" r="{radius:g}"/>'
-        for one in (middle if radius > 3.0 else middle[-1:])
+    drawn = ""
+    if limit_rad is not None:
+        drawn = f'<path class="limit" d="M{left:g} {y(limit_rad):.1f}H{right:g}"/>'
+    if len(rows) > 1:
+        band = " ".join([*high, *reversed(low)])
+        drawn += f'<polygon points="{band}"/><polyline points="{" ".join(middle)}"/>'
+    for place in middle if axes else middle[-1:]:
+        cx, _, cy = place.partition(",")
+        drawn += f'<circle cx="{cx}" cy="{cy}" r="{radius:g}"/>'
+    ends = [(x[n], rows[n]) for n in sorted({0, len(rows) - 1})]
+    kind = f'class="spark" width="{width:g}" height="{height:g}"'
+    if axes:
+        kind = 'class="history"'
+        step = _step(1e3 * highest)
+        for value in (n * step for n in range(math.floor(1e3 * highest / step) + 1)):
+            at = y(1e-3 * value)
+            drawn = (
+                f'<path class="grid" d="M{left} {at:.1f}H{right}"/>'
+                f'<text x="{left - 6}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>{drawn}'
+            )
+        for (at, row), anchor in zip(ends, ("start", "end"), strict=False):
+            place = f'x="{at:.1f}" y="{height - 10}" text-anchor="{anchor}"'
+            drawn += f"<text {place}>{row['date']}</text>"
+        for upper, lower in zip(high, low, strict=True):
+            drawn += f'<path class="bar" d="M{upper} L{lower}"/>'
+        drawn += f'<text x="{left}" y="{top - 2}">Gap (mrad)</text>'
+    said = ", ".join(
+        f"{1e3 * row['delta_rad_median']:.3g} mrad on {row['date']}" for _, row in ends
     )
-    if len(rows) == 1:
-        return dots
-    band = " ".join([*high, *reversed(low)])
-    return f'<polygon points="{band}"/><polyline points="{" ".join(middle)}"/>{dots}'
-
-
-def _limit_line(limit_rad: float | None, y: Any, left: float, right: float) -> str:
-    if limit_rad is None:
-        return ""
-    return f'<path class="limit" d="M{left:g} {y(limit_rad):.1f}H{right:g}"/>'
-
-
-def _told(rows: Sequence[Row]) -> str:
-    first, last = rows[0], rows[-1]
-    start = f"{1e3 * first['delta_rad_median']:.3g} mrad on {first['date']}"
-    if len(rows) == 1:
-        return start
-    return f"{start}, {1e3 * last['delta_rad_median']:.3g} mrad on {last['date']}"
+    box = f'viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{said}"'
+    return Markup(f"<svg {kind} {box}>{drawn}</svg>")
 
 
 def _step(highest: float) -> float:
@@ -220,7 +176,7 @@ def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
         "cost": _cost(row),
         "state": _state(row, summary),
         "reason": row["reason"] or "",
-        "picture": sparkline(_given(recordings), row["limit_rad"]),
+        "picture": picture(_given(recordings), row["limit_rad"]),
     }
 
 
@@ -234,7 +190,7 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
         "headline": _headline(row, summary),
         "reason": row["reason"],
         "facts": [*_facts(row, summary), *((key, str(value)) for key, value in own.items())],
-        "picture": history(_given(recordings), row["limit_rad"]),
+        "picture": picture(_given(recordings), row["limit_rad"], axes=True),
         "recordings": [
             {
                 "date": one["date"],
