@@ -45,7 +45,7 @@ from bayesbl.diagnosis.disagreement import (
     disagreement_table,
     piece_residuals,
 )
-from bayesbl.diagnosis.residuals.analysis import Unexplained, What
+from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
 from bayesbl.progress import StageProgress

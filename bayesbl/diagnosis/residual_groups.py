@@ -16,12 +16,7 @@ from operator import attrgetter
 import numpy as np
 import xarray as xr
 
-from bayesbl.diagnosis.residuals.analysis import (
-    ChannelResiduals,
-    ResidualAnalysis,
-    describe_unexplained,
-)
-from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
+from bayesbl.diagnosis.residuals import FALSE_LINES, MAP_POINTS, ChannelResiduals, ResidualAnalysis
 from bayesbl.diagnosis.summary import plain
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.variables import Group, Variable, dataset, labels, padded, table
@@ -73,26 +68,12 @@ def _of_lines(name: str, unit: str, meaning: str) -> _OfChannel:
 
 _VARIABLES = (
     _OfChannel("offset", "{unit}", "mean of recording less simulation"),
-    _OfChannel("offset_error", "{unit}", "standard error of that mean"),
-    _OfChannel("offset_significant", "1", "1 where noise does not explain that mean"),
     _OfChannel("repeating_rms", "{unit}", "RMS of what repeats with the load angle"),
-    _OfChannel("repeating_probability", "1", "probability that noise alone repeats as much"),
     _OfChannel("noise_sd", "{unit}", "standard deviation of the noise"),
     _OfChannel("drift", "{unit}/s", "slope over the recording", "drift_per_s"),
     _OfChannel("drift_error", "{unit}/s", "standard error of that slope", "drift_error_per_s"),
     _OfChannel("outliers", "1", "samples that no noise explains"),
     _OfChannel("map_error", "{unit}", "standard error of rotation averages", "load_map_error"),
-    _OfChannel("power_offset", "({unit})²", "mean square of the offset", "split.offset"),
-    _OfChannel(
-        "power_load_angle",
-        "({unit})²",
-        "mean square of what repeats with the load",
-        "split.load_angle",
-    ),
-    _OfChannel("power_other", "({unit})²", "mean square of lines and drift", "split.other"),
-    _OfChannel("power_noise", "({unit})²", "mean square of the noise", "split.noise"),
-    _OfChannel("recorded", "{unit}", "recording, mean over rotations", along=_ANGLE),
-    _OfChannel("simulated", "{unit}", "simulation, mean over rotations", along=_ANGLE),
     _OfChannel("load_map", "{unit}", "residual that repeats with the load angle", along=_ANGLE),
     _OfChannel("amplitude", "{unit}", "amplitude of the residual", along="bin"),
     _OfChannel("noise_amplitude", "{unit}", "RMS amplitude of noise", along="bin"),
@@ -101,7 +82,6 @@ _VARIABLES = (
     _of_lines("motor_order", "1", "cycles per turn of the motor"),
     _of_lines("amplitude", "{unit}", "amplitude"),
     _of_lines("phase_rad", "rad", "phase of a cosine at the first sample"),
-    _of_lines("probability", "1", "probability, from noise alone,"),
     _of_lines("dependence", "", "angle or time"),
 )
 
@@ -150,7 +130,9 @@ def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
         "rotations": [float(w.rotations) for w in whole],
         "gear_ratio": [w.gear_ratio for w in whole],
         "frequency_hz": padded([w.frequency_hz for w in whole], sizes["bin"]),
-        "load_order": padded([w.frequency_hz / w.rotation_hz for w in whole], sizes["bin"]),
+        "load_order": padded(
+            [w.frequency_hz * w.seconds / w.rotations for w in whole], sizes["bin"]
+        ),
     }
     for name in names:
         seen = [next((c for c in r.channels if c.channel == name), None) for r in recordings]
@@ -166,8 +148,8 @@ def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
     )
     made.attrs = {
         "channels": names,
-        "false_discovery_rate": analysis.false_discovery_rate,
-        "unexplained": json.dumps(plain(describe_unexplained(analysis)), ensure_ascii=False),
+        "false_discovery_rate": FALSE_LINES,
+        "unexplained": json.dumps(plain(analysis.remaining), ensure_ascii=False),
     }
     return made
 

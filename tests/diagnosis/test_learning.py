@@ -21,7 +21,7 @@ from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
 from bayesbl.diagnosis.learning import Group, Hypothesis, learn
-from bayesbl.diagnosis.residuals.analysis import Unexplained
+from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.inverse import InverseView
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed

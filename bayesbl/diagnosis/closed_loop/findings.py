@@ -13,12 +13,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, simulated_pairs
-from bayesbl.diagnosis.residuals.analysis import (
-    ResidualAnalysis,
-    Unexplained,
-    analyse_residuals,
-    describe_unexplained,
-)
+from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
@@ -54,26 +49,6 @@ class ForwardSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """What an explanation leaves of the recordings that it fits, and what of that stands out."""
-
-    residuals: ResidualAnalysis
-    remaining: tuple[Unexplained, ...]
-
-    def closes(self, before: Comparison) -> float:
-        """Share of what another one leaves, in power over the noise, repeating or not."""
-        first, last = (
-            sum(
-                (c.split.offset + c.repeating_rms**2 + c.split.other) / c.noise_sd**2
-                for recording in comparison.residuals.recordings
-                for c in recording.channels
-            )
-            for comparison in (before, self)
-        )
-        return 1.0 - last / first if first > 0.0 else 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class Findings:
     """The search and what its simulations leave.
 
@@ -100,8 +75,8 @@ class Findings:
     naming: Naming
     chosen: FittedSet
     pairs: tuple[SimulatedPair, ...]
-    before: Comparison
-    after: Comparison
+    before: ResidualAnalysis
+    after: ResidualAnalysis
     learned: Learned | None = None
     law_shifts: FloatArray | None = None
     form_sd: float = 0.0
@@ -259,17 +234,16 @@ def _learned(
     return None
 
 
-_Compared = Callable[[Explanation], Comparison]
+_Compared = Callable[[Explanation], ResidualAnalysis]
 
 
-def _compared(explanation: Explanation) -> Comparison:
+def _compared(explanation: Explanation) -> ResidualAnalysis:
     fit = explanation.fit
     used = fit.model.recordings
     own = [fit.model.signals(fit.point, i)[0] for i in range(len(used))]
     # Bridged samples hold nothing that repeats.
     seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
-    left = analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
-    return Comparison(left, tuple(describe_unexplained(left)))
+    return analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
 
 
 def _start_angle(explanation: Explanation, seen: Observed) -> float:

@@ -18,7 +18,7 @@ from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.augment import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
-from bayesbl.diagnosis.residuals.analysis import SAME_ORDER, Unexplained, What
+from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
@@ -36,6 +36,9 @@ MOST_BASES = 3
 
 WHOLE = 0.02
 """Of an order: lines this close to a whole multiple of another belong to it."""
+
+SAME_ORDER = 2e-3
+"""Of an order: lines of two channels this close are one."""
 
 RANGE = 10.0
 """Of every coefficient's flat prior, in the largest coefficient of the linear solution."""
