@@ -86,9 +86,9 @@ class WholeRotations:
         return self.samples / self.sampling_hz
 
     @property
-    def frequency_hz(self) -> FloatArray:
-        """Of every bin, shape (n // 2 + 1,)."""
-        return np.asarray(np.arange(self.samples // 2 + 1) / self.seconds)
+    def load_order(self) -> FloatArray:
+        """Of every bin, cycles per turn of the load, shape (n // 2 + 1,)."""
+        return np.asarray(np.arange(self.samples // 2 + 1) / self.rotations)
 
     @property
     def turns(self) -> float:
@@ -152,7 +152,7 @@ class ChannelResiduals:
         significant.
     lines
         Strongest first.
-    load_map, load_map_error
+    load_map, map_error
         What repeats, offset included, at load angles 2π j/720, shape (720,); its standard error.
     amplitude, noise_amplitude
         Of the residual at every bin, and what noise alone would have there (RMS), shape (b,).
@@ -175,7 +175,7 @@ class ChannelResiduals:
     main_orders: tuple[int, int] | None
     lines: tuple[Line, ...]
     load_map: FloatArray
-    load_map_error: float
+    map_error: float
     amplitude: FloatArray
     noise_amplitude: FloatArray
     other: float
@@ -594,9 +594,7 @@ def _channel(name: str, split: _Split, rate: float) -> ChannelResiduals:
         main_orders=_main_orders(np.where(significant, power, 0.0)[1:]),
         lines=tuple(sorted(split.lines, key=lambda line: -line.amplitude)),
         load_map=whole.against_load_angle(left),
-        load_map_error=math.sqrt(
-            float(at_orders[0] + 2.0 * at_orders[1 : MAP_POINTS // 2].sum()) / n
-        ),
+        map_error=math.sqrt(float(at_orders[0] + 2.0 * at_orders[1 : MAP_POINTS // 2].sum()) / n),
         amplitude=2.0 * np.abs(np.fft.rfft(difference - difference.mean())) / n,
         noise_amplitude=2.0 * np.sqrt(floor / n),
         other=float(np.mean((difference - left) ** 2)),
