@@ -328,9 +328,9 @@ class _Split:
             rest = self.values - self.waves[:, comb] @ self.coefficients[comb]
             rest = _without_comb(rest[:, None], rotations)[:, 0]
             self.coefficients[apart] = np.linalg.lstsq(reduced, rest)[0]
-            left = self.values - self.waves[:, apart] @ self.coefficients[apart]
+            beside = self.values - self.waves[:, apart] @ self.coefficients[apart]
             own = self.waves[:, comb]
-            self.coefficients[comb] = np.linalg.lstsq(own, left - left.mean())[0]
+            self.coefficients[comb] = np.linalg.lstsq(own, beside - beside.mean())[0]
         self.noise = rest - reduced @ self.coefficients[apart]
         lines_at = np.arange(self.noise.size // 2 + 1) % rotations == 0
         for line in self.lines:
@@ -341,17 +341,17 @@ class _Split:
         self.slope_error = math.sqrt(self.floor.at_zero) / norm_of_slope
 
     @property
-    def left(self) -> FloatArray:
+    def without_lines(self) -> FloatArray:
         """What repeats with the load and noise, (n,)."""
         return np.asarray(self.values - self.waves @ self.coefficients)
 
     def scores(self, scale: Scale) -> FloatArray:
         """Periodogram over what is there without a line, of every bin of a scale."""
-        n, rotations, left = self.noise.size, self.whole.rotations, self.left
+        n, rotations, values = self.noise.size, self.whole.rotations, self.without_lines
         time, position = self.positions["time"], self.positions[scale]
         if position is not time:
-            left = CubicSpline(time, left)(np.interp(time, position, time))
-        power = np.abs(np.fft.rfft(left)) ** 2 / n / self.floor.at_bins(n)
+            values = CubicSpline(time, values)(np.interp(time, position, time))
+        power = np.abs(np.fft.rfft(values)) ** 2 / n / self.floor.at_bins(n)
         comb = power[::rotations].copy()
         beside = np.ones(2 * NEIGHBOURS + 1, dtype=bool)
         beside[NEIGHBOURS] = False
@@ -379,8 +379,8 @@ class _Split:
         variance = n * float(floor[round(cycles)])
         order = cycles / rotations
         if abs(order - round(order)) * rotations < 0.5:
-            whole, left = float(round(order) * rotations), self.left - self.values.mean()
-            return _power(left, position, whole) / variance, whole
+            whole, values = float(round(order) * rotations), self.without_lines
+            return _power(values - values.mean(), position, whole) / variance, whole
 
         def off_comb(cycles: float) -> float:
             below = rotations * math.sin(math.pi * cycles / rotations)
@@ -403,7 +403,7 @@ class _Split:
         self.lines.append(line)
         begin = self.waves.shape[1]
         if dependence == LOAD:
-            cosine, sine = 2.0 / n * (self.left @ pair)
+            cosine, sine = 2.0 / n * (self.without_lines @ pair)
             self.lines[-1] = _sized(line, cosine, sine)
             return
         self.waves = np.hstack([self.waves, pair])
@@ -468,14 +468,14 @@ def analyse_residuals(
             for i, (seen, made, whole) in enumerate(zip(recordings, simulated, wholes, strict=True))
             if channel in seen.channels
         }
-        taken = [
+        lines = [
             (dependence, [(i, len(splits[i].lines) - 1) for i in shown])
-            for dependence, shown in _take_lines(splits, false_lines / count)
+            for dependence, shown in _remove_lines(splits, false_lines / count)
         ]
         own = {i: _channel(channel, split, false_lines / count) for i, split in splits.items()}
         for i, residuals in own.items():
             by_recording[i].append(residuals)
-        turning = [line for line in taken if line[0] != LOAD]
+        turning = [line for line in lines if line[0] != LOAD]
         pairs = [(names[i], residuals) for i, residuals in own.items()]
         remaining += _repeating(pairs, count)
         remaining += _lines(channel, names, splits, turning)
@@ -528,7 +528,7 @@ def _split(seen: Observed, simulated: FloatArray, whole: WholeRotations, row: in
     return _Split(whole, difference, {TIME: time, MOTOR: turned, LOAD: time}, ramp)
 
 
-def _take_lines(splits: Mapping[int, _Split], rate: float) -> Iterator[tuple[What, list[int]]]:
+def _remove_lines(splits: Mapping[int, _Split], rate: float) -> Iterator[tuple[What, list[int]]]:
     """Lines of one channel, from the strongest down, out of every recording that shows them.
 
     Yields what each repeats with and the recordings, in which it is the last line then.
@@ -557,18 +557,18 @@ def _take_lines(splits: Mapping[int, _Split], rate: float) -> Iterator[tuple[Wha
         whole = round(half) > 0 and abs(half - round(half)) * own.whole.turns < 1.0
         by_order = MOTOR in near and whole
         drawn = MOTOR if by_order else LOAD if LOAD in near else near[0]
-        told: What = drawn if by_order or drawn == LOAD or len(near) == 1 else "angle or time"
+        dependence: What = drawn if by_order or drawn == LOAD or len(near) == 1 else "angle or time"
         shown = []
         for i, (gain, cycles) in gains[drawn].items():
             if i == first or gain > -math.log(rate):
-                splits[i].add(drawn, cycles, told)
+                splits[i].add(drawn, cycles, dependence)
                 shown.append(i)
-        yield told, shown
+        yield dependence, shown
 
 
 def _channel(name: str, split: _Split, rate: float) -> ChannelResiduals:
-    n, whole, left = split.values.size, split.whole, split.left
-    transform = np.fft.rfft(left)[:: whole.rotations]
+    n, whole, rest = split.values.size, split.whole, split.without_lines
+    transform = np.fft.rfft(rest)[:: whole.rotations]
     floor = split.floor.at_bins(n)
     at_orders = floor[:: whole.rotations]
     ratio = np.abs(transform) ** 2 / n / at_orders
@@ -586,18 +586,18 @@ def _channel(name: str, split: _Split, rate: float) -> ChannelResiduals:
     difference = split.values
     return ChannelResiduals(
         channel=name,
-        offset=float(left.mean()),
+        offset=float(rest.mean()),
         offset_error=math.sqrt(split.floor.at_zero / n),
         repeating_rms=math.sqrt(max(excess, 0.0)),
         repeating_band=highest,
         repeating_probability=min(1.0, len(bands) * probability),
         main_orders=_main_orders(np.where(significant, power, 0.0)[1:]),
         lines=tuple(sorted(split.lines, key=lambda line: -line.amplitude)),
-        load_map=whole.against_load_angle(left),
+        load_map=whole.against_load_angle(rest),
         map_error=math.sqrt(float(at_orders[0] + 2.0 * at_orders[1 : MAP_POINTS // 2].sum()) / n),
         amplitude=2.0 * np.abs(np.fft.rfft(difference - difference.mean())) / n,
         noise_amplitude=2.0 * np.sqrt(floor / n),
-        other=float(np.mean((difference - left) ** 2)),
+        other=float(np.mean((difference - rest) ** 2)),
         noise_sd=math.sqrt(float(np.mean(floor[:-1]))),
         drift_per_s=float(split.coefficients[0]) * whole.sampling_hz,
         drift_error_per_s=split.slope_error * whole.sampling_hz,
@@ -618,10 +618,10 @@ def _lines(
     name: str,
     recordings: Sequence[str],
     splits: Mapping[int, _Split],
-    taken: Sequence[tuple[What, Sequence[tuple[int, int]]]],
+    groups: Sequence[tuple[What, Sequence[tuple[int, int]]]],
 ) -> Iterator[Unexplained]:
     """Lines of the motor angle and of time, each in all recordings that show it."""
-    for dependence, places in taken:
+    for dependence, places in groups:
         lines = [splits[i].lines[k] for i, k in places]
         largest = max(lines, key=lambda line: line.amplitude)
         order = math.nan if dependence == TIME else largest.motor_order
