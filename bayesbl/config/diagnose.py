@@ -111,9 +111,10 @@ class DiagnosedRecording(SnapshotRecording):
 
 
 class Candidates(Section):
-    """``[candidates]``: effects that may be named, how many, and the rate of false alarms.
+    """``[candidates]``: effects that may be named, how many, and how often a line is one falsely.
 
-    Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
+    The last is of a rigid drive's speed. Without ``max_effects`` three in the closed loop, where
+    each costs many simulations, else six.
     """
 
     effects: Annotated[

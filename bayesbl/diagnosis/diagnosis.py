@@ -15,7 +15,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
-from bayesbl.diagnosis.residuals.analysis import ResidualAnalysis, Unexplained
+from bayesbl.diagnosis.residuals import ResidualAnalysis, Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.model_search.closed_loop import RankedCandidate
 from bayesbl.recording.types import FloatArray

@@ -39,13 +39,12 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import (
-    Disagreement,
     DisagreementTable,
     ResidualNoise,
     disagreement_table,
     piece_residuals,
 )
-from bayesbl.diagnosis.residuals.analysis import Unexplained, What
+from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
 from bayesbl.progress import StageProgress
@@ -109,15 +108,6 @@ DRAWS = 1000
 DISCREPANCY_SHARE = 0.1
 """Of the root mean square of what is compared, that a smooth torque usually has which no law of the
 catalogue holds."""
-
-EXCESS = 3.4
-"""Of what a bench leaves over the noise floor, up to which it is taken for noise. Slower noise, and
-drift, is more, and nothing tells it from an effect that is missing. At 2.5 samples in a period of
-the cut-off it is 4 times what does not follow from the samples before: there white noise is 1.16
-times that. Denser samples do not move it."""
-
-CLOSED = 0.9
-"""Of the disagreement before, below which it must be after naming, if it is far above the noise."""
 
 MOST_EFFECTS = 6
 """Named where a configuration does not say how many."""
@@ -589,7 +579,7 @@ def diagnose(
     if denied:
         remaining = []
     table, signals = compared_signals(view.pieces, before, after)
-    if denied or not _closes(table.overall["used"]):
+    if denied:
         told, estimates, learned = [], {}, None
         table, signals = compared_signals(view.pieces, before, before)
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
@@ -601,14 +591,7 @@ def diagnose(
     ]
     errors = parameter_errors(bench, estimates)
     lines = tuple(_line(inference, *item) for item in remaining)
-    left = table.overall["used"]
-    is_much = left.after > EXCESS * left.noise_floor
-    remains = bool(lines or denied or group is not None or "gravity" in kinds.values()) or is_much
-    if effects and is_much:
-        denied = (
-            f"With what is named, {left.after / left.noise_floor:.0f} times the noise remains: "
-            "something else is missing too, and the sizes may include part of it.",
-        )
+    remains = bool(lines or denied or group is not None or "gravity" in kinds.values())
     answer = Diagnosis(
         verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
         tuple(effects),
@@ -636,12 +619,6 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
             "direction. A balancer that the bench lacks may look the same. Give gravity in the "
             "bench file, if it is that."
         )
-
-
-def _closes(used: Disagreement) -> bool:
-    """Whether what is told explains anything to speak of: it would be an accident of a fit that is
-    far from what was recorded."""
-    return used.after < CLOSED * used.before or used.after < EXCESS * used.noise_floor
 
 
 def _told(

@@ -9,126 +9,54 @@ is significant over all recordings.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
-from operator import attrgetter
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from bayesbl.diagnosis.residuals.analysis import (
-    ChannelResiduals,
-    ResidualAnalysis,
-    describe_unexplained,
-)
-from bayesbl.diagnosis.residuals.decomposition import MAP_POINTS
+from bayesbl.diagnosis.residuals import FALSE_LINES, MAP_POINTS, ChannelResiduals, ResidualAnalysis
 from bayesbl.diagnosis.summary import plain
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.variables import Group, Variable, dataset, labels, padded, table
 from bayesbl.units import unit_of
 
-_ANGLE = "load_angle_rad"
 
-
-@dataclass(frozen=True, slots=True)
-class _OfChannel:
-    """A variable of every channel.
-
-    ``{unit}`` in ``unit`` is the channel's. ``attribute`` of a :class:`ChannelResiduals`, by
-    default the name, is a number, or an array over ``along``.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    attribute: str = ""
-    along: str = ""
-
-    @property
-    def is_text(self) -> bool:
-        """Whether it holds words."""
-        return not self.unit
-
-    def declared(self, channel: str) -> Variable:
-        """The variable of one channel."""
-        return Variable(
-            f"{channel}_{self.name}",
-            ("recording", self.along) if self.along else ("recording",),
-            self.unit.format(unit=unit_of(channel)),
-            f"{CHANNELS.get(channel, channel)}: {self.meaning}",
-            "text" if self.is_text else "number",
-        )
-
-    def of(self, residuals: ChannelResiduals) -> object:
-        """Its value."""
-        if self.along == "line":
-            return [getattr(line, self.attribute) for line in residuals.lines]
-        return attrgetter(self.attribute or self.name)(residuals)
-
-
-def _of_lines(name: str, unit: str, meaning: str) -> _OfChannel:
-    """What every significant line has."""
-    return _OfChannel(f"line_{name}", unit, f"{meaning} of a significant line", name, "line")
-
-
-_VARIABLES = (
-    _OfChannel("offset", "{unit}", "mean of recording less simulation"),
-    _OfChannel("offset_error", "{unit}", "standard error of that mean"),
-    _OfChannel("offset_significant", "1", "1 where noise does not explain that mean"),
-    _OfChannel("repeating_rms", "{unit}", "RMS of what repeats with the load angle"),
-    _OfChannel("repeating_probability", "1", "probability that noise alone repeats as much"),
-    _OfChannel("noise_sd", "{unit}", "standard deviation of the noise"),
-    _OfChannel("drift", "{unit}/s", "slope over the recording", "drift_per_s"),
-    _OfChannel("drift_error", "{unit}/s", "standard error of that slope", "drift_error_per_s"),
-    _OfChannel("outliers", "1", "samples that no noise explains"),
-    _OfChannel("map_error", "{unit}", "standard error of rotation averages", "load_map_error"),
-    _OfChannel("power_offset", "({unit})²", "mean square of the offset", "split.offset"),
-    _OfChannel(
-        "power_load_angle",
-        "({unit})²",
-        "mean square of what repeats with the load",
-        "split.load_angle",
-    ),
-    _OfChannel("power_other", "({unit})²", "mean square of lines and drift", "split.other"),
-    _OfChannel("power_noise", "({unit})²", "mean square of the noise", "split.noise"),
-    _OfChannel("recorded", "{unit}", "recording, mean over rotations", along=_ANGLE),
-    _OfChannel("simulated", "{unit}", "simulation, mean over rotations", along=_ANGLE),
-    _OfChannel("load_map", "{unit}", "residual that repeats with the load angle", along=_ANGLE),
-    _OfChannel("amplitude", "{unit}", "amplitude of the residual", along="bin"),
-    _OfChannel("noise_amplitude", "{unit}", "RMS amplitude of noise", along="bin"),
-    _of_lines("frequency_hz", "Hz", "frequency"),
-    _of_lines("load_order", "1", "cycles per turn of the load"),
-    _of_lines("motor_order", "1", "cycles per turn of the motor"),
-    _of_lines("amplitude", "{unit}", "amplitude"),
-    _of_lines("phase_rad", "rad", "phase of a cosine at the first sample"),
-    _of_lines("probability", "1", "probability, from noise alone,"),
-    _of_lines("dependence", "", "angle or time"),
-)
+def _of_channel(channel: str) -> tuple[Variable, ...]:
+    """Named as attributes of its :class:`ChannelResiduals`; behind ``line_``, of a line."""
+    unit, name = unit_of(channel), CHANNELS[channel]
+    return table(f"""
+        {channel}_offset (recording) | {unit} | {name}: mean of recording less simulation
+        {channel}_repeating_rms (recording) | {unit} | {name}: RMS that repeats with the load angle
+        {channel}_noise_sd (recording) | {unit} | {name}: standard deviation of the noise
+        {channel}_drift_per_s (recording) | {unit}/s | {name}: slope over the recording
+        {channel}_outliers (recording) | 1 | {name}: samples that no noise explains
+        {channel}_map_error (recording) | {unit} | {name}: standard error of rotation averages
+        {channel}_load_map (recording, load_angle_rad) | {unit} | {name}: residual that repeats
+        {channel}_amplitude (recording, bin) | {unit} | {name}: amplitude of the residual
+        {channel}_noise_amplitude (recording, bin) | {unit} | {name}: RMS amplitude of noise
+        {channel}_line_frequency_hz (recording, line) | Hz | {name}: frequency of a line
+        {channel}_line_load_order (recording, line) | 1 | {name}: cycles of it per turn of the load
+        {channel}_line_motor_order (recording, line) | 1 | {name}: the same of the motor
+        {channel}_line_amplitude (recording, line) | {unit} | {name}: its amplitude
+        {channel}_line_phase_rad (recording, line) | rad | {name}: of a cosine at the first sample
+        {channel}_line_dependence (recording, line) | text | {name}: what it repeats with
+    """)
 
 
 def _named(name: str) -> Variable | None:
-    """A variable of any channel; of two endings that fit, the longer is meant."""
-    for row in sorted(_VARIABLES, key=lambda row: -len(row.name)):
-        channel = name.removesuffix(f"_{row.name}")
-        if channel != name:
-            return row.declared(channel)
-    return None
+    """A variable of any channel."""
+    of_any = (v for channel in CHANNELS if name.startswith(channel) for v in _of_channel(channel))
+    return next((variable for variable in of_any if variable.name == name), None)
 
 
 def residuals_group(stage: str) -> Group:
     """Of the bench as believed (``before``), or with what was named (``after``)."""
     return Group(
         f"residuals_{stage}",
-        table("""
-            reference_speed_rpm (recording) | rpm | reference speed of the motor
-            rotations (recording) | 1 | load rotations looked at
-            gear_ratio (recording) | 1 | motor turns in a turn of the load
-            frequency_hz (recording, bin) | Hz | frequency
-            load_order (recording, bin) | 1 | cycles per turn of the load
-        """),
+        table("load_order (recording, bin) | 1 | cycles per turn of the load"),
         (
             labels("recording", "recording"),
-            Variable(_ANGLE, (_ANGLE,), "rad", "load angle"),
+            *table("load_angle_rad (load_angle_rad) | rad | load angle"),
         ),
         _named,
         optional=True,
@@ -139,42 +67,35 @@ def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
     """All that an analysis holds, as this module's text describes it."""
     recordings = analysis.recordings
     names = list(dict.fromkeys(c.channel for r in recordings for c in r.channels))
+    orders = [r.whole.load_order for r in recordings]
     sizes = {
         "line": max(len(c.lines) for r in recordings for c in r.channels),
-        "bin": max(r.whole.frequency_hz.size for r in recordings),
-        _ANGLE: MAP_POINTS,
+        "bin": max(order.size for order in orders),
+        "load_angle_rad": MAP_POINTS,
     }
-    whole = [r.whole for r in recordings]
-    values: dict[str, object] = {
-        "reference_speed_rpm": [w.reference_speed_rpm for w in whole],
-        "rotations": [float(w.rotations) for w in whole],
-        "gear_ratio": [w.gear_ratio for w in whole],
-        "frequency_hz": padded([w.frequency_hz for w in whole], sizes["bin"]),
-        "load_order": padded([w.frequency_hz / w.rotation_hz for w in whole], sizes["bin"]),
-    }
+    values: dict[str, object] = {"load_order": padded(orders, sizes["bin"])}
     for name in names:
         seen = [next((c for c in r.channels if c.channel == name), None) for r in recordings]
-        for row in _VARIABLES:
-            values[f"{name}_{row.name}"] = _of_recordings(row, seen, sizes)
-    made = dataset(
-        residuals_group(stage),
-        values,
-        {
-            "recording": [r.name for r in recordings],
-            _ANGLE: 2.0 * np.pi * np.arange(MAP_POINTS) / MAP_POINTS,
-        },
-    )
+        for variable in _of_channel(name):
+            attribute = variable.name.removeprefix(f"{name}_")
+            own: Any = [np.nan if c is None else _value(c, attribute) for c in seen]
+            if len(variable.dims) == 2:
+                own = [[] if c is None else x for c, x in zip(seen, own, strict=True)]
+                own = padded(own, sizes[variable.dims[1]], variable.kind == "text")
+            values[variable.name] = own
+    angles = 2.0 * np.pi * np.arange(MAP_POINTS) / MAP_POINTS
+    coordinates = {"recording": [r.name for r in recordings], "load_angle_rad": angles}
+    made = dataset(residuals_group(stage), values, coordinates)
     made.attrs = {
         "channels": names,
-        "false_discovery_rate": analysis.false_discovery_rate,
-        "unexplained": json.dumps(plain(describe_unexplained(analysis)), ensure_ascii=False),
+        "false_discovery_rate": FALSE_LINES,
+        "unexplained": json.dumps(plain(analysis.remaining), ensure_ascii=False),
     }
     return made
 
 
-def _of_recordings(
-    row: _OfChannel, seen: Sequence[ChannelResiduals | None], sizes: dict[str, int]
-) -> object:
-    if not row.along:
-        return np.array([np.nan if c is None else row.of(c) for c in seen], dtype=float)
-    return padded([[] if c is None else row.of(c) for c in seen], sizes[row.along], row.is_text)
+def _value(residuals: ChannelResiduals, attribute: str) -> Any:
+    of_line = attribute.removeprefix("line_")
+    if of_line != attribute:
+        return [getattr(line, of_line) for line in residuals.lines]
+    return getattr(residuals, attribute)

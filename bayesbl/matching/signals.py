@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import after, effect_named, lateness_rad, without_ticks
+from bayesbl.bench.effects import EFFECT_BY_NAME, after, effect_named, lateness_rad, without_ticks
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.parameters import FURTHEST, PARAMETER_INFO, simulated_range
 from bayesbl.matching.as_observed import accuracy_rpm, continued, in_whole_ticks, repeats, simulated
@@ -96,8 +96,8 @@ class Unknown:
     def is_of_loop(self) -> bool:
         """Of a law within the speed loop, of which ticks make something else than a continuous
         controller does: a lag beside one moved the signals in another direction (cosine 0.4)."""
-        effect, _, parameter = self.name.partition("__")
-        return bool(parameter) and effect_named(effect).enters == "loop"
+        effect, _, _ = self.name.partition("__")
+        return effect in EFFECT_BY_NAME and EFFECT_BY_NAME[effect].enters == "loop"
 
     @property
     def label(self) -> str:

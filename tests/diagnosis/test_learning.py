@@ -11,17 +11,15 @@ import pytest
 from rigid_machine import bench, recording
 from test_rigid import inverse, named
 
-from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned import EncoderError, LearnedTorque
+from bayesbl.bench.learned import EncoderError, LearnedTorque, waves_over
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.learned_in_loop import learned_term
+from bayesbl.diagnosis.closed_loop.learned_in_loop import Series, aligned, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
-from bayesbl.diagnosis.learning import Group, Hypothesis, learn
-from bayesbl.diagnosis.residuals.analysis import Unexplained
+from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.inverse import InverseView
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
@@ -34,59 +32,32 @@ pytestmark = pytest.mark.long
 TURN = 2.0 * math.pi
 BENCH = reference_bench()
 GAP_RAD = 8e-4
-FALSE_ALARM = 0.01
-
-OVER_MOTOR = Hypothesis("motor", "motor_angle", TURN, own_zero=True)
-OVER_LOAD = Hypothesis("load", "load_angle", TURN)
-
-
-def groups(
-    rng: np.random.Generator, hypothesis: Hypothesis, size: float, over: Hypothesis, groups: int = 3
-) -> list[Group]:
-    """Recordings of white noise with a torque ``over`` something, in the columns of a hypothesis.
-
-    Each turns by another part of the load's rotation; the motor's angle begins anywhere.
-    """
-    found = []
-    for _ in range(groups):
-        load = rng.uniform(-math.pi, math.pi) + np.linspace(0.0, 2.0 * TURN, 2000)
-        zero = rng.uniform(-math.pi, math.pi)
-        motor = 7.3 * load
-        x = load if over is OVER_LOAD else motor - zero
-        signal = size * (np.cos(x + 0.4) - 0.5 * np.sin(3.0 * x))
-        x = load if hypothesis is OVER_LOAD else motor - motor[0]
-        waves = [f(k * x) for f in (np.cos, np.sin) for k in range(1, LEARNED_HARMONICS + 1)]
-        left = signal + rng.standard_normal(x.size)
-        table = np.column_stack([np.ones(x.size), *waves, left])
-        found.append(Group(table.T @ table, ()))
-    return found
 
 
 def answer_with(view: InverseView) -> Diagnosis:
     return diagnose(view, view.bench, most=6)
 
 
-def trials(seed: int, size: float, over: Hypothesis):
-    found = []
-    for hypothesis in (OVER_LOAD, OVER_MOTOR):
-        rng = np.random.default_rng(seed)
-        found.append((hypothesis, groups(rng, hypothesis, size, over)))
-    return learn(found, np.zeros((0, 0)), FALSE_ALARM)
+def test_a_series_is_the_same_wherever_recordings_begin() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        truth, zeros = rng.standard_normal(7), rng.uniform(-math.pi, math.pi, 3)
+        series = Series("motor", "motor_angle", TURN, own_zero=True, orders=3)
+        x = np.linspace(0.0, TURN, 100)
+        cosines, sines = waves_over(x, TURN, 3)
+        waves = np.hstack([np.ones((x.size, 1)), cosines, sines])
+        seen = [series.term(truth).over(x + zero) for zero in zeros]
+        own = np.stack([np.linalg.lstsq(waves, signal)[0] for signal in seen])
+        together, shifts = aligned(own, series)
+        for signal, shift in zip(seen, shifts, strict=True):
+            left = signal - series.term(together).over(x + shift)
+            assert np.std(left) < 0.15 * np.std(signal)
 
 
-@pytest.mark.parametrize("over", [OVER_LOAD, OVER_MOTOR], ids=["load angle", "motor angle"])
-def test_what_predicts_best_is_what_the_torque_depends_on(over: Hypothesis) -> None:
-    for seed in range(2):
-        best = trials(seed, 0.3, over)[0]
-        assert best.hypothesis is over
-        assert best.orders == 3
-        size = np.hypot(best.coefficients[1:4], best.coefficients[4:7])
-        assert size == pytest.approx([0.3, 0.0, 0.15], abs=4.0 * math.sqrt(2.0 / 6000.0))
-
-
-def test_nothing_is_learned_where_nothing_is() -> None:
-    # At a rate of 0.01, three of twenty or more come by chance once in a thousand.
-    assert sum(bool(trials(seed, 0.0, OVER_LOAD)) for seed in range(20)) < 3
+def test_nothing_is_learned_where_nothing_is(independent) -> None:
+    nominal = nominal_fit(recorded(independent, (2000.0, -1200.0), {}, 2.0))
+    line = Unexplained("motor_speed_rpm", "motor angle", 0.5, "rpm", 1.0, 1.0, math.nan, ())
+    assert learned_term(nominal, [(nominal, [line])], motor_angle_known=False) is None
 
 
 def test_a_rigid_axis_shows_a_torque_over_its_position() -> None:
@@ -166,7 +137,7 @@ def test_two_speeds_tell_an_error_of_the_encoder_from_a_torque(independent, wher
     }[where]
     nominal = nominal_fit(recorded(independent, (2000.0, -1200.0), hidden, 2.0))
     line = Unexplained("motor_speed_rpm", "motor angle", 0.5, "rpm", 1.0, 1.0, math.nan, ())
-    found = learned_term(nominal, [line], FALSE_ALARM, motor_angle_known=False)
+    found = learned_term(nominal, [(nominal, [line])], motor_angle_known=False)
     assert found is not None
     assert (found.term.side, found.alike) == (where, ())
     fit = found.explanation.fit
@@ -185,7 +156,7 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     }
     *used, held_out = recorded(independent, (2000.0, -2000.0, 1200.0, 1600.0), hidden, 3.0)
     nominal = nominal_fit(used)
-    found = learned_term(nominal, [], FALSE_ALARM, motor_angle_known=False)
+    found = learned_term(nominal, [(nominal, [])], motor_angle_known=False)
     assert found is not None
     torque = found.term
     assert isinstance(torque, LearnedTorque)

@@ -26,7 +26,6 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP
 from bayesbl.model_search.closed_loop import Naming, laws_of_shaft, log_gap_of
-from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
@@ -106,8 +105,8 @@ def diagnosis_of(
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
         signals=tuple(signals for pair in shown for signals in signals_of(pair)),
-        residuals_before=found.before.residuals,
-        residuals_after=found.after.residuals,
+        residuals_before=found.before,
+        residuals_after=found.after,
         ranking=naming.ranking,
         augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
         learned=_learned_answer(found),
@@ -160,20 +159,13 @@ def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> 
 
 def _doubts_in_words(found: Findings) -> Iterator[str]:
     """What the form of a law that is named, and what is left, do to δ."""
-    laws = [c.name for c in laws_of_shaft(found.naming.final)]
-    if laws and found.form_sd > 0.0:
-        yield (
-            f"No real shaft follows the law of {' and '.join(map(in_words, laws))} exactly. How "
-            f"far it moves the gap is taken as known to {100.0 * FORM_SHARE:.0f} %. That is a "
-            f"standard deviation of {100.0 * found.form_sd:.2g} % of the gap, and the gap's "
-            "interval includes it."
-        )
     wider = _misfit_factor(found)
     if wider > 1.05:
-        yield (
-            "Something repeats that no name explains. The gap's interval is "
-            f"{wider:.2g} times as wide for it."
-        )
+        laws = [in_words(c.name) for c in laws_of_shaft(found.naming.final)]
+        why = "Something repeats that no name explains."
+        if laws:
+            why = f"No real shaft follows the law of {' and '.join(laws)} exactly."
+        yield f"{why} The gap's interval is {wider:.2g} times as wide for it."
 
 
 def _misfit_factor(found: Findings) -> float:
@@ -197,7 +189,6 @@ def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate |
         own = logs.mean() + _misfit_factor(found) * (logs - logs.mean())
     averaged = own if found.learned else _averaged(naming, own, found.final.keys, rng)
     averaged = averaged + rng.permutation(np.resize(found.law_shifts, size))
-    averaged = averaged + found.form_sd * rng.standard_normal(size)
     draws = None if chosen.draws is None else np.exp(averaged).reshape(shape)
     return Estimate(float(averaged.mean()), float(averaged.std()), draws, logarithmic=True)
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
@@ -13,32 +11,23 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, learned_term
 from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, simulated_pairs
-from bayesbl.diagnosis.residuals.analysis import (
-    ResidualAnalysis,
-    Unexplained,
-    analyse_residuals,
-    describe_unexplained,
-)
-from bayesbl.errors import BenchError
+from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.predictive_check import FALSE_ALARM, is_explained
+from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
 from bayesbl.model_search.always_in import beside, laws
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, name_missing, weighed
-from bayesbl.model_search.constants import FORM_SHARE, UNEXPLAINED_SHARE
-from bayesbl.model_search.refit import Explanation, reduced, with_own_noise
+from bayesbl.model_search.constants import UNEXPLAINED_SHARE
+from bayesbl.model_search.refit import Explanation, with_own_noise
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 MOST_EFFECTS = 3
 
 SHIFTS_DRAWN = 4000
-
-LEAST_LEARNED = 0.5
-"""Of what repeats: what removes less than half of it is not what repeats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,30 +36,9 @@ class ForwardSettings:
 
     effects: Sequence[str] | None = None
     max_effects: int = MOST_EFFECTS
-    false_alarm: float = FALSE_ALARM
     load_angle_known: bool = False
     motor_angle_known: bool = False
     workers: int = field(default=1, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """What an explanation leaves of the recordings that it fits, and what of that stands out."""
-
-    residuals: ResidualAnalysis
-    remaining: tuple[Unexplained, ...]
-
-    def closes(self, before: Comparison) -> float:
-        """Share of what another one leaves, in power over the noise, repeating or not."""
-        first, last = (
-            sum(
-                (c.split.offset + c.repeating_rms**2 + c.split.other) / c.noise_sd**2
-                for recording in comparison.residuals.recordings
-                for c in recording.channels
-            )
-            for comparison in (before, self)
-        )
-        return 1.0 - last / first if first > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,19 +60,16 @@ class Findings:
         What was learned from what naming left; ``chosen`` has it.
     law_shifts
         Draws of what laws that nothing shows add to ln δ; ``None`` where no gap is sought.
-    form_sd
-        Standard deviation of ln δ for the forms of the shaft's laws that are named.
     """
 
     believed: Bench
     naming: Naming
     chosen: FittedSet
     pairs: tuple[SimulatedPair, ...]
-    before: Comparison
-    after: Comparison
+    before: ResidualAnalysis
+    after: ResidualAnalysis
     learned: Learned | None = None
     law_shifts: FloatArray | None = None
-    form_sd: float = 0.0
 
     @property
     def final(self) -> Explanation:
@@ -176,23 +141,7 @@ def search(
         compared(final),
         learned,
         _law_shifts(final.fit),
-        0.0 if learned else _form_sd(naming),
     )
-
-
-def _form_sd(naming: Naming) -> float:
-    """A share of what the shaft's laws that are named do to ln δ.
-
-    Parameters named beside a law may stand in for its form: what they do counts as its own.
-    """
-    final, laws = naming.final, laws_of_shaft(naming.final)
-    if not laws or GAP not in [u.name for u in final.fit.model.unknowns]:
-        return 0.0
-    without = [k for k, c in enumerate(final.candidates) if c in laws or c.kind == "parameter"]
-    rest = reduced(naming.nominal, final, without)
-    if rest is None:
-        return 0.0
-    return FORM_SHARE * abs(math.log(final.fit.value(GAP) / rest.fit.value(GAP)))
 
 
 def _law_shifts(fit: SimulatedFit) -> FloatArray | None:
@@ -212,64 +161,35 @@ def _with_learned(
     missing: Callable[[SimulatedFit], Naming],
     settings: ForwardSettings,
 ) -> tuple[Naming, Learned] | None:
-    """What is learned from what is left, with the names that stand beside it."""
-    learned = _learned(final, naming, compared, settings)
+    """What is learned from what is left, with the names that stand beside it.
+
+    Where nothing explains, it is sought around the nearest explanation too: the gap of the nominal
+    bench may be too far off.
+    """
+    near = () if naming.nearest is None else (with_own_noise(naming.nearest),)
+    around = [(explanation, compared(explanation).remaining) for explanation in (final, *near)]
+    learned = learned_term(final, around, settings.motor_angle_known)
     if learned is None:
         return None
-    kept = () if naming.repeats else naming.effects
-    names = replace(naming, final=learned.explanation, effects=kept)
-    if not kept and not is_explained(learned.explanation.fit):
+    if not naming.effects and not is_explained(learned.explanation.fit):
         # Behind what was learned a law of the catalogue may have been hidden.
         beside = missing(learned.explanation.fit)
         if beside.effects:
             learned = replace(learned, explanation=with_own_noise(beside.final))
-            names = replace(beside, nominal=naming.nominal)
-    closed = compared(learned.explanation).closes(compared(final))
-    return None if closed < LEAST_LEARNED else (names, learned)
+            return replace(beside, nominal=naming.nominal), learned
+    return replace(naming, final=learned.explanation), learned
 
 
-def _learned(
-    final: Explanation, naming: Naming, compared: _Compared, settings: ForwardSettings
-) -> Learned | None:
-    """What is learned from what an explanation leaves, or the nearest one where nothing explains.
-
-    That one is tried where learning from the nominal bench does not close all: its gap may be too
-    far off to learn anything beside it. Its names are left out again, as it is no explanation.
-    """
-    best, most = None, LEAST_LEARNED
-    bases = [final]
-    if naming.nearest is not None:
-        bases.append(with_own_noise(naming.nearest))
-    for base in bases:
-        if most >= 1.0 - UNEXPLAINED_SHARE:
-            break
-        without = compared(base)
-        learned = learned_term(
-            base, without.remaining, settings.false_alarm, settings.motor_angle_known
-        )
-        if learned is None:
-            continue
-        share = compared(learned.explanation).closes(without)
-        if share >= most:
-            best, most = learned, share
-    if best is None or not naming.repeats:
-        return best
-    with suppress(BenchError):
-        return best.alone()
-    return None
+_Compared = Callable[[Explanation], ResidualAnalysis]
 
 
-_Compared = Callable[[Explanation], Comparison]
-
-
-def _compared(explanation: Explanation) -> Comparison:
+def _compared(explanation: Explanation) -> ResidualAnalysis:
     fit = explanation.fit
     used = fit.model.recordings
     own = [fit.model.signals(fit.point, i)[0] for i in range(len(used))]
     # Bridged samples hold nothing that repeats.
     seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
-    left = analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
-    return Comparison(left, tuple(describe_unexplained(left)))
+    return analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
 
 
 def _start_angle(explanation: Explanation, seen: Observed) -> float:

@@ -1,6 +1,8 @@
 """A torque of no known law, or the encoder's error, learned from what the simulation leaves.
 
-Which of them, and over what, :mod:`..learning` decides.
+Each is a Fourier series of one variable with normal coefficients, those of order k falling as 1/k:
+a hypothesis beside the explanation that leaves something, weighed as all others are
+(:mod:`bayesbl.model_search.closed_loop`), first around its fit, the likeliest then in full.
 """
 
 from __future__ import annotations
@@ -9,25 +11,37 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, waves_over
+from bayesbl.bench.learned import (
+    EncoderError,
+    LearnedTerm,
+    LearnedTorque,
+    Side,
+    Variable,
+    waves_over,
+)
 from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.augment import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
-from bayesbl.diagnosis.learning import Group, Hypothesis, Trial, alike, learn
-from bayesbl.diagnosis.residuals.analysis import SAME_ORDER, Unexplained, What
+from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.errors import BenchError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.constants import UNEXPLAINED_SHARE
+from bayesbl.model_search.closed_loop import CONTENDERS, _loop_noise, linearised, weighed
+from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT, UNEXPLAINED_SHARE
+from bayesbl.model_search.linear import Priors, Term, search
 from bayesbl.model_search.refit import Explanation, with_own_noise
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
+
+ORDERS = (1, 2, 3, 4, 6, 8, LEARNED_HARMONICS)
+"""Numbers of orders that are tried."""
 
 LONGEST_PERIOD = 5.0
 """Turns of the motor: what repeats more rarely belongs to the load or to time."""
@@ -35,10 +49,62 @@ LONGEST_PERIOD = 5.0
 MOST_BASES = 3
 
 WHOLE = 0.02
-"""Of an order: lines this close to a whole multiple of another belong to it."""
+"""Of an order: what is so close to another is the same."""
 
-RANGE = 10.0
-"""Of every coefficient's flat prior, in the largest coefficient of the linear solution."""
+SAME_ORDER = 2e-3
+"""Of an order: lines of two channels this close are one."""
+
+PLACES = 16
+"""Of a shift tried in a period of the highest order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Where something could act, and what it could depend on.
+
+    ``own_zero``: the variable's zero is another one in every recording. ``orders``: how many;
+    ``size``: usual one of order 1, N m or rad.
+    """
+
+    side: Side | Literal["encoder"]
+    variable: Variable
+    period: float
+    reverses: bool = False
+    own_zero: bool = False
+    orders: int = LEARNED_HARMONICS
+    size: float = 0.0
+
+    @property
+    def kind(self) -> type[LearnedTerm]:
+        """Torque or error of the encoder."""
+        return EncoderError if self.side == EncoderError.side else LearnedTorque
+
+    def term(self, coefficients: FloatArray) -> LearnedTerm:
+        """With these coefficients: the constant, which no encoder has, cosines, sines."""
+        constant, *waves = map(float, coefficients)
+        cosine, sine = tuple(waves[: self.orders]), tuple(waves[self.orders :])
+        if self.side == "encoder":
+            return EncoderError(self.period, cosine, sine)
+        return LearnedTorque(
+            self.side, self.variable, self.period, constant, cosine, sine, self.reverses
+        )
+
+    @property
+    def nothing(self) -> LearnedTerm:
+        """With none."""
+        return self.term(np.zeros(2 * self.orders + 1))
+
+    @property
+    def free(self) -> list[int]:
+        """Places of what is fitted: beside a zero of its own a constant is an offset."""
+        without_constant = self.own_zero or self.side == EncoderError.side
+        return list(range(int(without_constant), 2 * self.orders + 1))
+
+    @property
+    def usual(self) -> FloatArray:
+        """Of each coefficient, (2 orders + 1,)."""
+        falling = self.size / np.arange(1, 1 + self.orders)
+        return np.concatenate([[self.size], falling, falling])
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,88 +157,98 @@ class Learned:
         fastest = max(1.0 / seen.rotation_period_s for seen in model.recordings)
         return term.orders * fastest >= ringing_hz(model.bench.vector())
 
-    def alone(self) -> Learned:
-        """The same without the names that it was learned beside, fitted again."""
-        fit, idle = self.explanation.fit, self.explanation.candidates
-        if not idle:
-            return self
-        at = {place for candidate in idle for place in self.explanation.places(candidate)}
-        kept = [i for i in range(fit.point.size) if i not in at]
-        bench, names = fit.model.bench, {candidate.name for candidate in idle}
-        model = replace(
-            fit.model,
-            bench=bench.with_effects(*(e for e in bench.effects if e.name not in names)),
-            unknowns=tuple(fit.model.unknowns[i] for i in kept),
-        )
-        alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
-        return replace(self, explanation=Explanation((), alone))
-
 
 def learned_term(
     base: Explanation,
-    remaining: Sequence[Unexplained],
-    false_alarm: float,
+    around: Sequence[tuple[Explanation, Sequence[Unexplained]]],
     motor_angle_known: bool,
 ) -> Learned | None:
-    """What predicts most of what an explanation leaves; ``None`` if nothing does.
+    """The series that is there almost surely beside an explanation; ``None`` without one.
 
     Parameters
     ----------
-    remaining
-        What still repeats: its lines propose motor orders and frequencies.
+    around
+        Where it is sought: the same explanation, and one that comes nearer; with what still repeats
+        there, whose lines propose motor orders and frequencies.
     """
-    fit = base.fit
+    fit, noise = base.fit, _loop_noise(base.fit)
     known = {term.block for term in fit.model.bench.learned_terms}
-    found = []
-    for proposed in _hypotheses(remaining, motor_angle_known):
-        hypothesis = replace(proposed, most=_shown(fit.model, proposed))
-        if _kind_of(hypothesis).block in known:
-            continue
-        groups = _groups(fit, hypothesis)
-        if groups is not None:
-            found.append((hypothesis, groups))
-    trials = alike(learn(found, fit.model.prior_precision(), false_alarm), false_alarm)
-    for trial in trials:
-        with suppress(BenchError):
-            explanation = _fitted(base, trial)
-            if explanation is None:
-                continue
-            others = tuple(t.hypothesis.term(t.coefficients) for t in trials if t is not trial)
-            return Learned(explanation, _kind_of(trial.hypothesis), others)
-    return None
+    without = weighed(base, noise=noise).log_evidence
+    fitted: list[tuple[float, Learned]] = []
+    for near, remaining in around:
+        every = [
+            replace(one, orders=_shown(fit.model, one), size=_typical_size(near.fit, one))
+            for one in _series(remaining, motor_angle_known)
+            if one.kind.block not in known
+        ]
+        odds = math.log(EXPECTED_HYPOTHESES / max(1, len(every)))
+        for series, sizes in _promised(near.with_derivatives(), every):
+            with suppress(BenchError):
+                made = _fitted(base, series, sizes)
+                evidence = weighed(made, noise=noise).log_evidence - without + odds
+                evidence += _log_prior(made.fit, fit.point.size)
+                fitted.append((evidence, Learned(made, series.kind, ())))
+    fitted.sort(key=lambda one: -one[0])
+    if not fitted or fitted[0][0] < -math.log1p(-NAMED_AT):
+        return None
+    (most, best), *others = fitted
+    least = most + math.log(1.0 - NAMED_AT)
+    alike = {_dependence(other.term): other.term for e, other in others if e > least}
+    alike.pop(_dependence(best.term), None)
+    explanation = with_own_noise(best.explanation)
+    return replace(best, explanation=explanation, alike=tuple(alike.values()))
 
 
-def _kind_of(hypothesis: Hypothesis) -> type[LearnedTerm]:
-    return EncoderError if hypothesis.side == EncoderError.side else LearnedTorque
+def _dependence(term: LearnedTerm) -> tuple[str, str, bool]:
+    return term.side, term.variable, term.reverses
 
 
-def _hypotheses(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Hypothesis]:
+def _promised(near: Explanation, every: Sequence[Series]) -> Iterator[tuple[Series, FloatArray]]:
+    """The likeliest series around a fit, with the coefficients there."""
+    noise = _loop_noise(near.fit)
+    promised = [found for one in every if (found := _promise(near, one, noise)) is not None]
+    for _, series, sizes in sorted(promised, key=lambda found: -found[0])[:CONTENDERS]:
+        yield series, sizes
+
+
+def _log_prior(fit: SimulatedFit, first: int) -> float:
+    """ln of the density of all unknowns from one on, times Laplace's volume."""
+    total = 0.0
+    for unknown, x in zip(fit.model.unknowns[first:], fit.point[first:], strict=True):
+        if math.isfinite(unknown.sd):
+            total -= math.log(unknown.sd) + 0.5 * (float(x) / unknown.sd) ** 2
+        else:
+            total -= math.log(unknown.high - unknown.low) - 0.5 * math.log(2.0 * math.pi)
+    return total
+
+
+def _series(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterator[Series]:
     turn = 2.0 * math.pi
     for side in ("load", "motor"):
         for reverses in (False, True):
-            yield Hypothesis(side, "load_angle", turn, reverses)
+            yield Series(side, "load_angle", turn, reverses)
     own = not motor_angle_known
     orders = _bases(remaining, "motor angle", lambda entry: entry.lowest_order)
     for order in orders:
         if order * LONGEST_PERIOD >= 1.0:
-            yield Hypothesis("motor", "motor_angle", turn / order, False, own)
+            yield Series("motor", "motor_angle", turn / order, False, own)
     whole = [order for order in orders if order == round(order)]
     for order in whole[:1]:
-        yield Hypothesis("encoder", "motor_angle", turn / order, False, own)
+        yield Series("encoder", "motor_angle", turn / order, False, own)
     for frequency in _bases(remaining, "time", lambda entry: entry.frequency_hz):
-        yield Hypothesis("motor", "time", 1.0 / frequency, False, True)
+        yield Series("motor", "time", 1.0 / frequency, False, True)
 
 
-def _shown(model: SimulatedSignals, hypothesis: Hypothesis) -> int:
+def _shown(model: SimulatedSignals, series: Series) -> int:
     """Orders below half of the sampling frequency in some recording; steps follow the highest."""
 
     def base_hz(seen: Observed) -> float:
-        if hypothesis.variable == "time":
-            return 1.0 / hypothesis.period
+        if series.variable == "time":
+            return 1.0 / series.period
         turns = 1.0 / seen.rotation_period_s
-        if hypothesis.variable == "motor_angle":
+        if series.variable == "motor_angle":
             turns = abs(seen.reference_speed_rpm) / 60.0
-        return turns * 2.0 * math.pi / hypothesis.period
+        return turns * 2.0 * math.pi / series.period
 
     most = max(0.5 * seen.sampling_hz / base_hz(seen) for seen in model.recordings)
     return max(1, min(int(most), LEARNED_HARMONICS))
@@ -183,9 +259,7 @@ def _bases(
 ) -> list[float]:
     """Orders or frequencies that what is left could be made of, at most a few.
 
-    Its lines, the smallest distance between two of them and, of whole orders, one. First those
-    whose multiples hold most of the lines' power; of equal ones the largest: it needs the fewest
-    orders.
+    Of whole orders one, the smallest distance between two of its lines, and the strongest lines.
     """
     powers = {
         channel: sum(e.amplitude**2 for e in remaining if e.channel == channel)
@@ -201,115 +275,112 @@ def _bases(
             share = entry.amplitude**2 / powers[entry.channel]
             lines[line] = lines.get(line, 0.0) + share
     between = [abs(a - b) for a in lines for b in lines if abs(a - b) > WHOLE]
-    bases = [*lines, *sorted(between)[:1]]
-    if dependence == "motor angle" and any(line == round(line) for line in lines):
-        bases.append(1.0)
-
-    def held(base: float) -> float:
-        return sum(
-            power
-            for line, power in lines.items()
-            if abs(line / base - round(line / base)) < WHOLE
-            and 1 <= round(line / base) <= LEARNED_HARMONICS
-        )
-
+    is_whole = dependence == "motor angle" and any(line == round(line) for line in lines)
+    strongest = sorted(lines, key=lambda line: -lines[line])
     found: list[float] = []
-    for base in sorted(bases, key=lambda base: (-round(held(base), 2), -base)):
+    for base in [1.0] * is_whole + sorted(between)[:1] + strongest:
         if all(abs(base / other - 1.0) > WHOLE for other in found):
             found.append(base)
     return found[:MOST_BASES]
 
 
-def _groups(fit: SimulatedFit, hypothesis: Hypothesis) -> list[Group] | None:
-    """Products of the columns of every recording; of the halves of one that is alone."""
-    most = hypothesis.most
-    names = _names(hypothesis, most)
-    model = _with_term(fit.model, hypothesis, most, [Unknown(name) for name in names.values()])
-    size = len(fit.point)
-    moved = np.repeat(np.concatenate([fit.point, np.zeros(len(names))])[None], len(names) + 1, 0)
-    step = _typical_size(fit, hypothesis)
-    moved[np.arange(len(names)) + 1, np.arange(len(names)) + size] = step
-    z = model.whitened(moved)
-    columns = np.zeros((1 + 2 * LEARNED_HARMONICS, z.shape[1]))
-    places = [k if k <= most else k - most + LEARNED_HARMONICS for k in names]
-    columns[places] = (z[0] - z[1:]) / step
-    if not np.all(np.isfinite(columns)):
+def _promise(
+    near: Explanation, series: Series, noise: Sequence[Sequence[FloatArray]]
+) -> tuple[float, Series, FloatArray] | None:
+    """ln of the evidence around a fit, the series with its likeliest number of orders, and the
+    coefficients there, (recordings of an own zero, 2 orders + 1); ``None`` where none is likely."""
+    model, most = near.fit.model, series.orders
+    extended = _with(
+        model, series, [Unknown(series.nothing.names[k - 1 - 2 * most]) for k in series.free]
+    )
+    steps = series.usual[series.free]
+    moved = np.tile(np.concatenate([near.fit.point, np.zeros(steps.size)]), (steps.size + 1, 1))
+    moved[np.arange(steps.size) + 1, np.arange(steps.size) + near.fit.point.size] = steps
+    z = extended.whitened(moved)
+    changes = z[0] - z[1:]
+    if not np.all(np.isfinite(changes)):
         return None
-    parts = [model.by_recording(row) for row in (*columns, *fit.derivatives().T, fit.residual)]
-    unknowns = fit.model.unknowns
-    groups = []
-    for i, seen in enumerate(fit.model.recordings):
-        table = np.stack([part[i] for part in parts])  # (p, channels, samples)
-        own = [k for k, u in enumerate(unknowns) if u.recording == seen.name]
-        halves = [slice(None)]
-        if len(fit.model.recordings) == 1:
-            middle = table.shape[2] // 2
-            halves, own = [slice(None, middle), slice(middle, None)], []
-        for rows in halves:
-            matrix = table[:, :, rows].reshape(len(table), -1)
-            groups.append(Group(matrix @ matrix.T, tuple(own)))
-    return groups
+    owners = range(len(model.recordings)) if series.own_zero else [None]
+    columns = np.stack([c if o is None else model.only_in(o, c) for o in owners for c in changes])
+    variants = [replace(series, orders=n) for n in sorted({min(n, most) for n in ORDERS})]
+    terms, place = [], {k: i for i, k in enumerate(series.free)}
+    for one in variants:
+        kept = [place[k if k <= one.orders else k - one.orders + most] for k in one.free]
+        rows = np.concatenate([np.array(kept) + i * steps.size for i in range(len(owners))])
+        terms.append(Term("learned", columns[rows].T, prior_weight=1.0 / len(variants)))
+    posterior = search(linearised(near, terms, noise=noise), Priors(), 1)
+    found = next((terms for terms in posterior.sets if terms), None)
+    if found is None:
+        return None
+    one = variants[found[0]]
+    sizes = np.zeros((len(owners), 2 * one.orders + 1))
+    sizes[:, one.free] = posterior.mean_of(found)[0].reshape(len(owners), -1)
+    evidence = posterior.log_evidence + math.log(posterior.sets[found])
+    return evidence, one, sizes * one.usual
 
 
-def _names(hypothesis: Hypothesis, orders: int) -> dict[int, str]:
-    """Slots of the coefficients by their place among constant, cosines and sines."""
-    names = hypothesis.term(np.zeros(2 * orders + 1)).names
-    return dict(enumerate(names, start=2 * orders + 1 - len(names)))
-
-
-def _typical_size(fit: SimulatedFit, hypothesis: Hypothesis) -> float:
+def _typical_size(fit: SimulatedFit, series: Series) -> float:
     """Size that what is left would have as this, N m or rad: a step for derivatives."""
     model = fit.model
     seen = model.recordings[0]
     left = np.sqrt(np.mean(fit.unexplained(0) ** 2, axis=1))
-    if hypothesis.side == "encoder":
+    if series.side == "encoder":
         return float(left[0]) / abs(seen.reference_speed_rpm)
     if len(left) > 1:
         torque = float(left[1]) * model.bench.value("torque_constant_nm_per_a")
     else:
         torque = float(left[0]) / RPM_PER_RAD_PER_S * model.bench.value("speed_gain_nm_s_per_rad")
-    return torque * (model.bench.value("gear_ratio") if hypothesis.side == "load" else 1.0)
+    return torque * (model.bench.value("gear_ratio") if series.side == "load" else 1.0)
 
 
-def _with_term(
-    model: SimulatedSignals, hypothesis: Hypothesis, orders: int, unknowns: Sequence[Unknown]
-) -> SimulatedSignals:
-    """The comparison with a term of so many orders, all zero, and these unknowns more."""
-    term = hypothesis.term(np.zeros(2 * orders + 1))
-    return model.beside(model.bench.with_learned(term), unknowns)
+def _with(model: SimulatedSignals, series: Series, unknowns: Sequence[Unknown]) -> SimulatedSignals:
+    """The comparison with a series, all of it zero, and these unknowns more."""
+    return model.beside(model.bench.with_learned(series.nothing), unknowns)
 
 
-def _fitted(base: Explanation, trial: Trial) -> Explanation | None:
-    """All unknowns jointly with the coefficients, twice, the noise estimated again between."""
-    hypothesis, model = trial.hypothesis, base.fit.model
-    reach = RANGE * float(np.abs(trial.coefficients).max())
-    names, kind = _names(hypothesis, trial.orders), _kind_of(hypothesis)
-    unknowns = [Unknown(names[k], -reach, reach) for k in trial.free]
-    start = [float(trial.coefficients[k]) for k in trial.free]
-    if hypothesis.own_zero:
-        period = hypothesis.period
-        whole = abs(2.0 * math.pi / hypothesis.period % 1.0) < 1e-6
-        if not (hypothesis.variable == "motor_angle" and whole):
-            half = 0.5 * WHOLE * hypothesis.period
-            unknowns.append(Unknown(kind.period_slot, period - half, period + half))
+def aligned(sizes: FloatArray, series: Series) -> tuple[FloatArray, list[float]]:
+    """One series for all recordings, (2 orders + 1,), and where it begins in each of them, relative
+    to the first, from one for each, (r, 2 orders + 1)."""
+    n = series.orders
+    waves = sizes[:, 1 : n + 1] - 1j * sizes[:, n + 1 :]
+    turns = np.arange(n * PLACES) / (n * PLACES)
+    tried = np.exp(2j * math.pi * np.outer(turns, np.arange(1, n + 1)))
+    strongest = waves[np.argmax(np.abs(waves).max(axis=1))]
+    places = [int(np.argmax((tried.conj() @ (own * strongest.conj())).real)) for own in waves]
+    mean = np.mean([own * tried[k].conj() for own, k in zip(waves, places, strict=True)], axis=0)
+    mean = mean * tried[places[0]]
+    shifts = [series.period * float(turns[k] - turns[places[0]]) for k in places]
+    return np.concatenate([sizes[:1, 0], mean.real, -mean.imag]), shifts
+
+
+def _fitted(base: Explanation, series: Series, sizes: FloatArray) -> Explanation:
+    """All unknowns jointly with the coefficients."""
+    model, names = base.fit.model, series.nothing.names
+    name_of = {k: names[k - 1 - 2 * series.orders] for k in series.free}
+    together, shifts = aligned(sizes, series) if series.own_zero else (sizes[0], [])
+    unknowns = [Unknown(name_of[k], sd=float(series.usual[k])) for k in series.free]
+    start = [float(together[k]) for k in series.free]
+    period = series.period
+    if series.own_zero:
+        whole = abs(2.0 * math.pi / period % 1.0) < 1e-6
+        if not (series.variable == "motor_angle" and whole):
+            half = 0.5 * WHOLE * period
+            unknowns.append(Unknown(series.kind.period_slot, period - half, period + half))
             start.append(period)
-        for seen, shift in zip(model.recordings[1:], trial.shifts[1:], strict=False):
+        for seen, shift in zip(model.recordings[1:], shifts[1:], strict=True):
             reach = 1.5 * period
-            unknowns.append(Unknown(kind.shift_slot, -reach, reach, recording=seen.name))
+            unknowns.append(Unknown(series.kind.shift_slot, -reach, reach, recording=seen.name))
             start.append((shift + 0.5 * period) % period - 0.5 * period)
-    extended = _with_term(model, hypothesis, trial.orders, unknowns)
+    extended = _with(model, series, unknowns)
     own = base.fit.point.size
     starts = [np.concatenate([base.fit.point, start])]
     # What was missing may have drawn the gap away: also from where it is with the torque known.
-    for aligned in aligned_starts(extended):
-        aligned[own:] = start
-        starts.append(with_shifts(extended, aligned))
+    for other in aligned_starts(extended):
+        other[own:] = start
+        starts.append(with_shifts(extended, other))
     left = [float(z @ z) for z in extended.whitened(np.stack(starts))]
     begin = starts[int(np.argmin(np.nan_to_num(left, nan=np.inf)))]
-    fit = fit_simulated(extended, begin, base.fit.steps, rough=True)
-    if fit.chi_square >= base.fit.chi_square:
-        return None
-    return with_own_noise(replace(base, fit=fit))
+    return replace(base, fit=fit_simulated(extended, begin, base.fit.steps, rough=True))
 
 
 def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -88,7 +88,6 @@ class ClosedLoop:
         settings = ForwardSettings(
             None if asked == "all" else asked,
             config.candidates.max_effects or MOST_EFFECTS,
-            config.candidates.false_alarm,
             config.comparison.load_angle_known,
             config.comparison.motor_angle_known,
             config.run.workers,

@@ -41,7 +41,7 @@ from bayesbl.diagnosis.diagnosis import (
 )
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals
-from bayesbl.diagnosis.residuals.analysis import Unexplained
+from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, spectrum_of, strongest
 from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
