@@ -39,6 +39,7 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import (
+    Disagreement,
     DisagreementTable,
     ResidualNoise,
     disagreement_table,
@@ -108,6 +109,15 @@ DRAWS = 1000
 DISCREPANCY_SHARE = 0.1
 """Of the root mean square of what is compared, that a smooth torque usually has which no law of the
 catalogue holds."""
+
+EXCESS = 3.4
+"""Of what a bench leaves over the noise floor, up to which it is taken for noise. Slower noise, and
+drift, is more, and nothing tells it from an effect that is missing. At 2.5 samples in a period of
+the cut-off it is 4 times what does not follow from the samples before: there white noise is 1.16
+times that. Denser samples do not move it."""
+
+CLOSED = 0.9
+"""Of the disagreement before, below which it must be after naming, if it is far above the noise."""
 
 MOST_EFFECTS = 6
 """Named where a configuration does not say how many."""
@@ -579,7 +589,7 @@ def diagnose(
     if denied:
         remaining = []
     table, signals = compared_signals(view.pieces, before, after)
-    if denied:
+    if denied or not _closes(table.overall["used"]):
         told, estimates, learned = [], {}, None
         table, signals = compared_signals(view.pieces, before, before)
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
@@ -591,7 +601,14 @@ def diagnose(
     ]
     errors = parameter_errors(bench, estimates)
     lines = tuple(_line(inference, *item) for item in remaining)
-    remains = bool(lines or denied or group is not None or "gravity" in kinds.values())
+    left = table.overall["used"]
+    is_much = left.after > EXCESS * left.noise_floor
+    remains = bool(lines or denied or group is not None or "gravity" in kinds.values()) or is_much
+    if effects and is_much:
+        denied = (
+            f"With what is named, {left.after / left.noise_floor:.0f} times the noise remains: "
+            "something else is missing too, and the sizes may include part of it.",
+        )
     answer = Diagnosis(
         verdict_of(effects=bool(effects), parameters=bool(errors), remains=remains),
         tuple(effects),
@@ -619,6 +636,12 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
             "direction. A balancer that the bench lacks may look the same. Give gravity in the "
             "bench file, if it is that."
         )
+
+
+def _closes(used: Disagreement) -> bool:
+    """Whether what is told explains anything to speak of: it would be an accident of a fit that is
+    far from what was recorded."""
+    return used.after < CLOSED * used.before or used.after < EXCESS * used.noise_floor
 
 
 def _told(
