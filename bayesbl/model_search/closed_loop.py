@@ -243,7 +243,7 @@ class _Search:
         self._catalogue, self._most, self._among = candidates, most, among
         self._progress = progress
         # One noise for all sets, as the recorder's is; and its simulation is dear.
-        self._noise = _loop_noise(nominal.fit)
+        self._noise = noise_in_loop(nominal.fit)
         self._candidates = {c.key: c for c in candidates(order_peaks(nominal.fit))}
         self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
@@ -532,7 +532,7 @@ def weighed(
 ) -> FittedSet:
     """A set with its evidence, all sets taken to be as likely beforehand.
 
-    ``among``: what is always beside it; ``noise``: in the loop, as :func:`_loop_noise` of another
+    ``among``: what is always beside it; ``noise``: in the loop, as :func:`noise_in_loop` of another
     fit has it.
     """
     view = linearised(explanation, (), among, noise)
@@ -561,7 +561,7 @@ def linearised(
 ) -> Linearised:
     """The view at a fit: terms of whitened signals, (N, k) each, then what is always there."""
     fit = explanation.fit
-    noise = _loop_noise(fit) if noise is None else noise
+    noise = noise_in_loop(fit) if noise is None else noise
     labels, columns = always_terms(fit, among) if among else ((), [])
     always = [label.term(by) for label, by in zip(labels, columns, strict=True)]
     forms = [f for c in explanation.candidates for f in _own_signal(explanation, c)]
@@ -681,7 +681,7 @@ def _largest_line(model: SimulatedSignals) -> float:
     return max(float(np.median(largest)), 1.0)
 
 
-def _loop_noise(fit: SimulatedFit) -> list[list[FloatArray]]:
+def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
     """Columns of noise that goes round the loop, where it has more variance than the linear loop
     makes of it, by band, recording and channel; empty without such noise.
 

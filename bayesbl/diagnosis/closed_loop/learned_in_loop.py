@@ -33,7 +33,7 @@ from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.closed_loop import CONTENDERS, _loop_noise, linearised, weighed
+from bayesbl.model_search.closed_loop import CONTENDERS, noise_in_loop, linearised, weighed
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT, UNEXPLAINED_SHARE
 from bayesbl.model_search.linear import Priors, Term, search
 from bayesbl.model_search.refit import Explanation, with_own_noise
@@ -171,7 +171,7 @@ def learned_term(
         Where it is sought: the same explanation, and one that comes nearer; with what still repeats
         there, whose lines propose motor orders and frequencies.
     """
-    fit, noise = base.fit, _loop_noise(base.fit)
+    fit, noise = base.fit, noise_in_loop(base.fit)
     known = {term.block for term in fit.model.bench.learned_terms}
     without = weighed(base, noise=noise).log_evidence
     fitted: list[tuple[float, Learned]] = []
@@ -205,7 +205,7 @@ def _dependence(term: LearnedTerm) -> tuple[str, str, bool]:
 
 def _promised(near: Explanation, every: Sequence[Series]) -> Iterator[tuple[Series, FloatArray]]:
     """The likeliest series around a fit, with the coefficients there."""
-    noise = _loop_noise(near.fit)
+    noise = noise_in_loop(near.fit)
     promised = [found for one in every if (found := _promise(near, one, noise)) is not None]
     for _, series, sizes in sorted(promised, key=lambda found: -found[0])[:CONTENDERS]:
         yield series, sizes
