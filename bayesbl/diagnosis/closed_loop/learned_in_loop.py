@@ -33,7 +33,7 @@ from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.closed_loop import CONTENDERS, noise_in_loop, linearised, weighed
+from bayesbl.model_search.closed_loop import CONTENDERS, linearised, noise_in_loop, weighed
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT, UNEXPLAINED_SHARE
 from bayesbl.model_search.linear import Priors, Term, search
 from bayesbl.model_search.refit import Explanation, with_own_noise
