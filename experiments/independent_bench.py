@@ -112,6 +112,7 @@ class Plant(NamedTuple):
     contact_softness__variance_rad2: float = 0.0
     flank_asymmetry__share: float = 0.0
     contact_damping__factor_s_per_rad: float = 0.0
+    gap_damping__coefficient_nm_s_per_rad: float = 0.0
     shaft_hysteresis__torque_nm: float = 0.0
     shaft_hysteresis__angle_rad: float = 1e-3
     current_loop_lag__time_s: float = 0.0
@@ -363,6 +364,7 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
             shaft += _hertzian(compression, stiffness, p) - stiffness * compression
         shaft += p.contact_damping__factor_s_per_rad * stiffness * abs(compression) * slip
         shaft += p.outside__contact_damping_nm_s_per_rad * math.sqrt(abs(compression)) * slip
+    shaft += p.gap_damping__coefficient_nm_s_per_rad * slip
     shaft += p.shaft_hysteresis__torque_nm * y[7]
     dy[10] = 0.0
     if p.outside__bouc_wen_nm != 0.0:

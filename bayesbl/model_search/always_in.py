@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -563,23 +563,12 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
 def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
-    Where all that does not explain the recordings, only laws that all share: what differs between
-    snapshots is then a misfit's, and takes their gaps along.
+    Where all that does not explain the recordings, nothing is freed: a misfit has put it there, and
+    takes the gaps along.
     """
-    found = _settled(fit, among, {None, *(seen.name for seen in fit.model.recordings)})
-    if found[1].explains(found[0], FALSE_ALARM):
-        return found
-    return _settled(fit, among, {None})
-
-
-def _settled(
-    fit: SimulatedFit, among: Sequence[Direction], owners: Collection[str | None]
-) -> tuple[SimulatedFit, Beside]:
-    """The same, freeing what belongs to these recordings, ``None`` for what all share."""
     nominal = fit, (rest := beside(fit, among))
     for _ in range(MOST_ROUNDS):
-        far = [label for label in rest.far if label.recording in owners]
-        if not far:
+        if not (far := rest.far):
             break
         bench = with_neutral(fit.model.bench, [d for label in far for d in label.directions])
         own = [unknown for label in far for unknown in label.unknowns(bench)]
@@ -593,7 +582,7 @@ def _settled(
             return nominal
         fit = nearer
         rest = beside(fit, among)
-    return fit, rest
+    return (fit, rest) if rest.explains(fit, FALSE_ALARM) else nominal
 
 
 def _goal(fit: SimulatedFit) -> float:

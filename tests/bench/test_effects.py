@@ -308,6 +308,12 @@ def test_a_compressed_contact_damps_by_its_load(torque: float) -> None:
     assert np.max(np.abs(found - same)) < 0.01 * np.max(np.abs(without - same))
 
 
+def test_damping_in_the_gap_is_the_shafts_own_where_teeth_touch() -> None:
+    found = small_ringing(425.0, 231.0, gap_damping__coefficient_nm_s_per_rad=50.0)
+    same = small_ringing(425.0, 231.0 + 50.0)
+    assert np.max(np.abs(found - same)) < 1e-3 * np.max(np.abs(same))
+
+
 def test_hysteresis_stays_bounded_and_takes_energy() -> None:
     p = BENCH.vector(
         gap_rad=0.0, shaft_hysteresis__torque_nm=40.0, shaft_hysteresis__angle_rad=1e-3

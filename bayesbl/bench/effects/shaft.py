@@ -101,6 +101,28 @@ CONTACT_DAMPING = Effect(
     always_in=True,
 )
 
+# A film of lubricant between the flanks, or a damper beside the gear, works where no teeth touch.
+GAP_DAMPING = Effect(
+    place=158,
+    name="gap_damping",
+    sentence="The lubricant between motor and load damps within the gap too.",
+    equation="τ_s + d Δω, whether teeth touch or not",
+    parameters=(
+        Amplitude(
+            "coefficient_nm_s_per_rad",
+            "N m s/rad",
+            "damping torque over twist speed d",
+            high=1000.0,
+            typical=10.0,
+            not_negative=True,
+        ),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="teeth that meet later and more softly than gravity and friction alone let them",
+    reference="Nordin & Gutman 2002, Automatica 38, 1633",
+)
+
 # As asymmetric or unevenly worn teeth have them: stiffer by the share a where the shaft drives the
 # load forward, and softer by as much where it drives backward.
 FLANK_ASYMMETRY = Effect(
