@@ -104,14 +104,20 @@ def repeats_beyond_noise(
     channels: Sequence[str],
     is_motion: bool,
     times: float | None = None,
+    could_be: Sequence[str] = (),
 ) -> str:
-    """Simulation and recording disagree; ``times``: as wide as the interval of δ is for that."""
+    """Simulation and recording disagree.
+
+    ``times``: as wide as the interval of δ is for that; ``could_be``: what explains most of it.
+    """
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part, look = "that repeats every rotation", "`bayesbl diagnose` looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
         part = "of the residual"
         look = "`bayesbl identify` of some recordings, with --effects catalogue, finds which."
+    if could_be:
+        look = f"{' or '.join(could_be)} would explain most of it; {look}"
     where = (
         f"in {channel} of {recording}, {which}, the part {part} has {ratio:.3g} times the power "
         f"expected from noise (disagreement in {', '.join(channels)})"

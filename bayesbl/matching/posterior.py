@@ -208,9 +208,11 @@ def sample_direct(
     model = fit.model
     as_it_is = np.ones(len(model.unknowns))
     design_seed, pick_seed, *walk_seeds = seed.spawn(3 + MOST_REFITS)
-    local = _Local(fit.point, fit.peak(), fit.covariance)
     if withheld:
-        return _unsimulated(local, fit, settings, design_seed)
+        # Of a fit that is far off, the peak may lie where no draw within the ranges comes near it.
+        about = _Local(fit.point, fit.point, fit.covariance)
+        return _unsimulated(about, fit, settings, design_seed)
+    local = _Local(fit.point, fit.peak(), fit.covariance)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
     # How far that is from the sampled controllers' χ², the check below tells.
     near = model.near(fit.point, fit.residual)

@@ -425,9 +425,11 @@ def direct_verdict(
         ),
     )
     misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
-    if repeating and not found.allows_for_misfit:
-        at = int(bool(against) and against[0].code == "tolerance_decides")
-        against.insert(at, Reason("repeats_beyond_noise", misfit, withholds=True))
+    if misfit and found.joint.could_be:
+        misfit["could_be"] = list(found.joint.could_be)
+    if misfit and not found.allows_for_misfit:
+        # What nothing explains pulls at values of the bench too: they are no cause of it.
+        against.insert(0, Reason("repeats_beyond_noise", misfit, withholds=True))
     unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
     unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
     outcome = "withheld" if against or unseen else diagnostics.outcome

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bayesbl.config.bench import reference_bench
+from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.normal_prior import NormalPrior
-from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.signals import Unknown, gap_unknown
+from bayesbl.matching.observed import observed
+from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.signals import Unknown, gap_unknown, start_angle_unknown
 from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.chains import SamplerSettings
 
 SHAPE = (4, 250)
 SD = 0.06
@@ -85,3 +90,16 @@ def test_below_a_range_is_no_more_than_zero(low_s: float, withheld: bool) -> Non
     lag = Unknown("current_loop_lag__time_s", low_s, 1e-2)
     found = posterior(low_s + rng.exponential(3e-5, SHAPE), 10.0, rng, lag)
     assert (found.beyond_tolerance("one", 0.9) is not None) is withheld
+
+
+def test_draws_of_a_fit_far_off_are_as_wide_as_the_fit_has_them() -> None:
+    """The end of the gap's range stops the fit hundreds of standard deviations short."""
+    bench, name = reference_bench(), "far"
+    made = bench.simulate(9e-4, rotations=3, start_angle_rad=0.4, seed=np.random.default_rng(1))
+    seen = replace(observed(made, bench), name=name)
+    fit = fit_aligned(bench, [seen], [gap_unknown(1e-4, 5e-4), start_angle_unknown(name)])
+    seed, settings = np.random.SeedSequence(1), SamplerSettings(ensembles=2)
+    drawn = sample_direct(fit, settings, seed, withheld=True).draws
+    # Half of a normal distribution has a standard deviation of √(1 − 2/π), 0.60 of the whole's.
+    spread = drawn.std(axis=(0, 1)) / np.sqrt(np.diag(fit.covariance))
+    assert np.all((spread > 0.5) & (spread < 1.1))
