@@ -21,6 +21,7 @@ from bayesbl.curve.gap_curve import PUBLISHED_COEFFICIENTS
 from bayesbl.errors import ResultError
 from bayesbl.measurement.curves import curve_from_dataset
 from bayesbl.measurement.routes import measure
+from bayesbl.measurement.stored import routes_of
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.diagnosis import held_out
 from bayesbl.presentation.figures.gap import amplitude_to_gap, gap
@@ -294,6 +295,14 @@ def test_a_withheld_gap_is_said_so_and_its_number_is_not_given(tree):
     shown = texts(gap(judged(tree, "new")))
     assert shown.count("withheld") == 2, "the gap and the change"
     assert len(re.findall(r"\d  \(", shown)) == 1, "only the snapshot that has an answer"
+
+
+def test_withheld_gaps_whose_draws_are_all_the_same_are_drawn(tree):
+    same = judged(tree, "new")
+    for route in routes_of(same):
+        held = same[f"{route}/posterior"]
+        held["delta_rad"] = xr.zeros_like(held["delta_rad"])
+    assert "withheld" in texts(gap(same))
 
 
 # A sweep

@@ -196,7 +196,8 @@ def _draw_rows(
             ha="right", va="top", fontsize=7.0,
         )  # fmt: skip
         low, high = min(low, limit), max(high, limit)
-    room = 0.05 * (high - low)
+    # Draws of a withheld gap may all be the same.
+    room = 0.05 * ((high - low) or abs(high) or 1.0)
     panel.set_xlim(low - room, high + room)
     for at, place, text in texts:
         share = (at - low + room) / (high - low + 2.0 * room)
