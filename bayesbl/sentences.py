@@ -133,6 +133,21 @@ def repeats_beyond_noise(
     )
 
 
+def bench_lacks(
+    parameters: Sequence[str], alike: Sequence[str], in_bench_file: Sequence[str]
+) -> str:
+    """Values that explain the recordings and are not the bench's, and what would look the same."""
+    others = f" {' or '.join(alike)} would look the same." if alike else ""
+    return " ".join(
+        [
+            f"The joint is not as its bench: the recordings show {' and '.join(parameters)}."
+            f"{others} δ and its interval allow for that. Correct the bench file "
+            "(`bayesbl diagnose` writes one with what is missing).",
+            *in_bench_file,
+        ]
+    )
+
+
 def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
     """The other route has no answer; ``because``: its reasons."""
     why = " ".join(dict.fromkeys(map(sentence, because)))
@@ -210,6 +225,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Which route answers.
     "only_route": "It is the only route that was asked for.",
     "sharper_and_checked": "it uses the whole recording and passes its checks against the bench",
+    "sharper": "it uses the whole recording, and allows for what the bench lacks",
     "direct_withheld": "it uses the whole recording, and its checks against the bench decide",
     "motion": "the joint does not turn at one speed, where the ringing has no curve",
     "direct_has_no_answer": "simulation of the bench has no answer",
@@ -256,6 +272,17 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "repeats_beyond_noise": repeats_beyond_noise,
     "allows_for_misfit": repeats_beyond_noise,
+    "unexplained": (
+        "Something is off that neither the bench nor any change of it explains, so δ cannot be "
+        "trusted. `bayesbl diagnose` looks for what is missing."
+    ),
+    "bench_lacks": bench_lacks,
+    "sheet_contradicted": (
+        "The recordings contradict several values of the bench file at once, most of all {names}. "
+        "One value may be wrong; several are the sign of something that the bench lacks, and δ is "
+        "as wrong as they are. Check the file, widen tolerances that are too narrow, or see what "
+        "`bayesbl diagnose` finds missing."
+    ),
     # Of a change.
     "change_without_drift": (
         "The change by the amplitude does not include what [joint] may_drift allows, so it is "

@@ -37,7 +37,7 @@ from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.observed import observed
 from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
-from bayesbl.measurement.model_check import check_of_comparison, undecided
+from bayesbl.measurement.model_check import check_of_comparison
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -174,8 +174,7 @@ def _matched(
 
 def _withheld(found: DirectMatch) -> bool:
     verdicts = [direct_verdict(found, index, level=LEVEL) for index in range(len(SNAPSHOTS))]
-    reason = undecided(found.joint, found.change_rad, LEVEL)
-    return reason is not None or any(v.outcome == "withheld" for v in verdicts)
+    return any(v.outcome == "withheld" for v in verdicts)
 
 
 def _listed(found: DirectMatch, changed: set[str]) -> bool:

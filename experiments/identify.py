@@ -40,7 +40,6 @@ from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
-from bayesbl.measurement.model_check import undecided
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -193,8 +192,7 @@ def measured(
 def is_withheld(match: DirectMatch) -> bool:
     """Whether a gap or the change is."""
     verdicts = [direct_verdict(match, index, level=LEVEL) for index in (0, 1)]
-    reason = undecided(match.joint, match.change_rad, LEVEL)
-    return reason is not None or any(v.outcome == "withheld" for v in verdicts)
+    return any(v.outcome == "withheld" for v in verdicts)
 
 
 def random_joint(rng: np.random.Generator) -> Bench:

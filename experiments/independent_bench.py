@@ -364,7 +364,8 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
             shaft += _hertzian(compression, stiffness, p) - stiffness * compression
         shaft += p.contact_damping__factor_s_per_rad * stiffness * abs(compression) * slip
         shaft += p.outside__contact_damping_nm_s_per_rad * math.sqrt(abs(compression)) * slip
-    shaft += p.gap_damping__coefficient_nm_s_per_rad * slip
+    else:
+        shaft += p.gap_damping__coefficient_nm_s_per_rad * slip
     shaft += p.shaft_hysteresis__torque_nm * y[7]
     dy[10] = 0.0
     if p.outside__bouc_wen_nm != 0.0:

@@ -35,7 +35,6 @@ from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
-from bayesbl.measurement.model_check import undecided
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 
 TRUTH_RAD = (2e-4, 3e-3)
@@ -128,14 +127,13 @@ def _compared(
     found = fit_directly(bench, seen, GAP_RANGE_RAD, NO_DRIFT, FAST_DIRECT, seed)
     verdict = direct_verdict(found, 1, level=LEVEL)
     draws = np.log(found.posterior.values(GAP, recordings[1].name))
-    reason = undecided(found.joint, found.change_rad, LEVEL)
     withheld = verdict.outcome == "withheld"
     named = {c.name for c in found.joint.changed}
     return {
         "fitted_rad": float(np.exp(np.median(draws))),
         "sd": float(draws.std()),
         "withheld": float(withheld),
-        "change_withheld": float(withheld or reason is not None),
+        "change_withheld": float(withheld),
         "probability_increase": float(np.mean(found.change_rad > 0.0)),
         "verdict": math.nan,
         "named": float(sum(1 << NAMES.index(name) for name in named if name in NAMES)),

@@ -36,12 +36,12 @@ from bayesbl.matching.alignment import refitted
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed, observed
-from bayesbl.matching.posterior import MATTERS, TAILS
+from bayesbl.matching.posterior import TAILS
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_unknowns
-from bayesbl.model_search.always_in import beside, directions, settled
-from bayesbl.model_search.joint_change import FALSE_ALARM, Rival, find_changes
+from bayesbl.model_search.always_in import beside, directions, is_useful, settled
+from bayesbl.model_search.joint_change import FALSE_ALARM, find_changes
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import FloatArray
 
@@ -159,21 +159,18 @@ def _answered(
     nominal = refitted(model, fit_simulated(model, np.array(point)))
     among = directions(bench, NO_DRIFT)
     fit, rest = settled(nominal, among)
-    rivals: Sequence[Rival] = ()
     withheld, told = False, any(u.added for u in fit.model.unknowns)
     if not agrees(disagreements(rest.explained(fit)), FALSE_ALARM):
-        fit, joint_findings, _ = find_changes(fit, among=among)
-        rest = beside(fit, among)
-        rivals, told = joint_findings.rivals, bool(joint_findings.changed)
-        withheld = joint_findings.against_bench or not joint_findings.explained
+        naming, joint_findings = find_changes(fit, among=among)
+        fit, rest = naming.final.fit, naming.rest or beside(naming.final.fit, among)
+        told = bool(joint_findings.changed)
+        withheld = not (joint_findings.explained or is_useful(fit, rest))
     root = np.linalg.cholesky(fit.covariance)
     draws = fit.point + rng.standard_normal((DRAWS, fit.point.size)) @ root.T
     draws += rest.posterior.draw(rng, DRAWS).shift
     first, last = (draws[:, fit.model.index(GAP, name)] for name in SNAPSHOTS)
     change, grown = last - first, float(truth[GAP][1] - truth[GAP][0])
     alone, alone_sd = _change(nominal)
-    width = float(np.diff(np.quantile(change, TAILS))[0])
-    apart = [abs(math.log(r.gaps_rad[1] / r.gaps_rad[0]) - np.median(change)) for r in rivals]
     return {
         "probability_increase": float(np.mean(change > 0.0)),
         "error_sd": float((change.mean() - grown) / change.std()),
@@ -181,7 +178,7 @@ def _answered(
         "covered": _holds(change, grown),
         "gap_error_sd": float((last.mean() - truth[GAP][1]) / last.std()),
         "gap_covered": _holds(last, float(truth[GAP][1])),
-        "withheld": float(withheld or max(apart, default=0.0) > MATTERS * width),
+        "withheld": float(withheld),
         "seen": float(told),
         "alone_error_sd": (alone - grown) / alone_sd,
         "alone_sd": alone_sd,

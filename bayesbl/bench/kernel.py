@@ -814,7 +814,8 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             shaft += p[Slot.flank_asymmetry__share] * c.stiffness * abs(compression)
             damping = p[Slot.contact_damping__factor_s_per_rad] * c.stiffness * abs(compression)
             shaft += damping * seen_speed
-            shaft += p[Slot.gap_damping__coefficient_nm_s_per_rad] * seen_speed
+            if compression == 0.0:
+                shaft += p[Slot.gap_damping__coefficient_nm_s_per_rad] * seen_speed
             shaft += p[Slot.shaft_hysteresis__torque_nm] * y[DAHL]
     motor_angle, motor_speed = y[MOTOR_ANGLE], speed
     if c.structured:
@@ -1274,7 +1275,7 @@ def error_scale(p, c, accuracy_rpm, scale):  # type: ignore[no-untyped-def]
 @_jit
 def fastest_decay(p, c):  # type: ignore[no-untyped-def]
     """Rate at which damping and viscous friction alone would end a motion, 1/s."""
-    damping = c.damping + p[Slot.gap_damping__coefficient_nm_s_per_rad]
+    damping = max(c.damping, p[Slot.gap_damping__coefficient_nm_s_per_rad])
     rate = damping * (c.per_ratio * c.per_ratio * c.per_motor_inertia + c.per_load_inertia)
     if c.effects:
         rate += p[Slot.motor_viscous_friction__coefficient_nm_s_per_rad] * c.per_motor_inertia

@@ -32,11 +32,10 @@ from bayesbl.matching.alignment import fit_aligned, remaining_noise
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
 from bayesbl.matching.standstill import believed, in_motion
-from bayesbl.model_search.always_in import is_useful, laws, marginalised, settled
+from bayesbl.model_search.always_in import Beside, is_useful, laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import NAMED_AT
-from bayesbl.model_search.linear import ModelPosterior
 from bayesbl.model_search.refit import (
     Explanation,
     from_afar,
@@ -96,15 +95,15 @@ class Match:
         The value of the data sheet that is wrong, if one is.
     missing
         Effects that the bench lacks, by name, each with those it cannot be told from.
-    unnamed
-        What nothing explains leaves open beside the final match; ``None`` where all is explained.
+    rest
+        What stands beside the final match; ``None`` where it was not asked.
     """
 
     nominal: Explanation
     final: Explanation
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
-    unnamed: ModelPosterior | None = None
+    rest: Beside | None = None
 
     @property
     def completed(self) -> bool:
@@ -143,8 +142,8 @@ def identify(
     fit, rest = settled(match.final.fit, laws(match.final.fit.model.bench))
     check = tuple(disagreements(rest.explained(fit)))
     explained = agrees(check) and rest.is_possible
-    if not explained and match.unnamed is not None and fit is match.final.fit:
-        rest = replace(rest, posterior=match.unnamed)
+    if not explained and match.rest is not None and fit is match.final.fit:
+        rest = match.rest
     allows = not (explained or agrees(check)) and is_useful(fit, rest)
     match = replace(match, final=replace(match.final, fit=fit))
     verdict: Verdict = "agrees" if explained else "unexplained"
@@ -160,7 +159,7 @@ def identify(
         match.final,
         match.beyond,
         match.missing,
-        match.unnamed,
+        match.rest,
         verdict=verdict,
         check=check,
         posterior=posterior,
@@ -194,14 +193,14 @@ def _match(problem: Problem, progress: StageProgress | None) -> Match:
     missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
     is_asked = problem.effects == "catalogue" or all(set(m) <= set(DELAYS) for m in missing)
     if not naming.effects or not is_asked:
-        return Match(nominal, nominal, None, missing, naming.unnamed)
-    named = with_own_noise(naming.final)
-    final = replace(named, fit=believed(named.fit))
+        return Match(nominal, nominal, None, missing, None if naming.effects else naming.rest)
+    final = replace(naming.final, fit=believed(naming.final.fit))
     wrong = next((e for e in naming.effects if e.candidate.kind == "parameter"), None)
     beyond = None
     if wrong is not None:
         beyond = _beyond(final, wrong.candidate, wrong.members[1:], problem)
-    return Match(nominal, final, beyond, missing)
+    rest = naming.rest if final.fit is naming.final.fit else None
+    return Match(nominal, final, beyond, missing, rest)
 
 
 def _is_far_off(nominal: Explanation) -> bool:

@@ -169,6 +169,52 @@ class DirectPosterior:
                 )
         return None
 
+    def contradicted_together(self) -> list[str]:
+        """Names of the stated values that the recordings contradict together, the worst left out.
+
+        One value of a data sheet may be wrong. Several at once are the work of something that the
+        bench lacks, and δ is as wrong as they are. Of normal priors of covariance S around c, the
+        means of a posterior of covariance V are off with a covariance of S − V. Empty where that is
+        no more than chance (1 %); the values furthest off first.
+        """
+        model = self.fit.model
+        at = [
+            k
+            for k, u in enumerate(model.unknowns)
+            if u.name in PARAMETER_INFO and u.recording is None and math.isfinite(u.sd)
+        ]
+        if len(at) < 2:
+            return []
+        draws = self._flat[:, at]
+        stated = np.linalg.inv(model.normal_prior.precision[np.ix_(at, at)])
+        off = draws.mean(axis=0) - model.normal_prior.centre[at]
+        posterior = np.cov(draws, rowvar=False)
+        # A share of variance is known no better by so many draws.
+        least = math.sqrt(2.0 / len(draws))
+
+        def surprise(own: list[int]) -> float:
+            lower = np.linalg.cholesky(stated[np.ix_(own, own)])
+            whitened = np.linalg.solve(lower, posterior[np.ix_(own, own)])
+            shares, axes = np.linalg.eigh(np.linalg.solve(lower, whitened.T))
+            along = axes.T @ np.linalg.solve(lower, off[own])
+            return float(np.sum(along**2 / np.maximum(1.0 - shares, least)))
+
+        every = range(len(at))
+        least_surprise = min(surprise([k for k in every if k != worst]) for worst in every)
+        if chi2_sf(least_surprise, len(at) - 1.0) > CONTRADICTED_BY_CHANCE:
+            return []
+        order = np.argsort(-np.abs(off) / np.sqrt(np.diag(stated)))
+        return [model.unknowns[at[k]].name for k in order]
+
+    def with_model(self, draws: FloatArray) -> DirectPosterior:
+        """With draws (n, d) in place of these, wider for what the bench may lack."""
+        factor = self.model_widening * _times_as_wide(self._flat, draws)
+        return replace(self, draws=draws.reshape(self.draws.shape), model_widening=factor)
+
+    @property
+    def _flat(self) -> FloatArray:
+        return self.draws.reshape(-1, self.draws.shape[-1])
+
     def values(self, name: str, recording: str | None = None) -> FloatArray:
         """Draws of one unknown's value, shape (chain, draw)."""
         i = self.fit.model.index(name, recording)
@@ -309,9 +355,14 @@ def widened(posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectP
     # Beyond the end of a range there is nothing: such a draw stays as it was.
     within = np.all((wider > model.low) & (wider < model.high), axis=1)
     wider = np.where(within[:, None], wider, flat)
-    before, after = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (flat, wider))
-    widening = after / np.maximum(before, 1e-300)
+    widening = _times_as_wide(flat, wider)
     return replace(posterior, draws=wider.reshape(posterior.draws.shape), widening=widening)
+
+
+def _times_as_wide(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Ratio of the 90 % intervals of draws (n, d), shape (d,)."""
+    width, own = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (after, before))
+    return np.asarray(width / np.maximum(own, 1e-300))
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,10 +101,13 @@ class AutoMeasurer(Measurer):
         ]
         if failed and not all(answer.is_withheld for answer in amplitude.answers):
             return replace(self._by_amplitude(amplitude, failed), beside=(direct,))
-        withheld = any(answer.is_withheld for answer in direct.answers)
+        checked = all(answer.model_check["agrees"] for answer in direct.answers)
+        why = "sharper_and_checked" if checked else "sharper"
+        if any(answer.is_withheld for answer in direct.answers):
+            why = "direct_withheld"
         found = replace(
             direct,
-            why=Reason("direct_withheld" if withheld else "sharper_and_checked"),
+            why=Reason(why),
             beside=(amplitude,),
         )
         # A drift moves the amplitude's gaps, and its curve does not know of it.

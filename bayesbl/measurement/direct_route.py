@@ -56,13 +56,7 @@ from bayesbl.measurement.measurement import (
     sampling_reasons,
     upper_bound,
 )
-from bayesbl.measurement.model_check import (
-    UNEXPLAINED,
-    against_the_bench,
-    check_of_comparison,
-    check_of_snapshot,
-    undecided,
-)
+from bayesbl.measurement.model_check import bench_lacks, check_of_comparison, check_of_snapshot
 from bayesbl.measurement.motion_verdict import (
     excluded_ends,
     motion_notes,
@@ -82,6 +76,7 @@ from bayesbl.model_search.always_in import (
     settled,
     with_friction,
 )
+from bayesbl.model_search.closed_loop import Naming, averaged
 from bayesbl.model_search.joint_change import (
     FALSE_ALARM,
     JointFindings,
@@ -193,13 +188,7 @@ class DirectMeasurer(Measurer):
             self._answer(recording, index, found, own)
             for index, (recording, own) in enumerate(zip(task.recordings, seeds, strict=True))
         ]
-        change_reason = undecided(
-            found.joint,
-            found.change_rad,
-            level,
-            with_current=all(MOTOR_CURRENT in r.channels for r in task.recordings),
-        )
-        withheld = change_reason is not None or any(a.is_withheld for a in answers)
+        withheld = any(a.is_withheld for a in answers)
         return Measurement(
             "direct",
             answers,
@@ -207,9 +196,6 @@ class DirectMeasurer(Measurer):
             same_joint=check_of_comparison(
                 found.joint, found.change_rad, level, is_given=not withheld
             ),
-            change_reason=None
-            if change_reason is None
-            else Reason.of_text("change_undecided", change_reason),
         )
 
     def _answer(
@@ -326,6 +312,41 @@ def direct_unknowns(
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """All recordings of a joint fitted together.
+
+    Attributes
+    ----------
+    rest
+        What stands beside the fit.
+    joint
+        Whether one joint, as its bench describes it, made the recordings.
+    check
+        What repeats beside all that.
+    naming
+        What the bench lacks; ``None`` where laws and drift explain everything.
+    """
+
+    fit: SimulatedFit
+    rest: Beside
+    joint: JointFindings
+    check: tuple[RepeatingPower, ...]
+    naming: Naming | None = None
+
+    @property
+    def allows_for_misfit(self) -> bool:
+        """Whether δ includes what a law that nothing names may do to it."""
+        unexplained = not (self.joint.explained or agrees(self.check, FALSE_ALARM))
+        return unexplained and is_useful(self.fit, self.rest)
+
+    def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
+        """Its draws with impacts that differ, laws, drift, and all that the bench may lack."""
+        scattering, drifting, *others = seed.spawn(2 if self.naming is None else 3)
+        whole = marginalised(widened(posterior, scattering), self.rest, drifting)
+        return whole if self.naming is None else averaged(whole, self.naming, others[0])
+
+
 def fit_jointly(
     bench: Bench,
     recordings: Sequence[Observed],
@@ -334,12 +355,12 @@ def fit_jointly(
     workers: int = 1,
     progress: StageProgress | None = None,
     drift: Mapping[str, float] = NO_DRIFT,
-) -> tuple[SimulatedFit, Beside, JointFindings, list[RepeatingPower]]:
-    """The optimum of all recordings together, what stands beside it, whether one joint made them,
-    and the predictive check.
+) -> JointFit:
+    """The optimum of all recordings together.
 
     Friction, laws that bias the gap before they show, and what drifts between the recordings, are
-    always allowed for. What changed in the joint beside that is freed where it is found.
+    always allowed for. What the bench lacks beside that, or changed in the joint, is freed where it
+    is named.
     """
     recordings = [marginalising_motor_lines(seen, bench) for seen in recordings]
     bench = with_friction(bench, recordings)
@@ -350,23 +371,22 @@ def fit_jointly(
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
     among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
     fit, rest = settled(nominal, among)
-    part = None if moving else elastic_part(nominal, fit, among)
-    tried: list[tuple[SimulatedFit, Beside, list[Direction], ElasticPart | None]]
-    tried = [(fit, rest, among, None)]
-    if part is not None:
-        wider = [*among, *part.directions]
-        tried.insert(0, (*settled(part.fit, wider), wider, part))
-    for own, beside_own, changing, elastic in tried:
-        check = disagreements(beside_own.explained(own))
-        if agrees(check, FALSE_ALARM) and beside_own.is_possible:
-            return own, beside_own, changed_beside(own, changing, elastic), check
+    check = tuple(disagreements(rest.explained(fit)))
+    if agrees(check, FALSE_ALARM) and rest.is_possible:
+        part = None if moving else elastic_part(nominal, fit, among)
+        if part is not None:
+            wider = [*among, *part.directions]
+            own, beside_own = settled(part.fit, wider)
+            own_check = tuple(disagreements(beside_own.explained(own)))
+            if agrees(own_check, FALSE_ALARM) and beside_own.is_possible:
+                joint = changed_beside(own, wider, part)
+                return JointFit(own, beside_own, joint, own_check)
+        return JointFit(fit, rest, changed_beside(fit, among), check)
     seeking = of_stage(progress, f"Seeking changes in {name}")
-    fit, joint, unnamed = find_changes(fit, among=among, progress=seeking)
-    rest = beside(fit, among)
-    check = disagreements(rest.explained(fit) if joint.explained else fit)
-    if not joint.explained and unnamed is not None:
-        rest = replace(rest, posterior=unnamed)
-    return fit, rest, joint, check
+    naming, joint = find_changes(fit, among=among, progress=seeking)
+    fit, rest = naming.final.fit, naming.rest or beside(naming.final.fit, among)
+    check = tuple(disagreements(rest.explained(fit)))
+    return JointFit(fit, rest, joint, check, naming)
 
 
 def fit_directly(
@@ -384,19 +404,16 @@ def fit_directly(
 
     ``drift``: relative standard deviations in place of the defaults.
     """
-    fit, rest, joint, check = fit_jointly(
-        bench, recordings, gap_rad, may_drift, workers, progress, drift
-    )
+    whole = fit_jointly(bench, recordings, gap_rad, may_drift, workers, progress, drift)
     name = " and ".join(r.name for r in recordings)
     report = of_stage(progress, f"Sampling {name}")
     simulating = of_stage(progress, f"Simulating draws of {name}")
-    allows = not (joint.explained or agrees(check, FALSE_ALARM)) and is_useful(fit, rest)
-    withheld = joint.against_bench or not (joint.explained or allows)
-    posterior = sample_direct(fit, sampler, seed, report, simulating, withheld=withheld)
+    allows = whole.allows_for_misfit
+    withheld = not (whole.joint.explained or allows)
+    posterior = sample_direct(whole.fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:
-        scattering, drifting = seed.spawn(2)
-        posterior = marginalised(widened(posterior, scattering), rest, drifting)
-    return DirectMatch(posterior, tuple(check), joint, allows)
+        posterior = whole.averaged(posterior, seed)
+    return DirectMatch(posterior, whole.check, whole.joint, allows)
 
 
 def direct_verdict(
@@ -414,16 +431,11 @@ def direct_verdict(
     with_current = len(recording.signals) > 1
     against = _withholding(
         ("tolerance_decides", found.posterior.beyond_tolerance(recording.name, level)),
-        (
-            "unexplained",
-            None if repeating or found.joint.explained or found.allows_for_misfit else UNEXPLAINED,
-        ),
-        ("against_the_bench", against_the_bench(found.joint)),
-        (
-            "gap_undecided",
-            undecided(found.joint, gap, level, index, with_current=with_current),
-        ),
     )
+    if contradicted := found.posterior.contradicted_together():
+        against.append(Reason("sheet_contradicted", {"names": contradicted[:4]}, withholds=True))
+    if not (repeating or found.joint.explained or found.allows_for_misfit):
+        against.append(Reason("unexplained", withholds=True))
     misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
     if misfit and found.joint.could_be:
         misfit["could_be"] = list(found.joint.could_be)
@@ -442,6 +454,10 @@ def direct_verdict(
         outcome = "usable"
         values = {"upper_rad": upper_bound(gap), "smallest_rad": SMALLEST_GAP_RAD}
         reasons.append(Reason("gap_not_told", values))
+    lacking = bench_lacks(found.joint)
+    if outcome != "withheld" and lacking:
+        outcome = "usable"
+        reasons.append(Reason("bench_lacks", lacking))
     if outcome != "withheld" and misfit and found.allows_for_misfit:
         outcome = "usable"
         wider = float(found.posterior.model_widening[fit.model.index(GAP, recording.name)])

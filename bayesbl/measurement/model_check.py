@@ -6,10 +6,11 @@ From what :mod:`bayesbl.model_search.joint_change` finds to the checks of snapsh
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from bayesbl.bench.effects import with_bench_file_hint
+from bayesbl.bench.effects import EFFECT_BY_NAME
 from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import (
@@ -25,7 +26,6 @@ from bayesbl.model_search.joint_change import (
     MOTOR_FRICTION,
     ChangedParameter,
     JointFindings,
-    Rival,
 )
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
@@ -50,10 +50,12 @@ def check_of_comparison(
     ``change_rad``: draws of the change of δ from the first to the last; ``is_given``: it is not
     withheld.
     """
-    between = [] if found.against_bench else found.changed
+    between = found.between
     sentences = [_sentence(c) for c in between]
     if between:
-        sentences[-1] += _others(found, between)
+        if others := _alike(found, between):
+            listed = _listed(others, "or")
+            sentences[-1] += f" {listed[0].upper()}{listed[1:]} would look the same."
         if is_given:
             sentences[-1] += " The change of δ is given with this allowed for."
     return joint_check(
@@ -73,88 +75,28 @@ def check_of_comparison(
     )
 
 
-def against_the_bench(found: JointFindings) -> str | None:
-    """Why no gap can be trusted where all recordings contradict the bench."""
-    if not found.against_bench:
-        return None
-    several = len({c.recording for c in found.changed}) > 1
-    told = _listed(
-        [_as_found(c) + (f" in {c.recording or 'all'}" if several else "") for c in found.changed],
-        "and",
-    )
-    contradiction = (
-        f"The recordings contradict the bench: with {told} it would explain them."
-        f"{_others(found, found.changed)} Correct the bench file (`bayesbl diagnose` writes one "
-        "with what is missing), or give uncertain values a tolerance."
-    )
-    return with_bench_file_hint(contradiction, (c.name.partition(".")[0] for c in found.changed))
+def bench_lacks(found: JointFindings) -> dict[str, Any]:
+    """What no recording has as the bench has it, for its sentence; empty where all is as it has."""
+    changed = found.beyond_bench
+    if not changed:
+        return {}
+    several = len({c.recording for c in changed}) > 1
+    where = [f" in {c.recording or 'all'}" if several else "" for c in changed]
+    effects = [EFFECT_BY_NAME.get(c.name.partition(".")[0]) for c in changed]
+    return {
+        "parameters": [_as_estimated(c) + own for c, own in zip(changed, where, strict=True)],
+        "alike": _alike(found, changed),
+        "in_bench_file": [e.in_bench_file for e in dict.fromkeys(effects) if e and e.in_bench_file],
+    }
 
 
-UNEXPLAINED = (
-    "Something is off that neither the bench nor any change of it explains, so δ cannot be "
-    "trusted. `bayesbl diagnose` looks for what is missing."
-)
-"""Why δ is withheld where a change was found that leaves something, though little repeats."""
-
-
-def undecided(
-    found: JointFindings,
-    draws_rad: FloatArray,
-    level: float,
-    index: int | None = None,
-    *,
-    with_current: bool = True,
-) -> str | None:
-    """Why δ, or its change from first to last, depends on which of several changes is true.
-
-    Parameters
-    ----------
-    draws_rad
-        Of δ of the recording of this ``index``; without one, of its change.
-    with_current
-        Whether the current was recorded.
-    """
-    if not found.explained:
-        return None
-    chosen_rad, width_rad = float(np.median(draws_rad)), _width(draws_rad, level)
-    what, apart = "δ" if index is not None else "the change of δ", []
-    for rival in found.rivals:
-        gaps = rival.gaps_rad
-        value = float(gaps[-1] - gaps[0] if index is None else gaps[index])
-        if abs(value - chosen_rad) > MATTERS * width_rad:
-            apart.append((abs(value - chosen_rad), value, rival))
-    if not apart:
-        return None
-    _, value, rival = max(apart, key=lambda each: each[0])
-    chosen = _listed([_where(found, changed) for changed in found.changed], "and")
-    other = _where(found, rival)
-    differs = "is not as the bench file says" if found.against_bench else "changed in the joint"
-    record = "Record a second" if with_current else "Record the motor current too, record a second"
-    return (
-        f"Something other than the gap {differs}, and the recordings do not show what: "
-        f"if it is {chosen}, {what} is {1e3 * chosen_rad:.3g} mrad; if it is "
-        f"{other}, {1e3 * value:.3g} mrad. {record} speed, direction or motion, or give "
-        "what is known of the recording in [[recordings]] bench."
-    )
-
-
-def _where(found: JointFindings, change: ChangedParameter | Rival) -> str:
-    """What changed, and in which of several recordings."""
-    own = change.recording if len(found.recordings) > 1 else None
-    return spoken(change.name) + (f" in {own}" if own else "")
-
-
-def _others(found: JointFindings, changed: Sequence[ChangedParameter]) -> str:
-    """A sentence on what the recordings cannot tell from what changed, behind a space."""
+def _alike(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
+    """What the recordings cannot tell from what changed."""
     freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
     freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
     if freed >= set(FRICTION[:2]):
         freed |= {MOTOR_FRICTION, *FRICTION}
-    others = [spoken(name) for name in found.could_be if name not in freed]
-    if not others:
-        return ""
-    listed = _listed(others, "or")
-    return f" {listed[0].upper()}{listed[1:]} would look the same."
+    return [spoken(name) for name in found.could_be if name not in freed]
 
 
 def _item(changed: ChangedParameter) -> CheckItem:
@@ -163,12 +105,11 @@ def _item(changed: ChangedParameter) -> CheckItem:
 
 
 def _sentence(changed: ChangedParameter) -> str:
-    return (
-        f"In {changed.recording} something other than the gap is different: {_as_found(changed)}."
-    )
+    value = _as_estimated(changed)
+    return f"In {changed.recording} something other than the gap is different: {value}."
 
 
-def _as_found(changed: ChangedParameter) -> str:
+def _as_estimated(changed: ChangedParameter) -> str:
     share = ""
     if changed.expected:
         percent = 100.0 * (changed.estimate / changed.expected - 1.0)

@@ -44,7 +44,7 @@ from bayesbl.bench.parameters import (
 from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.posterior import TAILS, DirectPosterior
+from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import FALSE_ALARM, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import Candidate, candidates
@@ -379,7 +379,7 @@ class Beside:
             for label, drawn in zip(self.labels, self.by_label(), strict=True)
         )
 
-    def explains(self, fit: SimulatedFit, false_alarm: float) -> bool:
+    def explains(self, fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> bool:
         """Whether the fit with all this agrees with the recordings, and can be."""
         return self.is_possible and agrees(disagreements(self.explained(fit)), false_alarm)
 
@@ -582,7 +582,7 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
             return nominal
         fit = nearer
         rest = beside(fit, among)
-    return (fit, rest) if rest.explains(fit, FALSE_ALARM) else nominal
+    return (fit, rest) if rest.explains(fit) else nominal
 
 
 def _goal(fit: SimulatedFit) -> float:
@@ -634,9 +634,7 @@ def marginalised(
         outside = outside[~within]
         if not outside.size:
             break
-    before, after = (np.diff(np.quantile(d, TAILS, axis=0), axis=0)[0] for d in (flat, moved))
-    factor = after / np.maximum(before, 1e-300)
-    return replace(posterior, draws=moved.reshape(posterior.draws.shape), model_widening=factor)
+    return posterior.with_model(moved)
 
 
 def is_useful(fit: SimulatedFit, rest: Beside) -> bool:

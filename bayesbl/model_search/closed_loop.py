@@ -26,9 +26,10 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.matching.least_squares import SimulatedFit, prior_pull
 from bayesbl.matching.loop_noise import loop_noise
 from bayesbl.matching.observed import Observed, whole_rotations
+from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import GAP, SimulatedSignals
-from bayesbl.model_search.always_in import Direction, always_terms
+from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside
 from bayesbl.model_search.catalogue import Candidate, is_harmonic, order_peaks
 from bayesbl.model_search.constants import (
     FORM_SHARE,
@@ -58,6 +59,7 @@ from bayesbl.model_search.refit import (
     promised,
     reduced,
     refit,
+    with_own_noise,
 )
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
@@ -89,18 +91,15 @@ class FittedSet:
     ----------
     log_evidence
         ln of its prior times evidence, anything beside it left out.
-    log_likelihood
-        Its part by the recordings, with what is always beside it marginalised.
-    covariance
-        Of everything unknown beside that, and with the misfit, shape (d, d).
+    posterior
+        Of what is always beside it, and of the misfit.
     excess
         χ² beyond noise of what repeats, and what of it lies in bands that have a misfit.
     """
 
     explanation: Explanation
     log_evidence: float
-    log_likelihood: float
-    covariance: FloatArray
+    posterior: ModelPosterior
     excess: float
     misfit: float
 
@@ -108,6 +107,16 @@ class FittedSet:
     def fit(self) -> SimulatedFit:
         """Of everything unknown."""
         return self.explanation.fit
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Of everything unknown but for what is always beside it, with the misfit, (d, d)."""
+        return self.posterior.covariance()
+
+    def draws(self, generator: np.random.Generator, n: int) -> FloatArray:
+        """Of everything unknown, with what is always beside it, (n, d), normal at the fit."""
+        around = generator.multivariate_normal(self.fit.peak(), self.covariance, n, method="eigh")
+        return np.asarray(around + self.posterior.draw(generator, n).shift)
 
     @cached_property
     def explains_all(self) -> bool:
@@ -154,15 +163,16 @@ class Naming:
     Attributes
     ----------
     nominal, final
-        Before and after adding what is named; the same where nothing is.
+        Before and after adding what is named; the same where nothing is. What was missing is no
+        noise: the noise of ``final`` is estimated without it.
     sets
         All that were fitted, each with its probability.
     repeats
         Whether something repeats that nothing explains.
     nearest
         The most probable set, where it explains too little to be named.
-    unnamed
-        Where something repeats, what it leaves open: see :func:`name_missing`.
+    rest
+        What stands beside ``final``: see :func:`name_missing`.
     """
 
     nominal: Explanation
@@ -171,7 +181,7 @@ class Naming:
     sets: tuple[tuple[FittedSet, float], ...]
     repeats: bool
     nearest: Explanation | None = None
-    unnamed: ModelPosterior | None = None
+    rest: Beside | None = None
 
     @property
     def alone(self) -> list[FittedSet]:
@@ -199,6 +209,23 @@ def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatA
     return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n))
 
 
+def averaged(
+    posterior: DirectPosterior, naming: Naming, seed: np.random.SeedSequence
+) -> DirectPosterior:
+    """Draws of all sets: each other one than that of ``posterior`` has its share, normal at its
+    fit; of what it lacks the draws stay."""
+    common, model = naming.nominal.fit.point.size, posterior.fit.model
+    rng, flat = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
+    draws, order = flat.copy(), rng.permutation(len(flat))
+    for other, weight in naming.sets:
+        count = round(weight * len(flat))
+        if other.explanation.keys != naming.final.keys:
+            own = other.draws(rng, count)[:, :common]
+            draws[order[:count], :common] = np.clip(own, model.low[:common], model.high[:common])
+            order = order[count:]
+    return posterior.with_model(draws)
+
+
 def name_missing(
     nominal_fit: SimulatedFit,
     candidates: Callable[[Sequence[float]], Sequence[Candidate]],
@@ -209,9 +236,9 @@ def name_missing(
 ) -> Naming:
     """The posterior over sets of candidates, and the names that it gives.
 
-    What no set explains is a law that no catalogue has. It is taken for a sum of all those that it
-    has, each of its usual size times one factor that is learned, and of anything that repeats,
-    alike over a band of load orders.
+    What remains beside what is named, laws and drift is a law that no catalogue has. It is taken
+    for a sum of all those that it has, each of its usual size times one factor that is learned, and
+    of anything that repeats, alike over a band of load orders.
 
     Parameters
     ----------
@@ -219,14 +246,15 @@ def name_missing(
         All that come into question, given the motor orders that stand out. Orders are looked for
         again in what the best set leaves: they may have stood behind it.
     among
-        What is always beside each set, beyond its unknowns.
+        What is always beside each set, beyond its unknowns; where nothing is, nothing is said of
+        what stands beside ``final``.
     progress
         Called with (fits made, fits expected).
     """
     posterior = _Search(Explanation((), nominal_fit), candidates, max_effects, among, progress)
     posterior.climb()
     naming = posterior.answer()
-    return replace(naming, unnamed=posterior.unnamed()) if naming.repeats else naming
+    return replace(naming, rest=posterior.beside(naming.final)) if among else naming
 
 
 class _Search:
@@ -304,7 +332,7 @@ class _Search:
         if not best.candidates:
             return replace(naming, repeats=not fitted[0].explains_all)
         if self._is_unexplained(fitted[0]):
-            return replace(naming, nearest=best)
+            return replace(naming, nearest=with_own_noise(best))
         labels = [(frozenset(own.explanation.names), p) for own, p in sets]
         inclusion = {name: sum(p for own, p in labels if name in own) for name in best.names}
         certain = [name for name, p in inclusion.items() if p >= NAMED_AT]
@@ -325,22 +353,27 @@ class _Search:
                 and p > (1.0 - NAMED_AT) * 0.1
             )
             effects.append(NamedCandidate(best.candidates[place], gain, inclusion[name], rivals))
+        final = (reduced(nominal, best, idle) if idle else best) or nominal
         return replace(
             naming,
-            final=(reduced(nominal, best, idle) if idle else best) or nominal,
+            final=with_own_noise(final) if final.candidates else nominal,
             effects=tuple(effects),
             repeats=not effects and not self.nominal.explains_all,
         )
 
-    def unnamed(self) -> ModelPosterior:
-        """All laws at once beside the bench as believed."""
-        nominal = self.nominal.explanation.with_derivatives()
-        view, _ = self._linearised(nominal, tuple(self._open(nominal)))
+    def beside(self, explanation: Explanation) -> Beside:
+        """Laws and drift beside a fit; where something remains, all other laws at once too."""
+        rest = beside(explanation.fit, self._among)
+        if rest.explains(explanation.fit):
+            return rest
+        explanation = explanation.with_derivatives()
+        view, _ = self._linearised(explanation, tuple(self._open(explanation)))
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
         always = [t for t in view.terms if t.always]
-        return search(replace(view, terms=always, discrepancy=columns, groups=[group]), None, 0)
+        whole = replace(view, terms=always, discrepancy=columns, groups=[group])
+        return replace(rest, posterior=search(whole, None, 0))
 
     def _is_unexplained(self, own: FittedSet) -> bool:
         """What no hypothesis holds is more than a share of the disagreement."""
@@ -395,7 +428,7 @@ class _Search:
             self._explored.add(keys)
         explanation = base.explanation.with_derivatives()
         view, shapes = self._linearised(explanation, tuple(self._open(explanation)))
-        offset = base.log_evidence - base.log_likelihood
+        offset = base.log_evidence - base.posterior.log_evidence
         odds = 1.0 / (1.0 + math.exp(-self._log_odds))
         priors = Priors(probability={c.label: odds for c in self._candidates.values()})
         posterior = search(view, priors, min(2, room))
@@ -546,8 +579,7 @@ def weighed(
     return FittedSet(
         explanation,
         evidence,
-        alone.log_evidence,
-        alone.covariance(),
+        alone,
         max(sum(beyond), 0.0),
         misfit,
     )

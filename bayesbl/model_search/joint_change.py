@@ -25,9 +25,8 @@ from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
-from bayesbl.model_search.closed_loop import name_missing
-from bayesbl.model_search.linear import ModelPosterior
-from bayesbl.model_search.refit import Explanation, columns_of, with_own_noise
+from bayesbl.model_search.closed_loop import Naming, name_missing
+from bayesbl.model_search.refit import Explanation, columns_of
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
@@ -109,25 +108,6 @@ class AddedPart:
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
-    """Another explanation that the recordings cannot tell from the one chosen.
-
-    Attributes
-    ----------
-    name
-        Of the effect or of what changed.
-    recording
-        In which; ``None`` for all.
-    gaps_rad
-        δ of each recording if it is the true one, shape (recordings,).
-    """
-
-    name: str
-    recording: str | None
-    gaps_rad: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class HiddenChange(_Quantity):
     """A change of the joint in its last recording that the check would not see.
 
@@ -155,9 +135,9 @@ class JointFindings:
     explained
         Whether the bench, with what changed, explains all recordings to within noise.
     changed
-        What had to be freed for that; empty where the bench does as it is.
+        What is surely not as the bench has it.
     could_be
-        Names of what is freed, and of what these recordings cannot tell from it.
+        Names of that, and of what these recordings cannot tell from it.
     blind_spots
         The one that moves the change of δ most first.
     allowed
@@ -170,7 +150,6 @@ class JointFindings:
     explained: bool
     changed: tuple[ChangedParameter, ...]
     could_be: tuple[str, ...]
-    rivals: tuple[Rival, ...]
     blind_spots: tuple[HiddenChange, ...]
     allowed: tuple[ChangedParameter, ...] = ()
     part: AddedPart | None = None
@@ -181,10 +160,17 @@ class JointFindings:
         return self.explained and not self.changed
 
     @property
-    def against_bench(self) -> bool:
-        """Whether no recording is of the bench as believed: something is off in each."""
-        where = {c.recording for c in self.changed}
-        return None in where or where >= set(self.recordings)
+    def beyond_bench(self) -> tuple[ChangedParameter, ...]:
+        """What no recording has as the bench has it."""
+        return tuple(c for c in self.changed if c.recording is None or self._differs(c.slot))
+
+    @property
+    def between(self) -> tuple[ChangedParameter, ...]:
+        """What differs between the recordings."""
+        return tuple(c for c in self.changed if c not in self.beyond_bench)
+
+    def _differs(self, slot: str) -> bool:
+        return {c.recording for c in self.changed if c.slot == slot} >= set(self.recordings)
 
 
 def find_changes(
@@ -192,7 +178,7 @@ def find_changes(
     *,
     among: Sequence[Direction] = (),
     progress: Progress = silent,
-) -> tuple[SimulatedFit, JointFindings, ModelPosterior | None]:
+) -> tuple[Naming, JointFindings]:
     """What the bench would have to have, in all recordings or in one, to explain them.
 
     Parameters
@@ -203,11 +189,6 @@ def find_changes(
         What is marginalised beside every fit, and so is no blind spot.
     progress
         Called with (fits made, fits expected).
-
-    Returns
-    -------
-    The fit with what changed freed, or the nominal one where nothing did or nothing explains it;
-    what that leaves open.
     """
     naming = name_missing(
         nominal,
@@ -216,25 +197,16 @@ def find_changes(
         among=among,
         progress=progress,
     )
-    final = naming.final
-    if final.candidates:
-        # What changed is not noise: the interval rests on the noise estimated without it.
-        final = with_own_noise(final)
-    explained = is_explained(final.fit, FALSE_ALARM)
-    fit = final.fit if explained else nominal
-    findings = JointFindings(
+    final, rest = naming.final, naming.rest
+    explained = is_explained(final.fit if rest is None else rest.explained(final.fit), FALSE_ALARM)
+    names = dict.fromkeys(name for effect in naming.effects for name in effect.members)
+    return naming, JointFindings(
         tuple(seen.name for seen in nominal.model.recordings),
-        explained,
-        tuple(_parameters(final)) if explained else (),
-        tuple(dict.fromkeys(name for effect in naming.effects for name in effect.members)),
-        tuple(
-            Rival(other.name, other.recording, _gaps(rival.fit))
-            for effect in naming.effects
-            for other, rival in effect.indistinguishable
-        ),
-        tuple(blind_spots(fit, among)) if explained else (),
+        explained and (rest is None or rest.is_possible),
+        tuple(_parameters(final)),
+        tuple(names),
+        tuple(blind_spots(final.fit, among)) if explained else (),
     )
-    return fit, findings, naming.unnamed
 
 
 def changed_beside(
@@ -272,7 +244,6 @@ def changed_beside(
         True,
         tuple(changed),
         tuple(dict.fromkeys(c.name for c in changed)),
-        (),
         tuple(blind_spots(fit, among)),
         tuple(allowed),
         None if part is None else AddedPart(part.name, part.frequency_hz, part.probability),
@@ -292,10 +263,6 @@ def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
     by_bench = float(model.bench.vector()[0, Slot[unknown.name]])
     expected = value(first) if unknown.added else by_bench
     return ChangedParameter(unknown.name, unknown.recording, expected, value(seen), sd)
-
-
-def _gaps(fit: SimulatedFit) -> FloatArray:
-    return np.array([fit.value(GAP, seen.name) for seen in fit.model.recordings])
 
 
 def _parameters(final: Explanation) -> Iterator[ChangedParameter]:

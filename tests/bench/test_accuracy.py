@@ -117,7 +117,8 @@ def reference_slopes(t, y, p, piece, width):
         shaft += p[S.stiffness_hardening__stiffness_nm_per_rad3] * (x - delta * np.sign(x)) ** 3
         shaft += p[S.flank_asymmetry__share] * ks * (abs(x) - delta)
         shaft += p[S.contact_damping__factor_s_per_rad] * ks * (abs(x) - delta) * v
-    shaft += p[S.gap_damping__coefficient_nm_s_per_rad] * v
+    else:
+        shaft += p[S.gap_damping__coefficient_nm_s_per_rad] * v
     shaft += p[S.shaft_hysteresis__torque_nm] * dahl
     dahl_slope = 0.0
     if p[S.shaft_hysteresis__angle_rad] > 0.0:

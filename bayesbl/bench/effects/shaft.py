@@ -106,7 +106,7 @@ GAP_DAMPING = Effect(
     place=158,
     name="gap_damping",
     sentence="The lubricant between motor and load damps within the gap too.",
-    equation="τ_s + d Δω, whether teeth touch or not",
+    equation="τ_s = d Δω where no teeth touch",
     parameters=(
         Amplitude(
             "coefficient_nm_s_per_rad",

@@ -21,7 +21,7 @@ from bayesbl.model_search.always_in import beside, laws
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, name_missing, weighed
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
-from bayesbl.model_search.refit import Explanation, with_own_noise
+from bayesbl.model_search.refit import Explanation
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
@@ -119,8 +119,7 @@ def search(
     compared = cache(_compared)
     naming, learned = missing(nominal), None
     before = compared(naming.nominal)
-    # What was missing is not noise: intervals rest on the noise estimated without it.
-    final = with_own_noise(naming.final) if naming.final.candidates else naming.final
+    final = naming.final
     after = compared(final)
     if naming.effects and after.remaining and after.closes(before) < 1.0 - UNEXPLAINED_SHARE:
         # It helps a little, as a parameter may where a line in time remains: no explanation.
@@ -166,7 +165,7 @@ def _with_learned(
     Where nothing explains, it is sought around the nearest explanation too: the gap of the nominal
     bench may be too far off.
     """
-    near = () if naming.nearest is None else (with_own_noise(naming.nearest),)
+    near = () if naming.nearest is None else (naming.nearest,)
     around = [(explanation, compared(explanation).remaining) for explanation in (final, *near)]
     learned = learned_term(final, around, settings.motor_angle_known)
     if learned is None:
@@ -175,7 +174,7 @@ def _with_learned(
         # Behind what was learned a law of the catalogue may have been hidden.
         beside = missing(learned.explanation.fit)
         if beside.effects:
-            learned = replace(learned, explanation=with_own_noise(beside.final))
+            learned = replace(learned, explanation=beside.final)
             return replace(beside, nominal=naming.nominal), learned
     return replace(naming, final=learned.explanation), learned
 
