@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -107,7 +108,7 @@ class SimulatedRecording(Section):
 
     name: Name
     file: str = Field(min_length=1)
-    gap_rad: float = Field(ge=0.0)
+    gap_rad: float = Field(ge=0.0, le=math.pi)
     reference_speed_rpm: float | None = None
     rotations: Positive = 5.0
     sampling_hz: Positive = 1000.0

@@ -65,8 +65,6 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.model_search.always_in import (
     Beside,
-    Direction,
-    ElasticPart,
     beside,
     directions,
     edge_variances,

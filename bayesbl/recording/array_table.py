@@ -104,6 +104,19 @@ class ArrayTable:
         RecordingError
             If the columns differ in length, or one does not hold real numbers.
         """
+        values: FloatArray = np.empty((self.samples_of(columns), len(columns)), order="F")
+        for series, column in zip(values.T, columns, strict=True):
+            series[:] = self._number(column)
+        return values
+
+    def samples_of(self, columns: Sequence[int]) -> int:
+        """Number of samples that these columns have.
+
+        Raises
+        ------
+        RecordingError
+            If it is not the same for all.
+        """
         lengths = {self.columns[column]: self._values(column).size for column in columns}
         if len(set(lengths.values())) > 1:
             raise RecordingError(
@@ -113,10 +126,7 @@ class ArrayTable:
                 found=" and ".join(str(length) for length in lengths.values()),
                 expected="one value of each for every time stamp",
             )
-        values: FloatArray = np.empty((lengths.popitem()[1], len(columns)), order="F")
-        for series, column in zip(values.T, columns, strict=True):
-            series[:] = self._number(column)
-        return values
+        return lengths.popitem()[1]
 
     def _values(self, column: int) -> AnyArray:
         name = self.columns[column]

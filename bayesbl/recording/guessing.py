@@ -207,6 +207,7 @@ def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None)
         for channel, column in chosen.items()
     }
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
+    table.samples_of([chosen[channel].index for channel in held])
     units = _units(chosen, held)
     guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
     without_speed = bare or any(c.unit == UNKNOWN for c in guesses if c.channel == MOTOR_SPEED)

@@ -179,7 +179,10 @@ def asked_for_nothing(command: str, name: str) -> Callable[[Path, np.random.Gene
 def written_to(writer: str, out: str) -> Callable[[Path, np.random.Generator], Trial]:
     def prepare(place: Path, rng: np.random.Generator) -> Trial:
         put_odd_places(place)
-        return Trial([WRITERS[writer](out)], outputs=(*WRITTEN, "a\x1b*"), unprivileged=True)
+        # Who says --force to init has a configuration replaced.
+        replaced = (out,) if (writer, out) == ("init --force", "fit.toml") else ()
+        outputs = (*WRITTEN, "a\x1b*", *replaced)
+        return Trial([WRITERS[writer](out)], outputs=outputs, unprivileged=True)
 
     return prepare
 
