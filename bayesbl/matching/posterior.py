@@ -188,20 +188,26 @@ class DirectPosterior:
         draws = self._flat[:, at]
         stated = np.linalg.inv(model.normal_prior.precision[np.ix_(at, at)])
         off = draws.mean(axis=0) - model.normal_prior.centre[at]
-        posterior = np.cov(draws, rowvar=False)
+        root = np.linalg.inv(np.linalg.cholesky(stated))
+        shares, axes = np.linalg.eigh(root @ np.cov(draws, rowvar=False) @ root.T)
+        axes = root.T @ axes
+        told = (axes * np.maximum(1.0 / shares - 1.0, 0.0)) @ axes.T
+        pull = (told + root.T @ root) @ off
         # A share of variance is known no better by so many draws.
         least = math.sqrt(2.0 / len(draws))
 
-        def surprise(own: list[int]) -> float:
-            lower = np.linalg.cholesky(stated[np.ix_(own, own)])
-            whitened = np.linalg.solve(lower, posterior[np.ix_(own, own)])
-            shares, axes = np.linalg.eigh(np.linalg.solve(lower, whitened.T))
-            along = axes.T @ np.linalg.solve(lower, off[own])
+        def surprise(worst: int) -> float:
+            """χ² of the others, where nothing is stated of one."""
+            own = [k for k in range(len(at)) if k != worst]
+            root = np.linalg.inv(np.linalg.cholesky(stated[np.ix_(own, own)]))
+            precision = told.copy()
+            precision[np.ix_(own, own)] += root.T @ root
+            posterior = np.linalg.pinv(precision, hermitian=True)
+            shares, axes = np.linalg.eigh(root @ posterior[np.ix_(own, own)] @ root.T)
+            along = axes.T @ root @ (posterior @ pull)[own]
             return float(np.sum(along**2 / np.maximum(1.0 - shares, least)))
 
-        every = range(len(at))
-        least_surprise = min(surprise([k for k in every if k != worst]) for worst in every)
-        if chi2_sf(least_surprise, len(at) - 1.0) > CONTRADICTED_BY_CHANCE:
+        if chi2_sf(min(map(surprise, range(len(at)))), len(at) - 1.0) > CONTRADICTED_BY_CHANCE:
             return []
         order = np.argsort(-np.abs(off) / np.sqrt(np.diag(stated)))
         return [model.unknowns[at[k]].name for k in order]

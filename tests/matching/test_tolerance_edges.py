@@ -83,6 +83,56 @@ def test_true_values_within_a_tolerance_contradict_it_no_more_often_than_is_said
         assert wrong <= 8
 
 
+SHEET = (
+    "motor_inertia_kg_m2",
+    "load_inertia_kg_m2",
+    "shaft_stiffness_nm_per_rad",
+    "gravity_torque_nm",
+    "torque_constant_nm_per_a",
+)
+
+
+def of_sheet(mean: FloatArray, covariance: FloatArray, rng: np.random.Generator) -> DirectPosterior:
+    """Draws of five stated values."""
+    unknowns = [replace(INERTIA, name=name) for name in SHEET]
+    centre, sd = np.zeros(len(SHEET)), np.full(len(SHEET), SD)
+    prior = NormalPrior.of(centre, sd, list(SHEET), None)
+    fit: Any = SimpleNamespace(model=SimpleNamespace(unknowns=unknowns, normal_prior=prior))
+    draws = rng.multivariate_normal(mean, covariance, SHAPE)
+    nothing: Any = None
+    as_it_is = np.ones(len(SHEET))
+    return DirectPosterior(fit, draws, np.zeros(SHAPE), np.nan, 0, 0, nothing, as_it_is, as_it_is)
+
+
+def learned(truth: FloatArray, rng: np.random.Generator) -> DirectPosterior:
+    """What recordings say that see the ratio of the values to the last one, as all torques have
+    one, to a tenth of the tolerance."""
+    rows = np.eye(len(SHEET)) - np.eye(len(SHEET))[-1]
+    told = 0.1 * SD
+    covariance = np.linalg.inv(rows.T @ rows / told**2 + np.eye(len(SHEET)) / SD**2)
+    measured = rows @ truth + told * rng.standard_normal(len(SHEET))
+    return of_sheet(covariance @ (rows.T @ measured) / told**2, covariance, rng)
+
+
+def test_true_values_contradict_a_sheet_together_no_more_often_than_is_said() -> None:
+    """Of 600 joints, 1 % by chance; 13 or more would be one in a hundred."""
+    rng = np.random.default_rng(3)
+    reach = math.sqrt(3.0) * SD
+    wrong = sum(
+        bool(learned(rng.uniform(-reach, reach, len(SHEET)), rng).contradicted_together())
+        for _ in range(600)
+    )
+    assert wrong <= 12
+
+
+def test_one_wrong_value_is_a_wrong_value_and_several_are_something_else() -> None:
+    rng = np.random.default_rng(4)
+    one, several = np.array([8.0, 0.5, -0.5, 0.3, -1.0]), np.array([4.0, -0.5, -4.0, 3.5, 1.0])
+    assert not learned(SD * one, rng).contradicted_together()
+    names = learned(SD * several, rng).contradicted_together()
+    assert set(names[:3]) == {SHEET[0], SHEET[2], SHEET[3]}
+
+
 @pytest.mark.parametrize(("low_s", "withheld"), [(2e-4, False), (4e-3, True)])
 def test_below_a_range_is_no_more_than_zero(low_s: float, withheld: bool) -> None:
     """A lag at the lower edge of 0.2 to 10 ms can be shorter by 0.2 ms, and no more."""
