@@ -147,12 +147,12 @@ def _positive(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-def _gaps(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] < 0.0:
-        refuse("No gap is below zero.", found=bounds[0], expected="0 or above")
-    if bounds[1] > math.pi:
-        refuse("A gap is less than half a turn.", found=bounds[1], expected="at most π")
-    return bounds
+def _gap(gap_rad: float) -> float:
+    if gap_rad < 0.0:
+        refuse("No gap is below zero.", found=gap_rad, expected="0 or above")
+    if gap_rad > math.pi:
+        refuse("A gap is less than half a turn.", found=gap_rad, expected="at most π")
+    return gap_rad
 
 
 def _symbol(name: str) -> str:
@@ -214,7 +214,10 @@ ResultFile = Annotated[Path, BeforeValidator(_result_file)]
 BenchSource = ResultFile
 """A bench file, or the result of an identification: its folder or ``result.nc``."""
 Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_increasing)]
-GapBoundsFromZero = Annotated[Range, AfterValidator(_gaps)]
+Gap = Annotated[float, AfterValidator(_gap)]
+GapBoundsFromZero = Annotated[
+    tuple[Gap, Gap], BeforeValidator(as_tuple), AfterValidator(_increasing)
+]
 GapBounds = Annotated[GapBoundsFromZero, AfterValidator(_positive)]
 SymbolName = Annotated[str, AfterValidator(_symbol)]
 ChannelName = Annotated[str, AfterValidator(_channel)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -12,6 +11,7 @@ from bayesbl.config.files import load_file
 from bayesbl.config.sections import (
     SHORTEST_WAY_RAD,
     BenchSource,
+    Gap,
     Items,
     Name,
     OutputPath,
@@ -108,7 +108,7 @@ class SimulatedRecording(Section):
 
     name: Name
     file: str = Field(min_length=1)
-    gap_rad: float = Field(ge=0.0, le=math.pi)
+    gap_rad: Gap = Field(ge=0.0)
     reference_speed_rpm: float | None = None
     rotations: Positive = 5.0
     sampling_hz: Positive = 1000.0

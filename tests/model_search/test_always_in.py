@@ -152,7 +152,8 @@ def test_dry_friction_at_one_speed_is_told_from_viscous_by_the_crossing() -> Non
         observed(made.simulate(gap, rotations=3, seed=rng, name=name), BENCH)
         for name, gap in gaps_rad.items()
     ]
-    fit, rest, joint, _ = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    fit, rest, joint = whole.fit, whole.rest, whole.joint
     assert joint.explained
     shift = rest.posterior.draw(np.random.default_rng(0), 1000).shift
     for name, gap in gaps_rad.items():
@@ -306,7 +307,8 @@ def test_friction_that_the_bench_lacks_moves_no_gap() -> None:
         observed(made.simulate(gap, rotations=3, seed=rng, name=name), BENCH)
         for name, gap in gaps_rad.items()
     ]
-    fit, _, joint, _ = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    fit, joint = whole.fit, whole.joint
     assert joint.explained
     assert not joint.changed
     for name, gap in gaps_rad.items():
