@@ -272,6 +272,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "repeats_beyond_noise": repeats_beyond_noise,
     "allows_for_misfit": repeats_beyond_noise,
+    "less_than_none": (
+        "Simulation and recording agree, but only with less than none of a damping or another law. "
+        "The bench lacks something that may move δ, so the interval is {times:.2g} times as wide; "
+        "`bayesbl diagnose` looks for what is missing."
+    ),
     "unexplained": (
         "Something is off that neither the bench nor any change of it explains, so δ cannot be "
         "trusted. `bayesbl diagnose` looks for what is missing."

@@ -193,7 +193,7 @@ class DirectPosterior:
         axes = root.T @ axes
         told = (axes * np.maximum(1.0 / shares - 1.0, 0.0)) @ axes.T
         pull = (told + root.T @ root) @ off
-        # A share of variance is known no better by so many draws.
+        # A variance is known no better by so many draws.
         least = math.sqrt(2.0 / len(draws))
 
         def surprise(worst: int) -> float:
@@ -595,7 +595,8 @@ def _contradicted(
             believed = unknown.sd**2
             low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
             off, variance = float(own.mean()) - unknown.centre, float(own.var(ddof=1))
-            told = max(believed - variance, 1e-12 * believed)
+            # A variance is known no better by so many draws.
+            told = max(believed - variance, math.sqrt(2.0 / own.size) * believed)
             if chi2_sf(off**2 / told, 1.0) < CONTRADICTED_BY_CHANCE / len(precision):
                 sides["upper" if off > 0.0 else "lower"] = abs(off) * variance / told
         else:

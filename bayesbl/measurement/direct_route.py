@@ -335,8 +335,7 @@ class JointFit:
     @property
     def allows_for_misfit(self) -> bool:
         """Whether δ includes what a law that nothing names may do to it."""
-        unexplained = not (self.joint.explained or agrees(self.check, FALSE_ALARM))
-        return unexplained and is_useful(self.fit, self.rest)
+        return not self.joint.explained and is_useful(self.fit, self.rest)
 
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
         """Its draws with impacts that differ, laws, drift, and all that the bench may lack."""
@@ -456,10 +455,11 @@ def direct_verdict(
     if outcome != "withheld" and lacking:
         outcome = "usable"
         reasons.append(Reason("bench_lacks", lacking))
-    if outcome != "withheld" and misfit and found.allows_for_misfit:
+    if outcome != "withheld" and found.allows_for_misfit:
         outcome = "usable"
         wider = float(found.posterior.model_widening[fit.model.index(GAP, recording.name)])
-        reasons.append(Reason("allows_for_misfit", {**misfit, "times": wider}))
+        code = "allows_for_misfit" if misfit else "less_than_none"
+        reasons.append(Reason(code, {**misfit, "times": wider}))
     if not with_current:
         reasons.append(Reason("no_current"))
     wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])

@@ -172,6 +172,16 @@ def test_a_bench_that_is_wrong_for_both_is_no_change_between_them(independent):
     assert found.changed[0].name == "shaft_stiffness_nm_per_rad"
 
 
+def test_damping_within_the_gap_is_named_and_the_gaps_stay_right(independent):
+    damped = {"gap_damping.coefficient_nm_s_per_rad": 150.0}
+    wear = (GAP_RAD, 1.1e-3)
+    fit, found = changes(nominal_fit(independent, damped, seed=9, first=damped, gaps_rad=wear))
+    assert [c.name for c in found.beyond_bench] == ["gap_damping.coefficient_nm_s_per_rad"]
+    assert abs(found.changed[0].estimate - 150.0) < SURE * found.changed[0].sd
+    for name, gap_rad in zip(("before", "after"), wear, strict=True):
+        assert abs(math.log(fit.value(GAP, name) / gap_rad)) < SURE * fit.sd(GAP, name)
+
+
 def test_a_smoothed_speed_is_told_with_its_time_and_how_a_bench_states_it(independent):
     smoothed = {"speed_averaging__time_s": 4e-3}
     _, found = changes(nominal_fit(independent, smoothed, seed=6, first=smoothed))
