@@ -115,8 +115,10 @@ class FittedSet:
 
     def draws(self, generator: np.random.Generator, n: int) -> FloatArray:
         """Of everything unknown, with what is always beside it, (n, d), normal at the fit."""
-        around = generator.multivariate_normal(self.fit.peak(), self.covariance, n, method="eigh")
-        return np.asarray(around + self.posterior.draw(generator, n).shift)
+        sd = np.sqrt(np.diag(self.covariance))
+        correlation = self.covariance / np.outer(sd, sd)
+        around = generator.multivariate_normal(np.zeros(sd.size), correlation, n, method="eigh")
+        return np.asarray(self.fit.peak() + sd * around + self.posterior.draw(generator, n).shift)
 
     @cached_property
     def explains_all(self) -> bool:
