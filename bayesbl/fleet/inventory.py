@@ -169,7 +169,7 @@ class Joint(_Row):
     @property
     def limit_rad(self) -> float | None:
         """Of δ."""
-        return self.stated_limit_rad if self.limit is None else self.limit.stated().delta_rad()
+        return self.stated_limit_rad if self.limit is None else self.limit.delta_rad()
 
     @property
     def covariates(self) -> dict[str, float | str]:
