@@ -122,14 +122,10 @@ def guessing_columns(command: str, config: Path | None) -> Iterator[None]:
     except RecordingError as error:
         if config is not None or error.where != "header":
             raise
-        raise RecordingError(
-            error.problem,
-            file=error.file,
-            where=error.where,
-            found=error.found,
-            expected=f"{error.expected}; `bayesbl {command}` writes a configuration with the "
-            "columns guessed",
-        ) from None
+        error.expected = (
+            f"{error.expected}; `bayesbl {command}` writes a configuration with the columns guessed"
+        )
+        raise error.at(RecordingError) from None
 
 
 def print_json(folder: Path) -> None:

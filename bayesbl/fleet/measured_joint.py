@@ -24,7 +24,7 @@ from bayesbl.config.files import problems_of
 from bayesbl.config.kinds import KINDS
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED
-from bayesbl.errors import ConfigError, UnavailableError, UserError
+from bayesbl.errors import UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, Found, Joint, digest_of_file, file_state
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
@@ -230,8 +230,7 @@ class JointJob:
         try:
             found = model.model_validate(tables, context={BASE_DIRECTORY: Path.cwd()})
         except ValidationError as error:
-            first, *_ = problems_of(error, model, "")
-            raise ConfigError(first.problem, **first.details()) from None
+            raise problems_of(error, model)[0] from None
         assert isinstance(found, SnapshotConfig)
         return found
 

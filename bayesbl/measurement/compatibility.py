@@ -64,24 +64,15 @@ def bench_of(config: SnapshotConfig) -> Bench:
         try:
             bench_with(bench, entry.bench)
         except BenchError as error:
-            # The error names the parameter.
-            raise BenchError(
-                error.problem,
-                where=f"{where}, {error.where}" if error.where else where,
-                found=error.found,
-                expected=error.expected,
-            ) from None
+            raise error.at(BenchError, f"{where}, ") from None
     low, high = config.estimator.gap_rad
     try:
         bench.simulate_many(np.array([low, high]), rotations=0.1)
     except BenchError as error:
-        raise BenchError(
-            f"The bench cannot be simulated at the ends of the range of gaps. {error.problem}",
-            file=file,
-            where="[estimator] gap_rad",
-            found=error.found,
-            expected=error.expected,
-        ) from None
+        error.problem = (
+            f"The bench cannot be simulated at the ends of the range of gaps. {error.problem}"
+        )
+        raise error.at(BenchError, "[estimator] gap_rad, ", file) from None
     return bench
 
 

@@ -214,13 +214,7 @@ def _of_entry(config_path: Path, number: int) -> Iterator[None]:
     try:
         yield
     except BenchError as error:
-        raise ConfigError(
-            error.problem,
-            file=config_path,
-            where=f"[[recordings]] {number + 1}" + (f" {error.where}" if error.where else ""),
-            found=error.found,
-            expected=error.expected,
-        ) from None
+        raise error.at(ConfigError, f"[[recordings]] {number + 1} ", config_path) from None
 
 
 def _refuse_existing(targets: Sequence[Path], force: bool) -> None:
