@@ -400,10 +400,9 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
     used = [number for number in giving if answers[number].route == route]
     if len({job.recordings[number].date for number in used}) < 2:
         last = answers[used[-1]].gap_rad if used else None
-        after = " since the repair" if job.joint.repaired else ""
-        are = {0: "is none", 1: "is one"}.get(len(used), f"are {len(used)}, of one day")
+        values = {"count": len(used), "repaired": job.joint.repaired is not None}
         return JointAnswer(
-            f"A rate needs δ at two dates or more{after}; there {are}.",
+            _text(Reason("one_date", values)),
             route,
             tuple(used[-1:]),
             None if last is None else _thin(last)[None],
@@ -436,15 +435,8 @@ def _by_bench(
     differing = other_benches(matched, [u.name for u in _unknowns(_bench(job), names[0])])
     reason = None
     if differing:
-        told_apart = "; ".join(
-            f"{names[number]} ({' or '.join(what)})" for number, what in differing.items()
-        )
-        reason = Reason.of_text(
-            "other_benches",
-            "Something other than the gap changed between the recordings, so their change is "
-            f"withheld: another bench than by the others is needed in {told_apart}. `bayesbl "
-            "compare` over these recordings looks for what changed.",
-        )
+        needed = [f"{names[number]} ({' or '.join(what)})" for number, what in differing.items()]
+        reason = Reason("other_benches", {"needed": needed})
     alone = [Answer(name, draws[None]) for name, draws in zip(names, gaps, strict=True)]
     wear, against = wear_of(config, alone, seeds.wear, reason)
     return _of_group(wear, None if against is None else _text(against), "direct", used, gaps)

@@ -132,7 +132,9 @@ def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
     """(a), (b), … above the upper left corner of each panel, and its title behind."""
     for index, (panel, title) in enumerate(zip(axes, titles, strict=True)):
         # Regular weight: every further font costs 0.15 s per file to be cut down and embedded.
-        panel.set_title(f"({_letters(index)})  {title}", loc="left", pad=4.0)
+        first, last = divmod(index, 26)
+        letters = chr(96 + first) * (first > 0) + chr(97 + last)
+        panel.set_title(f"({letters})  {title}", loc="left", pad=4.0)
 
 
 def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
@@ -145,11 +147,6 @@ def legend_of(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
     """Above all panels, a legend of lines by what they show, in one row."""
     handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
     figure.legend(handles=handles, loc="upper center", ncols=len(handles))
-
-
-def _letters(index: int) -> str:
-    first, last = divmod(index, 26)
-    return ("" if first == 0 else chr(96 + first)) + chr(97 + last)
 
 
 def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> list[Path]:
