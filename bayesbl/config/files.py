@@ -71,7 +71,7 @@ def problems_of(
             known = (lines.get(location[:n]) for n in range(len(location), 0, -1))
             line = next(filter(None, known), 0)
             where = field_name(model, location)
-            where = ", ".join(filter(None, (line and f"line {line}", where)))
+            where = f"line {line}, {where}".removesuffix(", ") if line else where
         found.append((line, ConfigError(where=where or None, **_problem(item, model, location))))
     return [problem for _, problem in sorted(found, key=lambda pair: pair[0])]
 

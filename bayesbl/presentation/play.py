@@ -50,16 +50,11 @@ def gap_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Tabl
 
     ``places``: decimals of the gap in mrad.
     """
-    cells, titles = (
-        _encoder_cells,
-        ("Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio"),
-    )
+    cells = _encoder_cells
+    titles = ["Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio"]
     if "ramps" in parts[0][1]:
-        at = f"±{words.significant(parts[0][1]['lost_motion_torque_nm'])} N m"
-        cells, titles = (
-            _ramp_cells,
-            (f"Lost motion\n{at}\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)"),
-        )
+        cells, at = _ramp_cells, words.significant(parts[0][1]["lost_motion_torque_nm"])
+        titles = [f"Lost motion\n±{at} N m\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)"]
     named = [text("Snapshot")] if any(name for name, _ in parts) else []
     kind = words.short_kind(parts[0][1]["lost_motion_rad"])
     columns = (
