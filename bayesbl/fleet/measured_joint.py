@@ -308,10 +308,7 @@ def measure_recording(
     before_it = _states(job, [number])
     try:
         config = job.config("fit", [number])
-        earlier = _earlier(job, {name: before}) if before is not None else {}
-        tree = measure(
-            config, None, _fits(job), lambda _: None, _swept(job), job.seeds([number]), earlier
-        )
+        tree = _measured(job, config, [number], {} if before is None else {name: before})
         answer = _answer(job, number, tree)
     except UserError as error:
         lasting = not isinstance(error, UnavailableError)
@@ -446,15 +443,7 @@ def _by_curve(
     job: JointJob, used: Sequence[int], answers: Sequence[RecordingAnswer]
 ) -> JointAnswer:
     before = {job.names[n]: answers[n - 1] for n in used if n > 0}
-    tree = measure(
-        job.config("compare", used, "amplitude"),
-        None,
-        _fits(job),
-        lambda _: None,
-        _swept(job),
-        job.seeds(used),
-        _earlier(job, before),
-    )
+    tree = _measured(job, job.config("compare", used, "amplitude"), used, before)
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
     found = with_sentences(summary_of(tree))["wear"]
@@ -517,20 +506,31 @@ def _earlier(job: JointJob, before: Mapping[str, RecordingAnswer]) -> dict[str, 
     return starts
 
 
-def _fits(job: JointJob) -> WorkStore:
-    """Where fits are kept that ``compare`` takes up again."""
-    if not job.by_amplitude:
-        return NOTHING_KEPT
-    return WorkStore.shared(fits_beside(Path(job.output)))
+def _measured(
+    job: JointJob,
+    config: SnapshotConfig,
+    numbers: Sequence[int],
+    before: Mapping[str, RecordingAnswer],
+) -> xr.DataTree:
+    """Recordings measured, with fits kept that ``compare`` takes up again.
+
+    ``before``: where the search of each recording starts, by its name.
+    """
+    work, swept = NOTHING_KEPT, WorkStore.shared(Path(job.output).parent / STORE)
+    if job.by_amplitude:
+        work = WorkStore.shared(fits_beside(Path(job.output)))
+    return measure(
+        config,
+        work=work,
+        swept=swept,
+        seeds=job.seeds(numbers),
+        earlier=_earlier(job, before),
+    )
 
 
 def fits_beside(output: Path) -> Path:
     """Folder of finished fits of a fleet with this output folder."""
     return output.with_name(f".{output.name}.fits")
-
-
-def _swept(job: JointJob) -> WorkStore:
-    return WorkStore.shared(Path(job.output).parent / STORE)
 
 
 def _thin(draws: FloatArray) -> FloatArray:
