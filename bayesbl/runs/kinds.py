@@ -175,7 +175,8 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
     _require_output_apart(config, file)
     plan = Plan(file)
     workflow = _described(config, plan)
-    plan.require_sound()
+    if plan.problems:
+        raise plan.problems[0]
     for sentence in plan.withheld:
         options.say(sentence)
     options = replace(options, recordings=plan.recordings)
