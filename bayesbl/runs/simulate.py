@@ -190,8 +190,8 @@ def motion_of(section: MotionSection, gear_ratio: float) -> Motion:
     settings = section.model_dump(exclude={"kind"})
     if section.kind == "torque_ramp":
         return torque_ramps(**settings)
-    made: Callable[..., Motion] = {"strokes": strokes, "cycle": cycle, "sine": sine}[section.kind]
-    return made(gear_ratio, **settings)
+    made: dict[str, Callable[..., Motion]] = {"strokes": strokes, "cycle": cycle, "sine": sine}
+    return made[section.kind](gear_ratio, **settings)
 
 
 @contextmanager
