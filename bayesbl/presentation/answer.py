@@ -127,8 +127,10 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     reason = summary["reason"]
     if reason is not None and summary["outcome"] == "no_curve":
         yield Sentence(reason["text"], "warning", "No gap")
-    elif reason is not None and change_is_withheld(summary) and DISAGREE not in codes(reason):
-        yield Sentence(reason["text"], "warning", "Withheld")
+    elif reason is not None and DISAGREE not in codes(reason):
+        gaps_alone = summary["kind"] == "compare" and summary["change_rad"] is None
+        if gaps_alone and all(part["delta_rad"] is not None for _, part in parts):
+            yield Sentence(reason["text"], "warning", "Withheld")
     yield from wear.check_blocks(summary, codes(reason))
 
 
@@ -263,13 +265,6 @@ def steps(summary: MeasuredSummary) -> Iterator[str]:
         if change is not None and growth is not None:
             found = f"{words.in_mrad(change)}; {grew(growth)}{unless}"
         yield f"From {step['from']} to {step['to']}: {found}."
-
-
-def change_is_withheld(summary: MeasuredSummary) -> bool:
-    """Whether the gaps of a comparison are given, and their change is not."""
-    if summary["kind"] != "compare" or summary["change_rad"] is not None:
-        return False
-    return all(part["delta_rad"] is not None for _, part in snapshots(summary))
 
 
 def is_by_other_machine(summary: MeasuredSummary) -> bool:

@@ -245,9 +245,6 @@ def envelope(
     return 0.5 * (time[starts] + time[ends]), low, high
 
 
-TURN = 2.0 * np.pi
-"""A rotation of the load in rad."""
-
 LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 
 
@@ -303,13 +300,6 @@ def limit_line(panel: Axes, tree: xr.DataTree) -> None:
 def shade(panel: Axes, start: float, end: float) -> None:
     """A stretch of the horizontal axis on a tinted ground."""
     panel.axvspan(start, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
-
-
-def rotation_axis(panel: Axes, label: str) -> None:
-    """One rotation of the load along the horizontal axis, in quarters."""
-    panel.set_xlim(0.0, TURN)
-    panel.set_xticks(TURN * np.arange(5) / 4.0, ["0", "π/2", "π", "3π/2", "2π"])
-    panel.set_xlabel(label)
 
 
 def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
