@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
+
+E = TypeVar("E", bound="UserError")
 
 
 class UserError(Exception):
@@ -45,6 +48,12 @@ class UserError(Exception):
         if self.file is None:
             self.file = str(file)
             self.args = (self._message(),)
+
+    def at(self, kind: type[E], where: str = "", file: str | Path | None = None) -> E:
+        """The same as an error of this kind, its place behind ``where``; in this file, if given."""
+        place = f"{where}{self.where or ''}".rstrip(" ,") or None
+        file = self.file if file is None else file
+        return kind(self.problem, file=file, where=place, found=self.found, expected=self.expected)
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions that cross process boundaries are rebuilt from args and would lose keywords.

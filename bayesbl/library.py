@@ -287,10 +287,11 @@ def run(config: Configuration, *, force: bool = False, figures: Formats = ("png"
     """
     from bayesbl.runs.kinds import load_run
     from bayesbl.runs.kinds import run as run_config
+    from bayesbl.runs.workflow import Options
 
     file = None if isinstance(config, RunConfig) else Path(config)
     loaded = config if isinstance(config, RunConfig) else load_run(config)
-    return run_config(loaded, draw, force=force, file=file, formats=figures)
+    return run_config(loaded, Options(draw, force, formats=figures), file)
 
 
 @checked

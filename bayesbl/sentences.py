@@ -156,7 +156,9 @@ def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
 
 def one_date(count: int, repaired: bool) -> str:
     """A rate needs two dates."""
-    what = "There is only one snapshot" if count == 1 else "There are only snapshots of one day"
+    what = {0: "There is no snapshot with a gap", 1: "There is only one snapshot"}.get(
+        count, "There are only snapshots of one day"
+    )
     repair = " since the repair" if repaired else ""
     return f"{what}{repair}: a rate needs two, at different dates."
 
@@ -326,6 +328,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "interval is somewhat too narrow. Measure later recordings with that bench."
     ),
     # Of wear.
+    "other_benches": (
+        "Something other than the gap changed between the recordings, so their change is "
+        "withheld: another bench than by the others is needed in {needed}. `bayesbl compare` over "
+        "these recordings looks for what changed."
+    ),
     "one_date": one_date,
     "gap_withheld": "The gap is withheld for {names}.",
     "gap_fell": (

@@ -78,18 +78,12 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
     from bayesbl.presentation.console import print_details, print_headline, print_result
     from bayesbl.presentation.terminal import make_console, progress, say
     from bayesbl.runs.kinds import read_result, run
+    from bayesbl.runs.workflow import Options
 
     console, volume = notes_console(), VOLUME.get()
     with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
-        summary = run(
-            config,
-            draw,
-            force=force,
-            progress=tell,
-            say=console.print,
-            file=file,
-            formats=FIGURES.get(),
-        )
+        options = Options(draw, force, tell, console.print, FIGURES.get())
+        summary = run(config, options, file)
     if json:
         print_json(config.run.output)
     elif volume == "quiet":
@@ -122,14 +116,10 @@ def guessing_columns(command: str, config: Path | None) -> Iterator[None]:
     except RecordingError as error:
         if config is not None or error.where != "header":
             raise
-        raise RecordingError(
-            error.problem,
-            file=error.file,
-            where=error.where,
-            found=error.found,
-            expected=f"{error.expected}; `bayesbl {command}` writes a configuration with the "
-            "columns guessed",
-        ) from None
+        error.expected = (
+            f"{error.expected}; `bayesbl {command}` writes a configuration with the columns guessed"
+        )
+        raise error.at(RecordingError) from None
 
 
 def print_json(folder: Path) -> None:

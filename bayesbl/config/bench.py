@@ -646,13 +646,7 @@ def _bench_of(loaded: BenchFile, path: str | Path) -> Bench:
     try:
         return loaded.bench()
     except BenchError as error:
-        raise ConfigError(
-            error.problem,
-            file=path,
-            where="[parameters]" + (f" {error.where}" if error.where else ""),
-            found=error.found,
-            expected=error.expected,
-        ) from None
+        raise error.at(ConfigError, "[parameters] ", path) from None
 
 
 def reference_bench() -> Bench:

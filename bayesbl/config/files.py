@@ -9,8 +9,8 @@ import os
 import re
 import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -44,39 +44,45 @@ _OUT_OF_RANGE = frozenset(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One thing that is wrong: a sentence, its place, what was there, what should be."""
-
-    problem: str
-    where: str | None = None
-    found: str | None = None
-    expected: str | None = None
-    line: int | None = None
-
-    def __str__(self) -> str:
-        return str(ConfigError(self.problem, **self.details()))
-
-    def details(self) -> dict[str, Any]:
-        """Place, found and expected, as :class:`ConfigError` takes them."""
-        line = None if self.line is None else f"line {self.line}"
-        where = ", ".join(part for part in (line, self.where) if part) or None
-        return {"where": where, "found": self.found, "expected": self.expected}
+def config_error(problems: Sequence[ConfigError], file: Path | None) -> ConfigError:
+    """All problems as one error."""
+    if len(problems) == 1:
+        return problems[0].at(ConfigError, file=file)
+    lines = "".join(f"\n  {problem}" for problem in problems)
+    return ConfigError(f"{len(problems)} problems:{lines}", file=file)
 
 
-def config_error(problems: Sequence[Problem], file: Path | None) -> ConfigError:
-    """All problems as one error, in the order of the file."""
-    ordered = sorted(problems, key=lambda problem: problem.line or 0)
-    if len(ordered) == 1:
-        return ConfigError(ordered[0].problem, file=file, **ordered[0].details())
-    lines = "".join(f"\n  {problem}" for problem in ordered)
-    return ConfigError(f"{len(ordered)} problems:{lines}", file=file)
+def problems_of(
+    error: ValidationError,
+    model: type[BaseModel],
+    text: str = "",
+    origins: Mapping[Location, str] = MappingProxyType({}),
+) -> list[ConfigError]:
+    """The problems that pydantic found in tables of this model, in the order of ``text``.
 
-
-def problems_of(error: ValidationError, model: type[BaseModel], text: str) -> list[Problem]:
-    """The problems that pydantic found in a configuration of this model, read from ``text``."""
+    ``origins`` names what did not come from the text, such as an option: the place of its problems.
+    """
     lines = line_numbers(text)
-    return [_problem(item, model, lines) for item in items_of(error)]
+    found = []
+    for item in items_of(error):
+        location = location_of(item)
+        where, line = origin_of(location, origins), 0
+        if where is None:
+            known = (lines.get(location[:n]) for n in range(len(location), 0, -1))
+            line = next(filter(None, known), 0)
+            where = field_name(model, location)
+            where = f"line {line}, {where}".removesuffix(", ") if line else where
+        found.append((line, ConfigError(where=where or None, **_problem(item, model, location))))
+    return [problem for _, problem in sorted(found, key=lambda pair: pair[0])]
+
+
+def origin_of(location: Location, origins: Mapping[Location, str]) -> str | None:
+    """What a value came from in place of the text: an option, or one of the recordings."""
+    known = (origins.get(location[:n]) for n in range(len(location), 0, -1))
+    origin = next(filter(None, known), None)
+    if origin != "recordings":
+        return origin
+    return f"recording {int(location[1]) + 1}" if len(location) > 1 else origin
 
 
 def items_of(error: ValidationError) -> list[dict[str, Any]]:
@@ -141,27 +147,22 @@ def _keys(dotted: str) -> Location:
     return tuple(part.strip(" \t\"'") for part in dotted.split("."))
 
 
-def _problem(
-    item: Mapping[str, Any], model: type[BaseModel], lines: Mapping[Location, int]
-) -> Problem:
-    location = location_of(item)
-    line = next(
-        (lines[location[:n]] for n in range(len(location), 0, -1) if location[:n] in lines), None
-    )
-    where = field_name(model, location)
+def _problem(item: Mapping[str, Any], model: type[BaseModel], location: Location) -> dict[str, Any]:
+    """What is wrong, what was there, and what should be, as an error takes them."""
     context = item.get("ctx") or {}
     match item["type"]:
         case "extra_forbidden":
             known = _keys_at(model, location[:-1])
             hint = did_you_mean(str(location[-1]), known)
             expected = f"one of {', '.join(known)}" if known else "no key here"
-            return Problem(f"This key is not known.{hint}", where, None, expected, line)
+            return {"problem": f"This key is not known.{hint}", "expected": expected}
         case "missing":
-            return Problem("A required key is missing.", where, None, f'"{location[-1]}"', line)
+            return {"problem": "A required key is missing.", "expected": f'"{location[-1]}"'}
         case "refused":
             found = context.get("found")
             shown = _shown(item["input"]) if found is None else str(found)
-            return Problem(str(item["msg"]), where, shown, context.get("expected"), line)
+            problem = str(item["msg"])
+            return {"problem": problem, "found": shown, "expected": context.get("expected")}
         case kind:
             expected = _EXPECTED.get(kind) or _PREAMBLE.sub("", str(item["msg"]))
             unit = unit_of(str(location[-1])) if location else ""
@@ -169,7 +170,8 @@ def _problem(
                 expected = f"a number in {unit}, without quotes"
             if kind == "model_type" and "value" in _keys_at(model, location):
                 expected = f"a table, such as {{value = {_shown(item['input'])}}}"
-            return Problem(_sentence(kind), where, _shown(item["input"]), expected, line)
+            shown = _shown(item["input"])
+            return {"problem": _sentence(kind), "found": shown, "expected": expected}
 
 
 def _sentence(kind: str) -> str:
@@ -307,14 +309,19 @@ def require_kind(
     kind = tables.get("kind")
     if not isinstance(kind, str) or kind not in FILES or kind in wanted:
         return
-    problem = Problem(
+    raise ConfigError(
         "This file is of another kind.",
-        where="kind",
+        file=file,
+        where=place_of_kind(text),
         found=_told(kind),
         expected=" or ".join(map(_told, wanted)),
-        line=line_numbers(text).get(("kind",)),
     )
-    raise config_error([problem], file)
+
+
+def place_of_kind(text: str) -> str:
+    """The line in which a file says its kind, and the key."""
+    line = line_numbers(text).get(("kind",))
+    return "kind" if line is None else f"line {line}, kind"
 
 
 def _told(kind: str) -> str:

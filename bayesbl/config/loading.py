@@ -20,11 +20,11 @@ from pydantic import ValidationError
 from bayesbl.arguments import File, checked
 from bayesbl.config.files import (
     Location,
-    Problem,
     config_error,
     items_of,
-    line_numbers,
     location_of,
+    origin_of,
+    place_of_kind,
     problems_of,
     read_toml,
     require_kind,
@@ -219,15 +219,13 @@ def _read(path: Path) -> _Document:
 def _validate(document: _Document) -> RunConfig:
     model = KINDS.get(_kind_of(document))
     if model is None:
-        raise config_error([_wrong_kind(document)], document.file)
+        raise _wrong_kind(document)
     try:
         config = model.model_validate(document.tables, context={BASE_DIRECTORY: document.directory})
     except ValidationError as error:
-        problems = problems_of(error, model, document.text)
-        locations = [location_of(item) for item in items_of(error)]
-        named = [_by_option(*pair, document) for pair in zip(problems, locations, strict=True)]
-        from_file = any(new is old for new, old in zip(named, problems, strict=True))
-        raise config_error(named, document.file if from_file else None) from None
+        problems = problems_of(error, model, document.text, document.origins)
+        origins = [origin_of(location_of(item), document.origins) for item in items_of(error)]
+        raise config_error(problems, document.file if None in origins else None) from None
     return config
 
 
@@ -236,26 +234,18 @@ def _kind_of(document: _Document) -> str:
     return kind if isinstance(kind, str) else ""
 
 
-def _wrong_kind(document: _Document) -> Problem:
-    kind = _kind_of(document)
-    line = line_numbers(document.text).get(("kind",))
-    expected = "one of " + ", ".join(f'"{name}"' for name in RUNNABLE)
-    if "kind" not in document.tables:
-        return Problem("The kind of run is missing.", "kind", "nothing", expected)
-    problem = "There is no such kind of run." + did_you_mean(kind, RUNNABLE)
-    return Problem(problem, "kind", repr(document.tables["kind"]), expected, line)
-
-
-def _by_option(problem: Problem, location: Location, document: _Document) -> Problem:
-    """The problem, named by the option that set the value, if one did."""
-    for length in range(len(location), 0, -1):
-        origin = document.origins.get(location[:length])
-        if origin == "recordings":
-            number = f" {int(location[1]) + 1}" if len(location) > 1 else "s"
-            return replace(problem, where=f"recording{number}", line=None)
-        if origin is not None:
-            return replace(problem, where=origin, line=None)
-    return problem
+def _wrong_kind(document: _Document) -> ConfigError:
+    problem, found = "The kind of run is missing.", "nothing"
+    if "kind" in document.tables:
+        problem = "There is no such kind of run." + did_you_mean(_kind_of(document), RUNNABLE)
+        found = repr(document.tables["kind"])
+    return ConfigError(
+        problem,
+        file=document.file,
+        where=place_of_kind(document.text),
+        found=found,
+        expected="one of " + ", ".join(f'"{name}"' for name in RUNNABLE),
+    )
 
 
 def _entries(recordings: Sequence[str | Path], dates: Sequence[Date]) -> list[_Tables]:

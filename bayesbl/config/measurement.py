@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from datetime import date as Date
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from bayesbl import units
+from bayesbl.config.limit import Limit
 from bayesbl.config.sections import (
     BenchSource,
     CurveSource,
@@ -26,48 +25,6 @@ from bayesbl.config.sections import (
     differently_named,
     refuse,
 )
-
-
-def _limit_of_text(limit: object) -> object:
-    if not isinstance(limit, str):
-        return limit
-    try:
-        return {k: v for k, v in asdict(units.Limit.parse(limit)).items() if v is not None}
-    except units.LimitError as error:
-        refuse(error.problem, found=error.found, expected=error.expected)
-
-
-class Limit(Section):
-    """``[joint] limit``: when to repair, as a maker states it; text such as "3 arcmin play" too.
-
-    ``play`` is 2 δ. ``lost_motion`` is that between the torques ± ``at_torque_share`` of
-    ``rated_torque_nm``, with the stiffness of the bench. mm are meant at the radius ``at_m``.
-    """
-
-    value: Positive
-    unit: units.LimitUnit
-    of: units.LimitKind
-    at_m: Positive | None = None
-    at_torque_share: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-
-    @model_validator(mode="after")
-    def _goes_together(self) -> Self:
-        try:
-            largest = self.stated().delta_rad()
-        except units.LimitError as error:
-            refuse(error.problem, found=error.found, expected=error.expected)
-        if largest > LARGEST_LIMIT_RAD:
-            refuse(
-                "This limit is beyond every gap that is measured here.",
-                found=f"{self.stated()}, {1e3 * largest:.4g} mrad of δ",
-                expected=f"at most {1e3 * LARGEST_LIMIT_RAD:g} mrad",
-            )
-        return self
-
-    def stated(self) -> units.Limit:
-        """The limit with its conversions."""
-        return units.Limit(self.value, self.unit, self.of, self.at_m, self.at_torque_share)
-
 
 LARGEST_LIMIT_RAD = 0.05
 """Nearly 3°: more than any joint whose gap can be measured by its ringing."""
@@ -87,8 +44,18 @@ def _a_gap(limit_rad: float) -> float:
     return limit_rad
 
 
+def _of_a_gap(limit: Limit) -> Limit:
+    if (largest := limit.delta_rad()) > LARGEST_LIMIT_RAD:
+        refuse(
+            "This limit is beyond every gap that is measured here.",
+            found=f"{limit}, {1e3 * largest:.4g} mrad of δ",
+            expected=f"at most {1e3 * LARGEST_LIMIT_RAD:g} mrad",
+        )
+    return limit
+
+
 LimitRad = Annotated[Positive, AfterValidator(_a_gap)]
-StatedLimit = Annotated[Limit, BeforeValidator(_limit_of_text)]
+StatedLimit = Annotated[Limit, AfterValidator(_of_a_gap)]
 
 
 class Drift(Section):

@@ -169,7 +169,7 @@ class Joint(_Row):
     @property
     def limit_rad(self) -> float | None:
         """Of δ."""
-        return self.stated_limit_rad if self.limit is None else self.limit.stated().delta_rad()
+        return self.stated_limit_rad if self.limit is None else self.limit.delta_rad()
 
     @property
     def covariates(self) -> dict[str, float | str]:
@@ -425,9 +425,9 @@ def _valid(model: type[_R], row: Mapping[str, Any], file: Path, number: int) -> 
     try:
         return model.model_validate(given, context={BASE_DIRECTORY: file.parent})
     except ValidationError as error:
-        first, *_ = problems_of(error, model, "")
-        where = f"row {number}, {(first.where or '').strip('[]')}"
-        raise ConfigError(first.problem, file=file, **first.details() | {"where": where}) from None
+        first, *_ = problems_of(error, model)
+        first.where = (first.where or "").strip("[]")
+        raise first.at(ConfigError, f"row {number}, ", file) from None
 
 
 def _refuse(file: Path, row: int, column: str, found: str, expected: str) -> NoReturn:

@@ -24,7 +24,7 @@ from bayesbl.config.files import problems_of
 from bayesbl.config.kinds import KINDS
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED
-from bayesbl.errors import ConfigError, UnavailableError, UserError
+from bayesbl.errors import UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, Found, Joint, digest_of_file, file_state
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
@@ -230,8 +230,7 @@ class JointJob:
         try:
             found = model.model_validate(tables, context={BASE_DIRECTORY: Path.cwd()})
         except ValidationError as error:
-            first, *_ = problems_of(error, model, "")
-            raise ConfigError(first.problem, **first.details()) from None
+            raise problems_of(error, model)[0] from None
         assert isinstance(found, SnapshotConfig)
         return found
 
@@ -309,10 +308,7 @@ def measure_recording(
     before_it = _states(job, [number])
     try:
         config = job.config("fit", [number])
-        earlier = _earlier(job, {name: before}) if before is not None else {}
-        tree = measure(
-            config, None, _fits(job), lambda _: None, _swept(job), job.seeds([number]), earlier
-        )
+        tree = _measured(job, config, [number], {} if before is None else {name: before})
         answer = _answer(job, number, tree)
     except UserError as error:
         lasting = not isinstance(error, UnavailableError)
@@ -401,10 +397,9 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
     used = [number for number in giving if answers[number].route == route]
     if len({job.recordings[number].date for number in used}) < 2:
         last = answers[used[-1]].gap_rad if used else None
-        after = " since the repair" if job.joint.repaired else ""
-        are = {0: "is none", 1: "is one"}.get(len(used), f"are {len(used)}, of one day")
+        values = {"count": len(used), "repaired": job.joint.repaired is not None}
         return JointAnswer(
-            f"A rate needs δ at two dates or more{after}; there {are}.",
+            _text(Reason("one_date", values)),
             route,
             tuple(used[-1:]),
             None if last is None else _thin(last)[None],
@@ -437,15 +432,8 @@ def _by_bench(
     differing = other_benches(matched, [u.name for u in _unknowns(_bench(job), names[0])])
     reason = None
     if differing:
-        told_apart = "; ".join(
-            f"{names[number]} ({' or '.join(what)})" for number, what in differing.items()
-        )
-        reason = Reason.of_text(
-            "other_benches",
-            "Something other than the gap changed between the recordings, so their change is "
-            f"withheld: another bench than by the others is needed in {told_apart}. `bayesbl "
-            "compare` over these recordings looks for what changed.",
-        )
+        needed = [f"{names[number]} ({' or '.join(what)})" for number, what in differing.items()]
+        reason = Reason("other_benches", {"needed": needed})
     alone = [Answer(name, draws[None]) for name, draws in zip(names, gaps, strict=True)]
     wear, against = wear_of(config, alone, seeds.wear, reason)
     return _of_group(wear, None if against is None else _text(against), "direct", used, gaps)
@@ -455,15 +443,7 @@ def _by_curve(
     job: JointJob, used: Sequence[int], answers: Sequence[RecordingAnswer]
 ) -> JointAnswer:
     before = {job.names[n]: answers[n - 1] for n in used if n > 0}
-    tree = measure(
-        job.config("compare", used, "amplitude"),
-        None,
-        _fits(job),
-        lambda _: None,
-        _swept(job),
-        job.seeds(used),
-        _earlier(job, before),
-    )
+    tree = _measured(job, job.config("compare", used, "amplitude"), used, before)
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
     found = with_sentences(summary_of(tree))["wear"]
@@ -526,20 +506,31 @@ def _earlier(job: JointJob, before: Mapping[str, RecordingAnswer]) -> dict[str, 
     return starts
 
 
-def _fits(job: JointJob) -> WorkStore:
-    """Where fits are kept that ``compare`` takes up again."""
-    if not job.by_amplitude:
-        return NOTHING_KEPT
-    return WorkStore.shared(fits_beside(Path(job.output)))
+def _measured(
+    job: JointJob,
+    config: SnapshotConfig,
+    numbers: Sequence[int],
+    before: Mapping[str, RecordingAnswer],
+) -> xr.DataTree:
+    """Recordings measured, with fits kept that ``compare`` takes up again.
+
+    ``before``: where the search of each recording starts, by its name.
+    """
+    work, swept = NOTHING_KEPT, WorkStore.shared(Path(job.output).parent / STORE)
+    if job.by_amplitude:
+        work = WorkStore.shared(fits_beside(Path(job.output)))
+    return measure(
+        config,
+        work=work,
+        swept=swept,
+        seeds=job.seeds(numbers),
+        earlier=_earlier(job, before),
+    )
 
 
 def fits_beside(output: Path) -> Path:
     """Folder of finished fits of a fleet with this output folder."""
     return output.with_name(f".{output.name}.fits")
-
-
-def _swept(job: JointJob) -> WorkStore:
-    return WorkStore.shared(Path(job.output).parent / STORE)
 
 
 def _thin(draws: FloatArray) -> FloatArray:

@@ -145,7 +145,12 @@ _AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
 
 def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
     """A row as a message; columns without a value, or with none that is finite, are left out."""
-    return encoded(ANSWER, {name: row[name] for name in row if _is_given(row[name])}, device)
+    given = {
+        name: value
+        for name, value in row.items()
+        if value is not None and not (isinstance(value, float) and not math.isfinite(value))
+    }
+    return encoded(ANSWER, given, device)
 
 
 def _column(name: str, kind: str) -> Any:
@@ -190,10 +195,6 @@ def decoded_answer(given: Any, device: str) -> dict[str, Any]:
 class _Dated(Part):
     sha256: Digest
     date: Day
-
-
-def _is_given(value: object) -> bool:
-    return value is not None and not (isinstance(value, float) and not math.isfinite(value))
 
 
 def _require_gap(row: Mapping[str, Any]) -> None:

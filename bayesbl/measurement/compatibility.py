@@ -22,7 +22,6 @@ from bayesbl.recording.types import Recording
 from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.ringing.estimator import Estimator, Fit, nominal_speed_rpm
 from bayesbl.ringing.symbols import ROTATION
-from bayesbl.units import LimitError
 
 GEAR_RATIOS_APART = 0.01
 """Largest relative difference between the joint's gear ratio and its bench's."""
@@ -65,24 +64,15 @@ def bench_of(config: SnapshotConfig) -> Bench:
         try:
             bench_with(bench, entry.bench)
         except BenchError as error:
-            # The error names the parameter.
-            raise BenchError(
-                error.problem,
-                where=f"{where}, {error.where}" if error.where else where,
-                found=error.found,
-                expected=error.expected,
-            ) from None
+            raise error.at(BenchError, f"{where}, ") from None
     low, high = config.estimator.gap_rad
     try:
         bench.simulate_many(np.array([low, high]), rotations=0.1)
     except BenchError as error:
-        raise BenchError(
-            f"The bench cannot be simulated at the ends of the range of gaps. {error.problem}",
-            file=file,
-            where="[estimator] gap_rad",
-            found=error.found,
-            expected=error.expected,
-        ) from None
+        error.problem = (
+            f"The bench cannot be simulated at the ends of the range of gaps. {error.problem}"
+        )
+        raise error.at(BenchError, "[estimator] gap_rad, ", file) from None
     return bench
 
 
@@ -196,14 +186,7 @@ def limit_rad_of(config: SnapshotConfig) -> float | None:
         Where the joint's wind-up is not known, or leaves no room for a gap.
     """
     limit = config.joint.limit
-    if limit is None:
-        return config.joint.limit_rad
-    try:
-        return limit.stated().delta_rad(windup_rad_of(config))
-    except LimitError as error:
-        raise ConfigError(
-            error.problem, where="[joint] limit", found=error.found, expected=error.expected
-        ) from None
+    return config.joint.limit_rad if limit is None else limit.delta_rad(windup_rad_of(config))
 
 
 def windup_rad_of(config: SnapshotConfig) -> float:
@@ -216,7 +199,7 @@ def windup_rad_of(config: SnapshotConfig) -> float:
         given = bench_from(bench)
         if given.drive != "rigid":
             stiffness = given.parameters["shaft_stiffness_nm_per_rad"].value
-    return joint.limit.stated().windup_rad(joint.rated_torque_nm, stiffness)
+    return joint.limit.windup_rad(joint.rated_torque_nm, stiffness)
 
 
 def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, float] | None) -> None:

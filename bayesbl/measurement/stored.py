@@ -66,7 +66,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
     if (limit_rad := limit_rad_of(config)) is not None:
         tree.attrs["limit_rad"] = limit_rad
     if config.joint.limit is not None:
-        tree.attrs["limit"] = str(config.joint.limit.stated())
+        tree.attrs["limit"] = str(config.joint.limit)
     summary = {
         "kind": config.kind,
         "outcome": measured.outcome,
@@ -191,7 +191,7 @@ def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[
         above = None if given is None or one.by_other_joint else float(np.mean(given > limit_rad))
         found["probability_above_limit"] = above
     if config.joint.limit is not None:
-        limit, windup_rad = config.joint.limit.stated(), windup_rad_of(config)
+        limit, windup_rad = config.joint.limit, windup_rad_of(config)
         measured = None
         if (delta := found["delta_rad"]) is not None:
             ends = {key: limit.stated(delta[key], windup_rad) for key in ("median", "low", "high")}

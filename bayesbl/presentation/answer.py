@@ -127,8 +127,10 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     reason = summary["reason"]
     if reason is not None and summary["outcome"] == "no_curve":
         yield Sentence(reason["text"], "warning", "No gap")
-    elif reason is not None and change_is_withheld(summary) and DISAGREE not in codes(reason):
-        yield Sentence(reason["text"], "warning", "Withheld")
+    elif reason is not None and DISAGREE not in codes(reason):
+        gaps_alone = summary["kind"] == "compare" and summary["change_rad"] is None
+        if gaps_alone and all(part["delta_rad"] is not None for _, part in parts):
+            yield Sentence(reason["text"], "warning", "Withheld")
     yield from wear.check_blocks(summary, codes(reason))
 
 
@@ -265,13 +267,6 @@ def steps(summary: MeasuredSummary) -> Iterator[str]:
         yield f"From {step['from']} to {step['to']}: {found}."
 
 
-def change_is_withheld(summary: MeasuredSummary) -> bool:
-    """Whether the gaps of a comparison are given, and their change is not."""
-    if summary["kind"] != "compare" or summary["change_rad"] is not None:
-        return False
-    return all(part["delta_rad"] is not None for _, part in snapshots(summary))
-
-
 def is_by_other_machine(summary: MeasuredSummary) -> bool:
     """Whether the answer rests on the gap curve of the paper's test bench."""
     from bayesbl.config.sections import PUBLISHED
@@ -285,7 +280,9 @@ def above_limit(summary: MeasuredSummary) -> str | None:
     if not limited or is_ringing_alone(summary) or is_by_other_machine(summary):
         return None
     each = ", ".join(
-        _probability_or_withheld(part) + (f" ({name})" if name else "") for name, part in limited
+        ("withheld" if (p := part["probability_above_limit"]) is None else words.probability(p))
+        + (f" ({name})" if name else "")
+        for name, part in limited
     )
     first = limited[0][1]
     limit = f"{1e3 * first['limit_rad']:.4g} mrad"
@@ -343,20 +340,13 @@ def sampler_check(check: SamplerCheckSummary) -> str:
     return f"Nested sampling {verdict} emcee (difference, width over emcee's): {each}."
 
 
-def _probability_or_withheld(part: SnapshotSummary) -> str:
-    value = part["probability_above_limit"]
-    return "withheld" if value is None else words.probability(value)
-
-
 def _gap_table(summary: MeasuredSummary) -> Table:
     """A row a snapshot, and one of the change; columns for each route."""
     parts = snapshots(summary)
     compared = summary["kind"] == "compare"
     places = words.common_decimals(part["delta_rad"] for _, part in parts)
-    if play.is_by_ramps(summary):
-        return play.ramp_table(parts, places)
-    if play.is_by_two_encoders(summary):
-        return play.encoder_table(parts, places)
+    if play.is_by_ramps(summary) or play.is_by_two_encoders(summary):
+        return play.gap_table(parts, places)
     routes = [name for name, found in parts[0][1]["routes"].items() if "diagnostics" in found]
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
     kind = words.short_kind(first or next(iter(parts[0][1]["parameters"].values())))

@@ -64,22 +64,13 @@ def _origin(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
         "Version": f"{summary['version']}, commit {summary['commit']}",
         "Made": tree.attrs.get("created_utc"),
         "Seed": summary["seed"],
-        "Gap curve": _curve(summary),
+        "Gap curve": dict(summary).get("curve"),  # that a sweep made, or gaps were read from
     }
     inputs = json.loads(tree.attrs.get("input_sha256", "{}"))
     lines |= {f"SHA-256 of {file}": digest for file, digest in inputs.items()}
     for label, content in lines.items():
         if content is not None:
             yield Sentence(str(content), label=label)
-
-
-def _curve(summary: Summary) -> str | None:
-    """The curve that a sweep made, or that gaps were read from."""
-    if summary["kind"] == "sweep":
-        return summary["curve"]
-    if answer.is_measured(summary):
-        return summary["curve"]
-    return None
 
 
 def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:

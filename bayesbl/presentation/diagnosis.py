@@ -149,7 +149,10 @@ def effects(summary: DiagnosisSummary) -> Iterator[str]:
         parameters = ", ".join(
             sized(name, interval) for name, interval in effect["parameters"].items()
         )
-        text = f"{in_words(effect['name'])}: {parameters}; {_beyond_noise(effect['z'])}."
+        far = "far beyond noise"
+        if effect["z"] <= FAR_BEYOND_NOISE:
+            far = f"{effect['z']:.0f} standard deviations from zero"
+        text = f"{in_words(effect['name'])}: {parameters}; {far}."
         alike = effect["indistinguishable_from"]
         if alike:
             text += f" Cannot be distinguished from {', '.join(in_words(name) for name in alike)}."
@@ -281,13 +284,6 @@ def _digits(value: float) -> str:
 
 def _with_unit(value: str, unit: str) -> str:
     return f"{value} {unit}".rstrip()
-
-
-def _beyond_noise(deviations: float) -> str:
-    """How clearly an effect stands out."""
-    if deviations > FAR_BEYOND_NOISE:
-        return "far beyond noise"
-    return f"{deviations:.0f} standard deviations from zero"
 
 
 def disagreement_table(found: DisagreementTableSummary) -> Table:
@@ -423,7 +419,10 @@ def _what(entry: RemainingSummary) -> str:
         case "outliers":
             return f"{entry['amplitude']:g} samples that no noise explains"
         case "load angle":
-            return f"{size} with the load angle, mostly at {_orders(order, highest)}"
+            orders = (
+                f"order {order:.0f}" if order == highest else f"orders {order:.0f} to {highest:.0f}"
+            )
+            return f"{size} with the load angle, mostly at {orders}"
         case "motor angle":
             return f"{size} at order {order:.4g} of the motor"
         case "time":
@@ -432,10 +431,6 @@ def _what(entry: RemainingSummary) -> str:
         f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do not "
         "show which)"
     )
-
-
-def _orders(low: float | None, high: float | None) -> str:
-    return f"order {low:.0f}" if low == high else f"orders {low:.0f} to {high:.0f}"
 
 
 def _where(entry: RemainingSummary, names: Sequence[str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
@@ -45,19 +45,16 @@ def no_play_by_ramps(part: SnapshotSummary) -> str | None:
     )
 
 
-def ramp_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
-    """A row per snapshot; ``places``: decimals of the gap in mrad."""
-    at = f"±{words.significant(parts[0][1]['lost_motion_torque_nm'])} N m"
-    titles = (f"Lost motion\n{at}\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)")
-    return _gap_table(parts, titles, [_ramp_cells(part, places) for _, part in parts])
+def gap_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
+    """A row per snapshot, named in a comparison: the gap, what the route measures, the outcome.
 
-
-def _gap_table(
-    parts: Sequence[tuple[str, SnapshotSummary]],
-    titles: Sequence[str],
-    cells: Iterable[Iterable[str]],
-) -> Table:
-    """A row per snapshot, named in a comparison: the gap, quantities of ``titles``, the outcome."""
+    ``places``: decimals of the gap in mrad.
+    """
+    cells = _encoder_cells
+    titles = ["Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio"]
+    if "ramps" in parts[0][1]:
+        cells, at = _ramp_cells, words.significant(parts[0][1]["lost_motion_torque_nm"])
+        titles = [f"Lost motion\n±{at} N m\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)"]
     named = [text("Snapshot")] if any(name for name, _ in parts) else []
     kind = words.short_kind(parts[0][1]["lost_motion_rad"])
     columns = (
@@ -65,8 +62,8 @@ def _gap_table(
         *map(numbers, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles)),
         text("Outcome"),
     )
-    rows = zip(parts, cells, strict=True)
-    return table(columns, ([*([name] if named else []), *row] for (name, _), row in rows))
+    rows = ([*([name] if named else []), *cells(part, places)] for name, part in parts)
+    return table(columns, rows)
 
 
 def _ramp_cells(part: SnapshotSummary, places: int) -> Iterator[str]:
@@ -139,12 +136,6 @@ def is_by_two_encoders(summary: MeasuredSummary) -> bool:
     """Whether the answer comes from the encoders of motor and load."""
     first = summary["snapshots"][0] if summary["kind"] == "compare" else summary
     return first["route"] == "two_encoders"
-
-
-def encoder_table(parts: Sequence[tuple[str, SnapshotSummary]], places: int) -> Table:
-    """A row per snapshot; ``places``: decimals of the gap in mrad."""
-    titles = ("Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio")
-    return _gap_table(parts, titles, [_encoder_cells(part, places) for _, part in parts])
 
 
 def _encoder_cells(part: SnapshotSummary, places: int) -> Iterator[str]:

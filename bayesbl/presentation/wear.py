@@ -12,7 +12,6 @@ from bayesbl.presentation.words import capitalised
 from bayesbl.units import number
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.joint_check import BlindSpot
     from bayesbl.measurement.summary_types import (
         ComparisonSummary,
         MeasuredSummary,
@@ -98,19 +97,14 @@ def check_blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Blo
     ):
         own = [spot for spot in spots if (spot["delta_error_rad"] is not None) == known]
         for reason in dict.fromkeys(spot["reason"] for spot in own):
-            told = _listed([_spot(spot) for spot in own if spot["reason"] == reason])
-            yield Sentence(capitalised(f"{told}."), "aside", f"{label} ({reason})")
-
-
-def _listed(told: list[str]) -> str:
-    more = [f"{len(told) - MOST_TOLD} more in summary.json"] if len(told) > MOST_TOLD else []
-    return "; ".join([*told[:MOST_TOLD], *more])
-
-
-def _spot(spot: BlindSpot) -> str:
-    error_rad = spot["delta_error_rad"]
-    up_to = "" if error_rad is None else f", up to {number(1e3 * error_rad, 3)} mrad"
-    return spot["change"] + up_to
+            told = []
+            for spot in (spot for spot in own if spot["reason"] == reason):
+                up_to = spot["delta_error_rad"]
+                size = "" if up_to is None else f", up to {number(1e3 * up_to, 3)} mrad"
+                told.append(spot["change"] + size)
+            if len(told) > MOST_TOLD:
+                told[MOST_TOLD:] = [f"{len(told) - MOST_TOLD} more in summary.json"]
+            yield Sentence(capitalised(f"{'; '.join(told)}."), "aside", f"{label} ({reason})")
 
 
 MODEL = (

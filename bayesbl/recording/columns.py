@@ -241,7 +241,9 @@ def _mapped(path: Path, table: ArrayTable, channel: str, spec: ColumnSpec) -> Co
     if spec.unit is not None:
         return Column(index, channel, spec.unit)
     stated = stated_unit(table, index).of(channel)
-    if stated.unknown and not _is_of_dates(table, index, channel):
+    # What looks like a unit may be the form of a date: time [hh:mm:ss].
+    is_of_dates = channel == TIME and table.timestamps(index) is not None
+    if stated.unknown and not is_of_dates:
         raise RecordingError(
             "The file states a unit that is not known for this channel.",
             file=path,
@@ -254,11 +256,6 @@ def _mapped(path: Path, table: ArrayTable, channel: str, spec: ColumnSpec) -> Co
         return column
     note = f'The unit of column "{spec.name}" is taken from its name: {stated.unit}.'
     return replace(column, note=note)
-
-
-def _is_of_dates(table: ArrayTable, index: int, channel: str) -> bool:
-    """Whether what looks like a unit is the form of a date: ``time [hh:mm:ss]``."""
-    return channel == TIME and table.timestamps(index) is not None
 
 
 def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> RecordingError:

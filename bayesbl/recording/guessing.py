@@ -159,11 +159,6 @@ class _Named:
         return self.table.timestamps(self.index)
 
     @property
-    def numbers_rows(self) -> bool:
-        """Whether it counts the samples: 0, 1, 2, …"""
-        return bool(np.all(np.diff(self.values) == 1.0))
-
-    @property
     def increases(self) -> bool:
         """Whether it may be time."""
         there = self.values[np.isfinite(self.values)]
@@ -209,10 +204,12 @@ def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None)
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     table.samples_of([chosen[channel].index for channel in held])
     units = _units(chosen, held)
-    guesses = [_completed(_stated(channel, chosen[channel]), units) for channel in held]
-    without_speed = bare or any(c.unit == UNKNOWN for c in guesses if c.channel == MOTOR_SPEED)
-    if without_speed or both:
-        guesses = [_unknown(column) for column in guesses]
+    if bare or both or _stated(MOTOR_SPEED, chosen[MOTOR_SPEED], units).unit == UNKNOWN:
+        # Without a speed a position alone sets the size of everything.
+        for channel in (MOTOR_POSITION, LOAD_POSITION):
+            asked = f"enter its unit: {', '.join(accepted_units(channel))}"
+            units.setdefault(channel, (UNKNOWN, asked))
+    guesses = [_stated(channel, chosen[channel], units) for channel in held]
     if not (ramps or both):
         guesses = _doubted(guesses, held)
     columns = tuple(guesses)
@@ -316,22 +313,6 @@ def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:
     if motor.size < 2 or float(np.ptp(load)) == 0.0:
         return False
     return float(np.abs(np.diff(motor)).sum()) > _TURNS_BACK * abs(float(motor[-1] - motor[0]))
-
-
-def _completed(stated: GuessedColumn, units: Mapping[str, tuple[str, str]]) -> GuessedColumn:
-    """With the unit that the numbers suggest, where the file states none."""
-    if stated.sure or stated.channel not in units:
-        return stated
-    unit, reason = units[stated.channel]
-    return replace(stated, unit=unit, reason=reason)
-
-
-def _unknown(column: GuessedColumn) -> GuessedColumn:
-    """A position whose unit nothing tells: without a speed it alone sets the size of everything."""
-    if column.channel not in (MOTOR_POSITION, LOAD_POSITION) or column.reason != NO_UNIT:
-        return column
-    units = ", ".join(accepted_units(column.channel))
-    return replace(column, unit=UNKNOWN, reason=f"enter its unit: {units}")
 
 
 def _doubted(
@@ -447,14 +428,18 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
 
     for column in sorted(named, key=rank):
         channel = _channel(column)
-        if channel is None or (channel != TIME and rank(column)[-1] and column.numbers_rows):
+        if channel is None:
             continue
+        if channel != TIME and rank(column)[-1] and np.all(np.diff(column.values) == 1.0):
+            continue  # it counts the samples: 0, 1, 2, …
         chosen.setdefault(channel, column)
     return chosen
 
 
-def _stated(channel: str, column: _Named) -> GuessedColumn:
-    own = accepted_units(channel)[0]
+def _stated(
+    channel: str, column: _Named, suggested: Mapping[str, tuple[str, str]] | None = None
+) -> GuessedColumn:
+    """With the unit that the file states, else with what the numbers suggest, and why."""
     stated = column.stated.of(channel)
     if stated.unknown:
         units = choice_of_units(channel)
@@ -463,7 +448,8 @@ def _stated(channel: str, column: _Named) -> GuessedColumn:
     if stated.unit:
         said = "the name says so" if column.name == channel else "stated in the file"
         return GuessedColumn(channel, column.name, stated.unit, said, True)
-    return GuessedColumn(channel, column.name, own, NO_UNIT, False)
+    unit, reason = (suggested or {}).get(channel, (accepted_units(channel)[0], NO_UNIT))
+    return GuessedColumn(channel, column.name, unit, reason, False)
 
 
 def _units(

@@ -26,7 +26,6 @@ _DEEPEST = 32
 def require_whole(
     content: bytes | Path,
     refusal: Callable[..., Exception],
-    is_read: Callable[[str, int], bool] = lambda path, dimensions: True,
 ) -> float:
     """Bytes that reading a file takes, by what it declares.
 
@@ -34,8 +33,6 @@ def require_whole(
 
     Parameters
     ----------
-    is_read
-        Whether the dataset at a path, of so many dimensions, is read; all are by default.
     refusal
         Makes the error for the first object that is not stored in the file itself, once, without
         foreign filters; takes what a :class:`bayesbl.errors.UserError` takes.
@@ -92,8 +89,7 @@ def require_whole(
                     raise outside(where, "a soft link" if soft else "a link to another file")
                 item = h5py.h5o.open(group, link)
                 if isinstance(item, h5py.h5d.DatasetID):
-                    size = size_of(item, where)
-                    read_bytes += size if is_read(where, item.rank) else 0.0
+                    read_bytes += size_of(item, where)
                 elif isinstance(item, h5py.h5g.GroupID):
                     address = h5py.h5o.get_info(item).addr
                     if address in groups:

@@ -39,7 +39,8 @@ def read_input(path: Path) -> bytes:
     ValueError
         If the path has a NUL.
     """
-    kind = _kind(os.stat(path).st_mode)
+    mode = os.stat(path).st_mode
+    kind = next((name for is_kind, name in _KINDS if is_kind(mode)), None)
     if kind:  # not even opened: a socket cannot be, and a pipe may wait for its writer
         raise OSError(errno.EINVAL, f"{kind}, not a file")
     flags = os.O_RDONLY | os.O_NONBLOCK
@@ -138,11 +139,6 @@ def unpacked(path: Path, data: bytes) -> bytes:
         ) from None
     require_memory(path, len(whole), "unpacked, or more")
     return whole
-
-
-def _kind(mode: int) -> str | None:
-    """What a path leads to, where that is neither file nor folder."""
-    return next((name for is_kind, name in _KINDS if is_kind(mode)), None)
 
 
 def _too_large(size: str) -> OSError:

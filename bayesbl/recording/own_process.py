@@ -117,9 +117,10 @@ def answer(request: dict[str, object]) -> None:
     try:
         # pandas and xarray import them where they are there; no reader needs them for that.
         with absent(*({"dask", "matplotlib", "numba", "pyarrow"} - {format_.library})):
-            table: ArrayTable = format_.read(file, sys.stdin.buffer.read())
+            data = sys.stdin.buffer.read()
+            table: ArrayTable = format_.read(file, data)
         values = sum(column.size for column in table.arrays.values())
-        require_memory(file, 8.0 * values, f"{values} numbers")
+        require_memory(file, len(data) + 8.0 * values, f"its bytes and {values} numbers")
         result = table
     except UserError as error:
         result = error

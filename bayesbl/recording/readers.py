@@ -125,8 +125,9 @@ def read_recording(
         new = new_values(series[MOTOR_SPEED]) if even and MOTOR_SPEED in series else None
     kept, slower = new or (slice(None), "")
     if slower:
+        every = {2: "2nd", 3: "3rd"}.get(kept.step, f"{kept.step}th")
         slower = (
-            f"The speed has a new value in every {_ordinal(kept.step)} sample and is {slower} "
+            f"The speed has a new value in every {every} sample and is {slower} "
             "between them: only samples with a new value are used."
         )
     return Recording(
@@ -150,10 +151,6 @@ def read_recording(
             *((slower,) if slower else ()),
         ),
     )
-
-
-def _ordinal(number: int) -> str:
-    return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")
 
 
 def read_table(path: str | Path) -> ArrayTable:

@@ -137,7 +137,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
         part of a result (which is never deleted), if it is a link or a mount point, or if there is
         a file at this path or above it.
     """
-    path = _absolute(path)
+    path = Path(os.path.abspath(path))
     _tidy(path)
     require_no_file(path)
     require_no_link(path)
@@ -218,7 +218,7 @@ def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
         As :func:`require_free`, on entering and again on leaving: another run may have been
         quicker.
     """
-    path = _absolute(path)
+    path = Path(os.path.abspath(path))
     require_free(path, force=force)
     with staging(path) as folder:
         yield folder
@@ -278,10 +278,6 @@ def _delete(folder: Path) -> None:
 
 def _listed(names: Collection[str]) -> str:
     return ", ".join(sorted(names)[:5]) + (", …" if len(names) > 5 else "")
-
-
-def _absolute(path: str | Path) -> Path:
-    return Path(os.path.abspath(path))
 
 
 def _put_in_place(folder: Path, path: Path) -> None:

@@ -12,7 +12,6 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import bayesbl
 from bayesbl.config.loading import dump_config, files_of
@@ -37,13 +36,14 @@ UNKNOWN = "unknown"
 
 def provenance_of(config: RunConfig) -> dict[str, str | int]:
     """Attributes for the root of the result of a configuration."""
+    named = {str(f): file_sha256(f) for f in files_of(config.model_dump()) if f.is_file()}
     return {
         "bayesbl_version": bayesbl.__version__,
         "git_commit": git_commit(),
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": config.run.seed,
         "config": dump_config(config),
-        "input_sha256": json.dumps(digests_of(config.model_dump()), sort_keys=True),
+        "input_sha256": json.dumps(named, sort_keys=True),
         "python_version": platform.python_version(),
         "dependency_versions": json.dumps(dict(dependency_versions())),
     }
@@ -52,11 +52,6 @@ def provenance_of(config: RunConfig) -> dict[str, str | int]:
 def file_sha256(path: str | Path) -> str:
     """SHA-256 of a file's bytes."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def digests_of(tables: Mapping[str, Any]) -> dict[str, str]:
-    """SHA-256 of the bytes of every file that a configuration's tables name, by path."""
-    return {str(file): file_sha256(file) for file in files_of(tables) if file.is_file()}
 
 
 def code_versions() -> dict[str, str]:

@@ -186,15 +186,13 @@ def require_declared(
         With all that is missing or has other dimensions or another kind, in one message.
     """
     paths = dict(tree.subtree_with_keys)
-    problems = [
-        f"{group.name}: {problem}"
-        for group in groups
-        for problem in (
-            _problems(group, paths[group.name].to_dataset(inherit=False))
-            if group.name in paths
-            else _absent(group)
-        )
-    ]
+    problems = []
+    for group in groups:
+        if group.name in paths:
+            stored = paths[group.name].to_dataset(inherit=False)
+            problems += [f"{group.name}: {problem}" for problem in _problems(group, stored)]
+        elif not group.optional:
+            problems.append(f"{group.name}: no such group")
     if problems:
         raise _incomplete(problems, file)
 
@@ -212,11 +210,6 @@ def _stored(group: Group, name: str, value: object) -> xr.Variable:
     return xr.Variable(
         declared.dims, array, {"units": declared.unit, "long_name": declared.meaning}
     )
-
-
-def _absent(group: Group) -> Iterator[str]:
-    if not group.optional:
-        yield "no such group"
 
 
 def _problems(group: Group, stored: xr.Dataset) -> Iterator[str]:

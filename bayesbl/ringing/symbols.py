@@ -7,8 +7,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from bayesbl.errors import ConfigError
-
 AMPLITUDE = "amplitude_rpm"
 START = "start_time_s"
 DECAY = "decay_rate_per_s"
@@ -66,58 +64,15 @@ class DisturbanceModel:
     baseline_harmonics
         Harmonics k of the load angle 2π t / T_w fitted beside the pulses; 0 is the paper's model.
     fixed
-        Symbol name to its fixed value. The default fixes the window of Table 2.
+        Symbol name to its fixed value. The default fixes the window of Table 2. Start and window
+        start are never both free: only their sum enters the model.
     ranges
         Symbol name to (low, high), inside which a free symbol is searched and sampled.
-
-    Raises
-    ------
-    ConfigError
-        If a name is not a symbol, if start and window start are both free (only their sum
-        enters the model), or if a range or the window is empty.
     """
 
     baseline_harmonics: int = 1
     fixed: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_FIXED))
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in (*self.fixed, *self.ranges):
-            if name not in SYMBOLS:
-                raise ConfigError(
-                    "Not a symbol of the disturbance model.",
-                    where=name,
-                    expected="one of " + ", ".join(SYMBOLS),
-                )
-        if START not in self.fixed and WINDOW_START not in self.fixed:
-            raise ConfigError(
-                f"{START} and {WINDOW_START} cannot both be free: only their sum enters the model.",
-                where="[estimator.model] fixed",
-                expected=f"one of the two under fixed, e.g. {WINDOW_START} = 0.0",
-            )
-        for name, (low, high) in self.ranges.items():
-            if not low < high:
-                raise ConfigError(
-                    "The range is empty.",
-                    where=f"[estimator.model] ranges.{name}",
-                    found=[low, high],
-                    expected="low < high",
-                )
-        if self.baseline_harmonics < 0:
-            raise ConfigError(
-                "A negative number of harmonics.",
-                where="[estimator.model] baseline_harmonics",
-                found=self.baseline_harmonics,
-                expected="0 or more",
-            )
-        start, end = self.fixed.get(WINDOW_START), self.fixed.get(WINDOW_END)
-        if start is not None and end is not None and not start < end:
-            raise ConfigError(
-                "The pulse window is empty (eq. 3 needs t1 < t2).",
-                where="[estimator.model] fixed",
-                found=f"{WINDOW_START} = {start}, {WINDOW_END} = {end}",
-                expected=f"{WINDOW_START} < {WINDOW_END}",
-            )
 
     @property
     def searched(self) -> tuple[str, ...]:

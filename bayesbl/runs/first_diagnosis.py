@@ -100,7 +100,12 @@ def guess_diagnosis(
     """
     compared = Compared() if given is None else given.comparison
     said = compared.model_fields_set | (given.unknowns.model_fields_set if given else set())
-    steady = [_turns_evenly(recording) for recording in recordings]
+    motor_rpm = [_with_speed(recording).motor_speed_rpm for recording in recordings]
+    # The reference does not vary, nor do parts of the recording differ.
+    steady = [
+        not moves(recording) and is_one_speed(rpm, recording.sampling_period_s)
+        for recording, rpm in zip(recordings, motor_rpm, strict=True)
+    ]
     found = []
     method, channels = compared.method, compared.channels
     if "method" not in said:
@@ -110,7 +115,7 @@ def guess_diagnosis(
         channels, why = _channels(bench, method, recordings)
         found.append(Choice(("comparison", "channels"), channels, why))
     found += [c for c in _unknowns(bench, method, channels) if c.place[1] not in said]
-    speeds = [float(_with_speed(one).motor_speed_rpm.mean()) for one in recordings]
+    speeds = [float(rpm.mean()) for rpm in motor_rpm]
     for i, (use, why) in enumerate(_uses(bench, method, recordings, all(steady), speeds)):
         name = recordings[i].name
         found.append(Choice((name, "use"), use, why))
@@ -137,12 +142,6 @@ def toml(value: object) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(toml, value))}]"
     return json.dumps(value, ensure_ascii=False)
-
-
-def _turns_evenly(recording: Recording) -> bool:
-    """Whether the motor turns at one speed: the reference does not vary, nor do parts differ."""
-    speed = _with_speed(recording).motor_speed_rpm
-    return not moves(recording) and is_one_speed(speed, recording.sampling_period_s)
 
 
 def _with_speed(recording: Recording) -> Recording:
@@ -286,20 +285,16 @@ def _uses(
     return [("hold_out", why) if i == held else ("fit", FITTED) for i in range(count)]
 
 
-def _settings(speeds: Sequence[float]) -> list[int]:
-    """A number for each recording, the same for those of one speed and direction."""
-    return [
-        next(i for i, other in enumerate(speeds) if abs(speed - other) <= SAME_SPEED * abs(other))
-        for speed in speeds
-    ]
-
-
 def _spare(speeds: Sequence[float]) -> int | None:
     """The recording without which the others still tell friction's laws apart; rather one between.
 
     The others must hold every direction and enough speeds, or all speeds that there are.
     """
-    settings = _settings(speeds)
+    # A number for each recording, the same for those of one speed and direction.
+    settings = [
+        next(i for i, other in enumerate(speeds) if abs(speed - other) <= SAME_SPEED * abs(other))
+        for speed in speeds
+    ]
     possible = []
     for i, speed in enumerate(speeds):
         others = [other for k, other in enumerate(speeds) if k != i]

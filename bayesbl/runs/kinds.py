@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -23,7 +23,7 @@ from bayesbl.errors import ConfigError, ResultError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import CONFIG_FILE, require_apart
 from bayesbl.results.work import NOTHING_KEPT
-from bayesbl.runs.workflow import Draw, Options, Plan, require_output, run_into_folder
+from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
 from bayesbl.sentences import with_sentences
 
 if TYPE_CHECKING:
@@ -159,22 +159,11 @@ def kind_of(path: str | Path) -> str:
     return kind if isinstance(kind, str) else ""
 
 
-def run(
-    config: RunConfig,
-    draw: Draw,
-    *,
-    force: bool = False,
-    progress: StageProgress | None = None,
-    say: Callable[[str], None] = print,
-    file: Path | None = None,
-    formats: Sequence[str] = ("png",),
-) -> Summary:
+def run(config: RunConfig, options: Options, file: Path | None = None) -> Summary:
     """Run a configuration and write its output folder; the summary that was stored.
 
     Parameters
     ----------
-    draw, force, progress, say, formats
-        As of :class:`bayesbl.runs.workflow.Options`; formats are ``"png"`` and ``"pdf"``.
     file
         Where the configuration comes from, if from a file.
 
@@ -186,10 +175,11 @@ def run(
     _require_output_apart(config, file)
     plan = Plan(file)
     workflow = _described(config, plan)
-    plan.require_sound()
+    if plan.problems:
+        raise plan.problems[0]
     for sentence in plan.withheld:
-        say(sentence)
-    options = Options(draw, force, progress, say, formats, plan.recordings)
+        options.say(sentence)
+    options = replace(options, recordings=plan.recordings)
     if hasattr(workflow, "run"):
         summary: Summary = workflow.run(config, options)
         return summary

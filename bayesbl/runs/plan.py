@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.config.kinds import PlanConfig
-from bayesbl.matching.planning import PlannedMotion, Strokes, noise_of_bench, ranked_motions
+from bayesbl.matching.planning import Strokes, noise_of_bench, ranked_motions
 from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, columns, dataset, table
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
-
-if TYPE_CHECKING:
-    from bayesbl.bench.bench import Bench
 
 MOTIONS = Group(
     "motions",
@@ -71,7 +68,7 @@ def describe(config: PlanConfig, plan: Plan) -> None:
     """Which bench, and within which limits."""
     bench = bench_from(config.bench)
     require_gap(bench, config.bench)
-    plan.add("noise", lambda: _noise(bench))
+    plan.add("noise", lambda: "{:.3g} rpm, {:.3g} A".format(*noise_of_bench(bench).sd))
     low, high = config.limits.range_rad
     plan.lines.append(
         ("limits", f"{low:g} to {high:g} rad of the load, {config.limits.speed_rpm:g} rpm")
@@ -91,7 +88,9 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     allowed = Strokes(**limits.model_dump())
     motions = ranked_motions(bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers)
     shown = any(motion.flank_changes for motion in motions)
-    tree = xr.DataTree.from_dict({MOTIONS.name: _group(motions)})
+    low, high = ([motion.range_rad[end] for motion in motions] for end in (0, 1))
+    values = {**columns(MOTIONS, motions), "low_rad": low, "high_rad": high}
+    tree = xr.DataTree.from_dict({MOTIONS.name: dataset(MOTIONS, values)})
     tree.attrs = {
         "kind": "plan",
         "outcome": "converged" if shown else "withheld",
@@ -123,13 +122,3 @@ def summarise_plan(tree: xr.DataTree) -> PlanSummary:
         motions.append({"kind": "strokes", "range_rad": ends, **value})
     gap = float(tree.attrs["gap_rad"])
     return {"kind": "plan", **head(tree), "plan": {"gap_rad": gap, "motions": motions}}
-
-
-def _group(motions: list[PlannedMotion]) -> xr.Dataset:
-    low, high = ([motion.range_rad[end] for motion in motions] for end in (0, 1))
-    return dataset(MOTIONS, {**columns(MOTIONS, motions), "low_rad": low, "high_rad": high})
-
-
-def _noise(bench: Bench) -> str:
-    speed, current = noise_of_bench(bench).sd
-    return f"{speed:.3g} rpm, {current:.3g} A"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,16 +16,7 @@ from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, cycle, sine, strokes, torque_ramps
 from bayesbl.config.bench import dump_bench
-from bayesbl.config.simulate import (
-    CycleMotion,
-    MotionSection,
-    SimulatedRecording,
-    SimulateFile,
-    SineMotion,
-    StrokesMotion,
-    TorqueRampMotion,
-    load_simulation,
-)
+from bayesbl.config.simulate import MotionSection, SimulatedRecording, SimulateFile, load_simulation
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import TIME, Recording
@@ -197,15 +188,10 @@ def _simulated(
 def motion_of(section: MotionSection, gear_ratio: float) -> Motion:
     """The motion that a configuration describes, at the motor of a gear of this ratio."""
     settings = section.model_dump(exclude={"kind"})
-    match section:
-        case StrokesMotion():
-            return strokes(gear_ratio, **settings)
-        case CycleMotion():
-            return cycle(gear_ratio, **settings)
-        case SineMotion():
-            return sine(gear_ratio, **settings)
-        case TorqueRampMotion():
-            return torque_ramps(**settings)
+    if section.kind == "torque_ramp":
+        return torque_ramps(**settings)
+    made: dict[str, Callable[..., Motion]] = {"strokes": strokes, "cycle": cycle, "sine": sine}
+    return made[section.kind](gear_ratio, **settings)
 
 
 @contextmanager
@@ -214,13 +200,7 @@ def _of_entry(config_path: Path, number: int) -> Iterator[None]:
     try:
         yield
     except BenchError as error:
-        raise ConfigError(
-            error.problem,
-            file=config_path,
-            where=f"[[recordings]] {number + 1}" + (f" {error.where}" if error.where else ""),
-            found=error.found,
-            expected=error.expected,
-        ) from None
+        raise error.at(ConfigError, f"[[recordings]] {number + 1} ", config_path) from None
 
 
 def _refuse_existing(targets: Sequence[Path], force: bool) -> None:

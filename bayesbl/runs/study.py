@@ -121,10 +121,8 @@ class Study:
         try:
             return model.model_validate(known)
         except ValidationError as error:
-            problems = [
-                replace(problem, where=f'[[rows]] "{table["name"]}" {problem.where or ""}'.rstrip())
-                for problem in problems_of(error, model, "")
-            ]
+            row = f'[[rows]] "{table["name"]}" '
+            problems = [problem.at(ConfigError, row) for problem in problems_of(error, model)]
             raise config_error(problems, None) from None
 
     def count(self, table: Table) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Literal, TypedDict
@@ -28,7 +27,7 @@ from bayesbl.measurement.curves import (
     curve_to_dataset,
 )
 from bayesbl.progress import of_stage
-from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
@@ -195,15 +194,6 @@ def describe(config: SweepConfig, plan: Plan) -> None:
     plan.add("gaps", partial(_gaps, config, bench))
 
 
-def _cut_off(nominal: SweepRow, settings: SweepSettings) -> Iterator[str]:
-    first = nominal.gap_rad[0]
-    if first > settings.gap_rad[0]:
-        yield (
-            f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing, and the curve "
-            "begins there."
-        )
-
-
 def _gaps(config: SweepConfig, bench: Bench) -> str:
     require_drawable(config, bench)
     _require_possible(config, bench)
@@ -235,7 +225,10 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     nominal = problem.nominal(nominal_seed, workers)
     report = of_stage(options.progress, "Simulating bench draws")
     swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, report)
-    recording = _sampled(config, bench)
+    # Of the sweep's sampling and the bench's speed.
+    recording = bench.simulate(
+        config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
+    )
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
     curve, regression = swept_curve(
         str(config.run.output),
@@ -246,11 +239,10 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
         curve_seed,
         swept,
     )
-    curve = replace(
-        curve,
-        reference_speed_rpm=nominal_speed_rpm(recording),
-        warnings=tuple(_cut_off(nominal, problem.settings)),
-    )
+    curve = replace(curve, reference_speed_rpm=nominal_speed_rpm(recording))
+    if (first := nominal.gap_rad[0]) > problem.settings.gap_rad[0]:
+        leaps = f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing"
+        curve = replace(curve, warnings=(f"{leaps}, and the curve begins there.",))
     tree = xr.DataTree.from_dict(
         {
             "sweep": sweep_group(nominal, problem.model),
@@ -326,11 +318,4 @@ def _settings(config: SweepConfig) -> SweepSettings:
         section.start_angles,
         section.rotations,
         section.sampling_hz,
-    )
-
-
-def _sampled(config: SweepConfig, bench: Bench) -> Recording:
-    """A recording with the sweep's sampling and the bench's speed."""
-    return bench.simulate(
-        config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )

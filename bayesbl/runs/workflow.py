@@ -96,11 +96,6 @@ class Plan:
             if line is not None:
                 self.lines.append((label, line))
 
-    def require_sound(self) -> None:
-        """Raise the first problem, if there is one."""
-        if self.problems:
-            raise self.problems[0]
-
 
 def run_into_folder(
     config: RunConfig,

@@ -33,6 +33,7 @@ from bayesbl.runs.collect import collect
 from bayesbl.runs.fleet import identity
 from bayesbl.runs.kinds import run
 from bayesbl.runs.watch import Watched, watch
+from bayesbl.runs.workflow import Options
 
 pytest.importorskip("pyarrow")
 
@@ -68,7 +69,7 @@ def watched(plant: Path, measure: Callable[..., RecordingAnswer] = answer, **mor
 def fleet(plant: Path, measure: Callable[..., RecordingAnswer] = answer) -> list[str]:
     said: list[str] = []
     with patch.object(measured_joint, "measure_recording", measure):
-        run(load_config(plant / "plant.toml"), draw, say=said.append)
+        run(load_config(plant / "plant.toml"), Options(draw, say=said.append))
     return said
 
 

@@ -267,7 +267,7 @@ def test_init_says_what_is_still_to_be_filled_in(foreign, capsys):
     (foreign / "filled.toml").write_text(filled)
     config = load_config(foreign / "filled.toml")
     assert config.joint.gear_ratio == 120.0
-    assert config.joint.limit.stated().delta_rad() == pytest.approx(1.2e-3)
+    assert config.joint.limit.delta_rad() == pytest.approx(1.2e-3)
     assert config.joint.decide_before > config.dates[-1]
     assert all(recording.repaired for recording in config.recordings)
     assert "half the play" in text

@@ -425,7 +425,7 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
     )
     assert identification.bench == bench
     limited = config_from_options("compare", files, None, dates, **of_a_stated_limit)
-    assert str(limited.joint.limit.stated()) == of_a_stated_limit["limit"]
+    assert str(limited.joint.limit) == of_a_stated_limit["limit"]
     for option, location in OPTIONS.items():
         field = attrgetter(".".join(map(str, location)))
         if option in of_a_stated_limit:

@@ -133,7 +133,7 @@ def test_only_what_was_recorded_since_the_repair_counts(job):
     late = replace(job, joint=other_joint(job, repaired="2026-06-01"))
     _, wear = measure_joint(late)
     assert wear.rate_rad_per_year is None
-    assert "since the repair; there is one" in str(wear.reason)
+    assert "only one snapshot since the repair" in str(wear.reason)
     assert wear.gap_rad.shape == (1, 1000)
 
 

@@ -43,6 +43,7 @@ from bayesbl.ringing.symbols import (
     DisturbanceModel,
 )
 from bayesbl.runs.kinds import check, run
+from bayesbl.runs.workflow import Options
 
 NOISE = NoiseModel(1.5, (0.6,))
 OLD = EarlierOptimum("the old optimum", TRUTH, 1.5)
@@ -194,7 +195,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[dict
         short = two_ensembles(folder, kind)
         options["curve"] = "published"
         config = config_from_options(kind, files, short, out=folder / out, **options)
-        return run(config, lambda *_: None, say=said.append), " ".join(said)
+        return run(config, Options(say=said.append)), " ".join(said)
 
     run_one("compare", ["before", "after"], "old")
     return run_one

@@ -19,6 +19,7 @@ from bayesbl.runs import fleet, watch
 from bayesbl.runs.kinds import run
 from bayesbl.runs.simulate import run_simulate
 from bayesbl.runs.watch import Watched
+from bayesbl.runs.workflow import Options
 
 pytest.importorskip("pyarrow")
 
@@ -56,7 +57,7 @@ def configure(folder: Path, output: str = "plant", how: str = "workers = 1") -> 
 def start(config: Path, **options: object) -> list[str]:
     """Run; what was said."""
     said: list[str] = []
-    run(load_config(config), draw, say=said.append, **options)
+    run(load_config(config), Options(draw, say=said.append, **options))
     return said
 
 

@@ -21,6 +21,7 @@ from bayesbl.ringing.estimator import Estimator, Fit
 from bayesbl.ringing.posterior import SamplerSettings
 from bayesbl.runs.kinds import load_run, run
 from bayesbl.runs.simulate import recording_csv
+from bayesbl.runs.workflow import Options
 
 pytestmark = pytest.mark.long
 
@@ -89,7 +90,7 @@ def finish(config: Path, **options) -> list[str]:
     """Run without figures; what was said meanwhile."""
     said: list[str] = []
     force = options.pop("force", False)
-    run(load_run(config, **options), lambda *_: None, force=force, say=said.append)
+    run(load_run(config, **options), Options(force=force, say=said.append))
     return said
 
 
@@ -157,7 +158,7 @@ def interrupted(config: Path, **options) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(load_run(config, **options), lambda *_: None, progress=progress, say=lambda _: None)
+        run(load_run(config, **options), Options(progress=progress, say=lambda _: None))
 
 
 @pytest.fixture
@@ -230,7 +231,7 @@ def test_a_figure_that_cannot_be_drawn_costs_no_result(tmp_path):
 
     config = configure(tmp_path / "run", "sweep")
     with pytest.raises(ValueError, match="no such colour") as failure:
-        run(load_run(config), draw)
+        run(load_run(config), Options(draw))
     assert f"bayesbl figures {config.parent / 'out'}" in failure.value.__notes__[0]
     assert numbers(config)
     assert not unfinished(config).exists()

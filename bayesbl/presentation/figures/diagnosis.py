@@ -291,7 +291,9 @@ def _load_maps(
             angle, mean - error, mean + error, color=look.colour, alpha=0.3, linewidth=0.0
         )
         panel.plot(angle, mean, color=look.colour, linewidth=0.7)
-        style.rotation_axis(panel, "Load angle (rad)")
+        panel.set_xlim(0.0, 2.0 * np.pi)
+        panel.set_xticks(0.5 * np.pi * np.arange(5), ["0", "π/2", "π", "3π/2", "2π"])
+        panel.set_xlabel("Load angle (rad)")
         panel.label_outer()
         panels.append(panel)
     panels[0].set_ylabel(f"Recorded − simulated ({unit_of(channel)})", y=-0.06)

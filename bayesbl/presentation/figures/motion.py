@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import holding, snapshots, stored_figure
-from bayesbl.recording.types import FloatArray
 from bayesbl.units import number
 
 _BLOCK_IN = 2.4
@@ -79,19 +78,13 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
     upper.set_ylabel(_CHANNELS[channel])
     lower.set_ylabel(f"Residual {unit}")
     upper.tick_params(labelbottom=False)
-    for left, met in _changes(snapshot):
-        if begin <= time[0] + met < begin + period:
-            style.shade(upper, time[0] + left, time[0] + met)
+    if "flank_left_s" in snapshot.groups["predictive"]:
+        parted, met = (snapshot.values("predictive", f"flank_{end}_s") for end in ("left", "met"))
+        for start, stop in zip(time[0] + parted, time[0] + met, strict=True):
+            if begin <= stop < begin + period:
+                style.shade(upper, start, stop)
     for axes in (upper, lower):
         axes.yaxis.set_label_coords(-0.13, 0.5)
-
-
-def _changes(snapshot: Snapshot) -> list[tuple[float, float]]:
-    """When the teeth part and when they meet again, s."""
-    if "flank_left_s" not in snapshot.groups["predictive"]:
-        return []
-    left: FloatArray = snapshot.values("predictive", "flank_left_s")
-    return list(zip(left, snapshot.values("predictive", "flank_met_s"), strict=True))
 
 
 MOST_SHOWN = 16

@@ -65,12 +65,13 @@ def signal(tree: xr.DataTree) -> Figure:
         heads.append(upper)
         titles.append(f"{snapshot.name}: whole recording")
         for column, positive in ((1, True), (2, False)):
-            begin, end = pulse_window(snapshot, positive)
+            edges = start, stop = impact_window(snapshot, positive)
+            begin, end = start - 0.4 * (stop - start), stop + 0.4 * (stop - start)
             top = figure.add_subplot(inner[0, column], sharey=upper)
             bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
             inside = (data.time >= begin) & (data.time <= end)
             _draw_part(top, bottom, _Signal(*(part[inside] for part in data)))
-            for edge in impact_window(snapshot, positive):
+            for edge in edges:
                 for axes in (top, bottom):
                     axes.axvline(edge, color=style.NEUTRAL, linewidth=0.6, linestyle=":")
             for axes in (upper, lower):
@@ -87,12 +88,6 @@ def signal(tree: xr.DataTree) -> Figure:
     style.head_panels(heads, titles)
     _legend(figure, interval_name(tree))
     return figure
-
-
-def pulse_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:
-    """Start and end, in s, of a view on the pulse that lies nearest to the recording's middle."""
-    start, end = impact_window(snapshot, positive)
-    return start - 0.4 * (end - start), end + 0.4 * (end - start)
 
 
 def impact_window(snapshot: Snapshot, positive: bool) -> tuple[float, float]:

@@ -132,7 +132,9 @@ def head_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
     """(a), (b), … above the upper left corner of each panel, and its title behind."""
     for index, (panel, title) in enumerate(zip(axes, titles, strict=True)):
         # Regular weight: every further font costs 0.15 s per file to be cut down and embedded.
-        panel.set_title(f"({_letters(index)})  {title}", loc="left", pad=4.0)
+        first, last = divmod(index, 26)
+        letters = chr(96 + first) * (first > 0) + chr(97 + last)
+        panel.set_title(f"({letters})  {title}", loc="left", pad=4.0)
 
 
 def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
@@ -145,11 +147,6 @@ def legend_of(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
     """Above all panels, a legend of lines by what they show, in one row."""
     handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
     figure.legend(handles=handles, loc="upper center", ncols=len(handles))
-
-
-def _letters(index: int) -> str:
-    first, last = divmod(index, 26)
-    return ("" if first == 0 else chr(96 + first)) + chr(97 + last)
 
 
 def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> list[Path]:
@@ -248,9 +245,6 @@ def envelope(
     return 0.5 * (time[starts] + time[ends]), low, high
 
 
-TURN = 2.0 * np.pi
-"""A rotation of the load in rad."""
-
 LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 
 
@@ -306,13 +300,6 @@ def limit_line(panel: Axes, tree: xr.DataTree) -> None:
 def shade(panel: Axes, start: float, end: float) -> None:
     """A stretch of the horizontal axis on a tinted ground."""
     panel.axvspan(start, end, color="#f5edc0", linewidth=0.0, zorder=0.0)
-
-
-def rotation_axis(panel: Axes, label: str) -> None:
-    """One rotation of the load along the horizontal axis, in quarters."""
-    panel.set_xlim(0.0, TURN)
-    panel.set_xticks(TURN * np.arange(5) / 4.0, ["0", "π/2", "π", "3π/2", "2π"])
-    panel.set_xlabel(label)
 
 
 def plain_log_axis(axis: Axis, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> None:

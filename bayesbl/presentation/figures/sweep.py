@@ -51,7 +51,9 @@ def curve(tree: xr.DataTree) -> Figure:
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 3.7)
     outer = style.grid(figure, 1, 2, between=(0.0, 0.7), widths=(1.0, 1.0))
     whole = figure.add_subplot(outer[0, 0])
-    papers, wide = is_papers_bench(tree), any(s in source_bands(tree) for s in _WIDE_SOURCES)
+    swept = parse_bench(tree.attrs["bench"], "bench of the sweep")
+    papers = swept.fingerprint() == reference_bench().fingerprint()  # eq. 4 is of no other
+    wide = any(source in source_bands(tree) for source in _WIDE_SOURCES)
     right = outer[0, 1].subgridspec(2 if papers or wide else 1, 1, hspace=0.42)
     _draw_whole(whole, tree, papers)
     axes, titles = [whole], ["gap and amplitude"]
@@ -74,12 +76,6 @@ def curve(tree: xr.DataTree) -> Figure:
     close.set_xlabel("Amplitude of the ringing A (rpm)")
     style.head_panels(axes, titles)
     return figure
-
-
-def is_papers_bench(tree: xr.DataTree) -> bool:
-    """Whether the paper's bench was swept: eq. 4 says nothing about another."""
-    swept = parse_bench(tree.attrs["bench"], "bench of the sweep")
-    return swept.fingerprint() == reference_bench().fingerprint()
 
 
 def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:

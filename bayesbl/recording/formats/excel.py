@@ -24,9 +24,6 @@ _MOST_LINES = 2**20
 
 _HEAD, _MIDDLE = 400, 200
 
-_CELL_BYTES = 64.0
-"""A number as Python holds it, with its place in a list."""
-
 
 def read_excel(file: Path, data: bytes) -> ArrayTable:
     """Columns of all sheets, ``SHEET/NAME`` where two sheets have one of the same name.
@@ -96,7 +93,6 @@ def _text(cell: object, mark: str) -> str:
 def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
     """All rows. What the sheet says of its own size is not believed."""
     sheet.reset_dimensions()
-    cells = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         if len(row) > _MOST_COLUMNS or number > _MOST_LINES:
             raise RecordingError(
@@ -106,8 +102,6 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
                 found=f"{len(row)} columns in line {number}",
                 expected=f"at most {_MOST_COLUMNS} columns and {_MOST_LINES} lines",
             )
-        cells += len(row)
-        require_memory(file, _CELL_BYTES * cells, f"{cells} cells, or more")
         yield row
 
 

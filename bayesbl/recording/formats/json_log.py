@@ -17,13 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
-from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
-
-_COPIES = 15.0
-"""Times its size that a text of numbers takes as Python's objects."""
 
 _LONGEST_LIST = 64
 _DEEPEST = 6
@@ -43,7 +39,6 @@ def read_json(file: Path, data: bytes) -> ArrayTable:
 
     from bayesbl.recording.array_table import ArrayTable
 
-    require_memory(file, _COPIES * len(data), "numbers, read from text")
     text = data.decode("utf-8-sig")
     try:
         content = json.loads(text)

@@ -8,8 +8,6 @@ name is left off.
 from __future__ import annotations
 
 import io
-import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -18,13 +16,9 @@ from typing import TYPE_CHECKING, Any
 from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
 from bayesbl.recording.hdf5 import SIGNATURES, require_whole
-from bayesbl.recording.input_bytes import memory_bytes, require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
-
-_COMPRESSED = 15
-"""Kind of an element of a v5 file."""
 
 _MOST_COLUMNS = 64
 _DEEPEST = 5
@@ -47,7 +41,7 @@ def read_matlab(file: Path, data: bytes) -> ArrayTable:
     if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
         variables = _hdf5_variables(file, data)
     else:
-        variables = _mat5_variables(file, data)
+        variables = _mat5_variables(data)
     if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
         variables = only
     arrays = dict(_columns(variables))
@@ -75,28 +69,11 @@ def _columns(
                 yield f"{prefix}{name}(:,{column + 1})", value[:, column]
 
 
-def _mat5_variables(file: Path, data: bytes) -> dict[str, Any]:
+def _mat5_variables(data: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
-    require_memory(file, 2.0 * _unpacked_bytes(data), "its variables, unpacked, or more")
     stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
     return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
-
-
-def _unpacked_bytes(data: bytes) -> float:
-    """Of the variables of a v5 file, up to where they are more than the limit; v4 packs nothing."""
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
-    if order is None or 0 in data[:4]:  # v4 has no text in front
-        return float(len(data))
-    begin, total, limit = 128, 0, memory_bytes()
-    while begin + 8 <= len(data) and total <= limit:
-        kind, size = struct.unpack_from(order + "II", data, begin)
-        begin += 8
-        packed = data[begin : begin + size]
-        unpacker = zlib.decompressobj()
-        total += len(unpacker.decompress(packed, limit + 1) if kind == _COMPRESSED else packed)
-        begin += size
-    return float(total)
 
 
 def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
@@ -130,8 +107,7 @@ def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
     import h5py
     import numpy as np
 
-    size = require_whole(data, partial(RecordingError, file=file))
-    require_memory(file, 2.0 * size, "its variables, unpacked")
+    require_whole(data, partial(RecordingError, file=file))
 
     def variables(group: Any, depth: int) -> dict[str, Any]:
         found: dict[str, Any] = {}

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
-from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
@@ -28,24 +27,12 @@ _NAMES_3 = {
 
 
 def read_mdf(file: Path, data: bytes) -> ArrayTable:
-    """Every channel of one dimension, in the units after its conversion where that is linear.
-
-    Raises
-    ------
-    RecordingError
-        If it is no MDF file, or declares more than the limit of memory allows.
-    """
+    """Every channel of one dimension, in the units after its conversion where that is linear."""
     import asammdf
 
     from bayesbl.recording.array_table import table_of_groups
 
     with asammdf.MDF(io.BytesIO(data)) as stored:
-        size = 0.0
-        for group in stored.groups:
-            block = group.channel_group
-            record = block.samples_byte_nr + (getattr(block, "invalidation_bytes_nr", 0) or 0)
-            size += float(block.cycles_nr) * (record + 8.0 * len(group.channels))
-        require_memory(file, size, "its groups, unpacked")
         groups = [_group(stored, number) for number in range(len(stored.groups))]
         return table_of_groups(file, groups)
 

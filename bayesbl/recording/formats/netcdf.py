@@ -9,16 +9,12 @@ from typing import TYPE_CHECKING
 from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
 from bayesbl.recording.hdf5 import SIGNATURE, SIGNATURES, require_whole
-from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
 
 RESULT_MARK = "bayesbl_format"
 """Root attribute that marks a NetCDF file as a result of ours; its value counts the layouts."""
-
-_DECODED = 3.0
-"""Times its size that a variable takes while missing values and scales are decoded."""
 
 
 def read_netcdf(file: Path, data: bytes) -> ArrayTable:
@@ -36,12 +32,7 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     from bayesbl.recording.array_table import ArrayTable
 
     if SIGNATURE in data[:2056]:
-        size = require_whole(
-            data,
-            partial(RecordingError, file=file),
-            lambda path, dimensions: dimensions == 1 and path.count("/") == 1,
-        )
-        require_memory(file, _DECODED * size, "its variables, unpacked and decoded")
+        require_whole(data, partial(RecordingError, file=file))
     stored = netCDF4.Dataset("recording", memory=data)
     if RESULT_MARK in stored.ncattrs():
         raise RecordingError(
@@ -49,9 +40,6 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
             file=file,
             expected="a file of measured channels; `bayesbl inspect` prints a result",
         )
-    declared = [v for v in stored.variables.values() if v.ndim == 1]
-    size = sum(float(v.size) * max(8, getattr(v.dtype, "itemsize", 8)) for v in declared)
-    require_memory(file, _DECODED * size, "its variables, decoded")
     store = xr.backends.NetCDF4DataStore(stored)  # type: ignore[no-untyped-call]
     with xr.open_dataset(store, decode_timedelta=False) as dataset:
         chosen = {str(k): v for k, v in dataset.variables.items() if v.ndim == 1}

@@ -6,15 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
-from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable
 
-_COPIES = 2.0
-"""Arrow's columns beside NumPy's."""
-
-_OBJECT_BYTES = 64.0
 _LONGEST_LIST = 64
 
 
@@ -22,11 +17,6 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
     """All columns, the index that pandas may have stored among them.
 
     By pyarrow, not the lighter fastparquet, which a damaged file can crash.
-
-    Raises
-    ------
-    RecordingError
-        If it is no Parquet file, or declares more rows than the limit of memory allows.
     """
     import pyarrow
     import pyarrow.parquet
@@ -35,9 +25,6 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
 
     pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # its own reserves far more than it uses
     stored = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
-    sizes = [_width(column.type) for column in stored.schema_arrow]
-    size = float(stored.metadata.num_rows) * sum(sizes)
-    require_memory(file, _COPIES * size, f"{stored.metadata.num_rows} rows")
     table = stored.read(use_threads=False)
     arrays: dict[str, AnyArray] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
@@ -58,14 +45,6 @@ def _of_lists(name: str, column: Any) -> dict[str, AnyArray]:
         return {}
     flat = pyarrow.compute.list_flatten(column).to_numpy().reshape(-1, lengths[0])
     return {f"{name}[{i}]": flat[:, i] for i in range(lengths[0])}
-
-
-def _width(kind: Any) -> float:
-    """Bytes of a value in memory, at least."""
-    try:
-        return max(8.0, float(kind.bit_width) / 8.0)
-    except ValueError:  # text, lists: Python objects at the end
-        return _OBJECT_BYTES
 
 
 FORMAT = Format("Parquet", (".parquet",), read_parquet, "pyarrow", ((0, b"PAR1"),))

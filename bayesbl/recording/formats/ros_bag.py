@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import struct
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
-from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
@@ -25,8 +23,6 @@ _JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 _MCAP, _ROS_1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _LONGEST_ARRAY = 100
 _DEEPEST = 6
-_OVERHEAD = 3.0
-"""Times its messages that a bag takes: a chunk is held packed, unpacked and cut into messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +61,6 @@ def read_bag(file: Path, data: bytes) -> ArrayTable:
 
     Time is the header's stamp from the group's first; where messages have none, the column
     ``received_s`` holds when they were recorded, which a network makes uneven.
-
-    Raises
-    ------
-    RecordingError
-        If it is no bag, or declares to unpack to more than the limit of memory allows.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -77,49 +68,12 @@ def read_bag(file: Path, data: bytes) -> ArrayTable:
     from bayesbl.recording.array_table import table_of_groups
 
     path = _Bytes(file.name.removesuffix(".gz").lower(), data)
-    require_memory(file, _OVERHEAD * _unpacked_bytes(data), "its messages, unpacked")
     # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
     store = get_typestore(Stores.ROS2_HUMBLE)
     with AnyReader([path], default_typestore=store) as reader:
         series = _series(reader)
     groups = _groups(series)
     return table_of_groups(file, groups, always_prefixed=True)
-
-
-def _unpacked_bytes(data: bytes) -> float:
-    """What the chunks of a bag declare to unpack to; of a bag without chunks its own size."""
-    if data.startswith(_MCAP):
-        return sum(_of_mcap(data))
-    return sum(_of_ros_1(data)) if data.startswith(_ROS_1) else float(len(data))
-
-
-def _of_mcap(data: bytes) -> Iterator[float]:
-    """Of each chunk (record 6): its times (16 bytes) and then its size; of others their own."""
-    place = len(_MCAP)
-    while place + 9 <= len(data):
-        kind, size = struct.unpack_from("<BQ", data, place)
-        place += 9
-        if kind == 6 and size >= 24 and place + 24 <= len(data):
-            yield float(struct.unpack_from("<Q", data, place + 16)[0])
-        yield float(min(size, len(data)))
-        place += size
-
-
-def _of_ros_1(data: bytes) -> Iterator[float]:
-    """Of each chunk (``op=5``) the field ``size`` of its header; of others their own."""
-    place = len(_ROS_1)
-    while place + 4 <= len(data):
-        (length,) = struct.unpack_from("<I", data, place)
-        header = data[place + 4 : place + 4 + min(length, 4096)]
-        place += 4 + length
-        if place + 4 > len(data):
-            break
-        (size,) = struct.unpack_from("<I", data, place)
-        at = header.find(b"\x09\0\0\0size=")
-        if b"op=\x05" in header and 0 <= at <= len(header) - 13:
-            yield float(struct.unpack_from("<I", header, at + 9)[0])
-        yield float(size)
-        place += 4 + size
 
 
 class _Rows:

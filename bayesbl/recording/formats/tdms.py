@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.recording.formats import Format
-from bayesbl.recording.input_bytes import require_memory
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable, Group
@@ -17,20 +16,11 @@ _UNITS = ("unit_string", "NI_UnitDescription")
 
 
 def read_tdms(file: Path, data: bytes) -> ArrayTable:
-    """Every channel; ``GROUP/NAME`` where two groups have one of the same name.
-
-    Raises
-    ------
-    RecordingError
-        If it is no TDMS file, or declares more than the limit of memory allows.
-    """
+    """Every channel; ``GROUP/NAME`` where two groups have one of the same name."""
     import nptdms
 
     from bayesbl.recording.array_table import table_of_groups
 
-    declared = nptdms.TdmsFile.read_metadata(io.BytesIO(data))
-    counts = [len(channel) for group in declared.groups() for channel in group.channels()]
-    require_memory(file, 16.0 * sum(counts), "its channels")
     stored = nptdms.TdmsFile.read(io.BytesIO(data))
     groups = [part for group in stored.groups() for part in _groups(group)]
     return table_of_groups(file, groups)
