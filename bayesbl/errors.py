@@ -122,6 +122,10 @@ class BenchError(UserError):
     """A virtual bench whose parameters make no physical sense, or whose simulation fails."""
 
 
+class SimulationError(BenchError):
+    """Values with which a bench cannot be simulated: a search turns back from them."""
+
+
 class CurveError(UserError):
     """A gap curve that cannot be used with this fit."""
 

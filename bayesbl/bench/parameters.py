@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bayesbl.bench.effect_declaration import EffectParameter
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import SLOTS, Slot
-from bayesbl.errors import BenchError
+from bayesbl.errors import BenchError, SimulationError
 from bayesbl.recording.types import FloatArray
 
 
@@ -216,7 +216,7 @@ def _check_gap(matrix: FloatArray) -> None:
     weak &= sharpness * gap < SMALLEST_SHARPNESS_GAP
     if weak.any():
         row = int(np.argmax(weak))
-        raise BenchError(
+        raise SimulationError(
             "The arctan stiffness has no dead zone at so small a gap: stiffness_sharpness_per_rad "
             f"must be at least {SHARPEST_PER_RAD:g}, or {SMALLEST_SHARPNESS_GAP:g} over the gap, "
             'or the shaft is only weakened everywhere. Use gap_form = "dead_zone", a larger '
@@ -287,7 +287,7 @@ def simulated_range(name: str) -> tuple[float, float]:
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise BenchError(
+        raise SimulationError(
             "This value makes no physical sense.",
             where=label(slot),
             found=f"{matrix[row, slot]:g}",

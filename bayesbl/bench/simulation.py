@@ -18,7 +18,7 @@ from bayesbl.bench.kernel import STATES, Slot
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.steady import noise_through_loop, settling_time_s
-from bayesbl.errors import BenchError
+from bayesbl.errors import BenchError, SimulationError
 from bayesbl.noise.process import NO_NOISE, NoiseModel, quantised
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, FloatArray
@@ -261,7 +261,7 @@ def simulate_states(
         np.empty((0, kernel.PIECE_COLUMNS)),
     )
     if status != kernel.DONE:
-        raise BenchError(f"At {time:.4g} s {_REASONS[status]}.")
+        raise SimulationError(f"At {time:.4g} s {_REASONS[status]}.")
     return out
 
 
@@ -360,7 +360,7 @@ def _run_rows(
         raise _failure(matrix, int(failed[0]), int(status[failed[0]]))
 
 
-def _failure(matrix: FloatArray, row: int, status: int) -> BenchError:
+def _failure(matrix: FloatArray, row: int, status: int) -> SimulationError:
     values = matrix[row]
     shown = {
         "gap": (Slot.gap_rad, "rad"),
@@ -369,4 +369,4 @@ def _failure(matrix: FloatArray, row: int, status: int) -> BenchError:
     }
     found = ", ".join(f"{name} {values[slot]:g} {unit}" for name, (slot, unit) in shown.items())
     number = f"Simulation {row + 1} of {matrix.shape[0]}: " if matrix.shape[0] > 1 else ""
-    return BenchError(f"{number}{_REASONS[status]}.", found=found)
+    return SimulationError(f"{number}{_REASONS[status]}.", found=found)

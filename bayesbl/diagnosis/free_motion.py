@@ -40,7 +40,7 @@ from bayesbl.diagnosis.rigid.preparation import (
     unknown_parameters,
 )
 from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
-from bayesbl.errors import BenchError, RecordingError
+from bayesbl.errors import RecordingError, SimulationError
 from bayesbl.recording.types import MOTOR_POSITION, FloatArray
 from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -369,7 +369,7 @@ class FreeMotionView:
         piece = self.pieces[i]
         try:
             states = self._states(i, effects, values, torque)
-        except BenchError:
+        except SimulationError:
             # A step of the search beyond what can be simulated: far off, and so turned back.
             return np.full(piece.measured.size, 1e3)
         if piece.channel == SPEED_CHANNEL:

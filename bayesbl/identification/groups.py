@@ -22,7 +22,7 @@ from bayesbl.diagnosis.closed_loop.prediction import residuals_of, simulated_pai
 from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
 from bayesbl.diagnosis.groups import POSTERIOR, disagreement_group, of_rows, posterior_dataset
 from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
-from bayesbl.errors import BenchError
+from bayesbl.errors import SimulationError
 from bayesbl.identification.identify import Identification, identified_bench, parameter_draws
 from bayesbl.identification.next_recording import next_recording
 from bayesbl.identification.problem import Problem
@@ -177,7 +177,7 @@ def _free_effects(final: Explanation) -> list[str]:
 def _suggested(final: Explanation) -> NextRecordingSummary | None:
     try:
         return next_recording(final.fit)
-    except (BenchError, np.linalg.LinAlgError):
+    except (SimulationError, np.linalg.LinAlgError):
         return None  # a suggestion is not worth a result
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.steady import contact_rates
-from bayesbl.errors import BenchError
+from bayesbl.errors import SimulationError
 from bayesbl.identification.problem import Problem
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import fit_simulated, promised_within
@@ -96,7 +96,7 @@ def explanations_from_afar(problem: Problem, progress: Progress) -> list[Explana
     fits: list[Explanation] = []
     for place in best.values():
         if place.left < LEAVES_MOST * max(least, 0.0) + SLACK:
-            with suppress(BenchError):
+            with suppress(SimulationError):
                 beside = extended(model, place.candidate)
                 fit = fit_simulated(beside, place.point, rough=True)
                 fits.append(Explanation((place.candidate,), fit))

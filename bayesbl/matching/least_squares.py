@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bayesbl.errors import BenchError
+from bayesbl.errors import SimulationError
 from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.recording.types import FloatArray
 
@@ -165,7 +165,7 @@ def fit_simulated(
 
     Raises
     ------
-    BenchError
+    SimulationError
         If the bench cannot be simulated at the start.
     """
     point = np.clip(start, model.low, model.high)
@@ -174,7 +174,7 @@ def fit_simulated(
     residual = model.whitened(point)[0]
     if not np.all(np.isfinite(residual)):
         model.require(point)
-        raise BenchError(
+        raise SimulationError(
             "The bench cannot be simulated at the start of the fit.",
             found=", ".join(
                 f"{u.label} = {float(u.value(x)):.4g}"

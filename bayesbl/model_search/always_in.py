@@ -41,7 +41,7 @@ from bayesbl.bench.parameters import (
     drift_of,
     simulated_range,
 )
-from bayesbl.errors import BenchError
+from bayesbl.errors import SimulationError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
@@ -730,7 +730,7 @@ def elastic_part(
     least = min((e.fit.chi_square for e in rough), default=0.0)
     fitted = []
     for close in (e for e in rough if e.fit.chi_square < least + CLOSE):
-        with suppress(BenchError):
+        with suppress(SimulationError):
             fitted.append(polished(close))
     if not fitted:
         return None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesbl.errors import BenchError
+from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.signals import GAP, SimulatedSignals
@@ -137,7 +137,7 @@ def refit(
     trials = np.clip(np.stack(starts), model.low, model.high)
     chi_squares = np.array([chi_square(model, trial) for trial in trials])
     candidates = (*base.candidates, *(c for c, _ in added))
-    with suppress(BenchError):
+    with suppress(SimulationError):
         best, steps = trials[int(np.argmin(chi_squares))], base.fit.steps
         known = base.fit.derivatives()
         fit = fit_simulated(model, best, steps, rough=True, known=known, goal=goal)
@@ -163,7 +163,7 @@ def reduced(
         model = extended(model, candidate)
     try:
         fit = fit_simulated(model, full.fit.point[at], full.fit.steps[at])
-    except BenchError:
+    except SimulationError:
         return None
     return Explanation(tuple(kept), fit)
 
@@ -187,7 +187,7 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
         for start, value in zip(starts, chi_squares, strict=True):
             if value > BEHIND * min(chi_squares):
                 continue
-            with suppress(BenchError):
+            with suppress(SimulationError):
                 fit = fit_simulated(beside, start, free.fit.steps, rough=True)
                 known = best.get(candidate.label)
                 if known is None or fit.chi_square < known[0]:

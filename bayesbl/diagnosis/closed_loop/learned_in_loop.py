@@ -28,7 +28,7 @@ from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.augment import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.residuals import Unexplained, What
-from bayesbl.errors import BenchError
+from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
@@ -183,7 +183,7 @@ def learned_term(
         ]
         odds = math.log(EXPECTED_HYPOTHESES / max(1, len(every)))
         for series, sizes in _promised(near.with_derivatives(), every):
-            with suppress(BenchError):
+            with suppress(SimulationError):
                 made = _fitted(base, series, sizes)
                 evidence = weighed(made, noise=noise).log_evidence - without + odds
                 evidence += _log_prior(made.fit, fit.point.size)
