@@ -110,7 +110,14 @@ def main() -> None:
             show(f"{told} 1e7 samples of four columns of CSV, at most 15 s", seconds, "core-s")
             show("  peak memory, at most 1000 MB", megabytes, "MB")
     imports = f"import {', '.join(IMPORTED)}"
-    show(imports, core_seconds([sys.executable, "-c", imports]), "core-s")
+    importing = core_seconds([sys.executable, "-c", imports])
+    show(imports, importing, "core-s")
+    with tempfile.TemporaryDirectory() as folder:
+        readme = ["run", str(RECORDINGS.parent / "wear_snapshots.toml"), "--force", "--out", folder]
+        process_seconds(readme, 1)
+        taken = core_seconds([PROGRAM, *readme], 3)
+        show("bayesbl run configs/wear_snapshots.toml, both routes, figures", taken, "core-s")
+        show("  over these imports, at most 8", taken / importing, "")
     with tempfile.TemporaryDirectory() as folder:
         for told, options in (
             ("bayesbl compare, at most 5 s", ()),

@@ -160,7 +160,7 @@ def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
     """Compression of the variables for which it saves more than it costs."""
     return {
         node.path: {
-            str(name): {"zlib": True, "complevel": 4, "shuffle": True}
+            str(name): {"zlib": True, "complevel": 1, "shuffle": True}
             for name, variable in node.to_dataset(inherit=False).variables.items()
             if variable.dtype.kind in "fiub" and variable.nbytes >= _COMPRESS_FROM_BYTES
         }
