@@ -279,6 +279,30 @@ def _factor(gram: FloatArray) -> tuple[FloatArray, float]:
     return np.asarray(part @ part.T), log_det
 
 
+def _root(matrix: np.ndarray) -> FloatArray:
+    """Lower triangular root of a positive definite matrix, beyond rounding where noise is tiny."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        rounding = 1e-12 * np.diag(matrix).max()
+        values, vectors = np.linalg.eigh(matrix)
+        least = np.maximum(values, rounding)
+        return np.asarray(np.linalg.cholesky((vectors * least) @ vectors.T))
+
+
+def _without_rounding(gram: FloatArray) -> FloatArray:
+    """A Gram matrix to which priors of size one can be added.
+
+    Where noise is tiny, rounding of what the nuisance takes leaves squares below minus one.
+    """
+    try:
+        np.linalg.cholesky(gram + np.eye(len(gram)))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(gram)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+    return gram
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Base:
     """Gram matrices at one scale of the misfit bands: of the nuisance (u and what is always there),
@@ -306,7 +330,7 @@ class _Base:
             inverse,
             cross,
             nuisance_pull,
-            total[q:-1, q:-1] - cross.T @ inverse @ cross,
+            _without_rounding(total[q:-1, q:-1] - cross.T @ inverse @ cross),
             total[q:-1, -1] - cross.T @ (inverse @ nuisance_pull),
             squares,
             squares - float(nuisance_pull @ inverse @ nuisance_pull),
@@ -424,12 +448,15 @@ class _Grams:
                 root = np.sqrt(precision)
                 # (R⁻¹ G R⁻¹ + I), R² the precision: well scaled at every scale.
                 inside = base.gram[np.ix_(at, at)] / np.outer(root, root) + np.eye(there.size)
-                lower = np.linalg.cholesky(inside)
+                lower = _root(inside)
                 cross = np.linalg.solve(lower, base.gram[np.ix_(at, np.arange(k))] / root[:, None])
                 own = np.linalg.solve(lower, base.right[at] / root)
-                gram = gram - cross.T @ cross
+                gram = _without_rounding(gram - cross.T @ cross)
                 right = right - cross.T @ own
                 log_evidence += 0.5 * float(own @ own) - float(np.log(np.diag(lower)).sum())
+                # No h takes more than all that is there: then rounding has the better of its scale.
+                if float(own @ own) > (1.0 + 1e-6) * base.chi_square:
+                    right, log_evidence = np.zeros(k), -math.inf
             absent = DISCREPANCY_ABSENT
             for index, group in zip(level, self.view.scaled, strict=True):
                 weight = absent if index == 0 else (1.0 - absent) / (self.lattice.size - 1)
@@ -765,7 +792,7 @@ class ModelPosterior:
             base = grams.base(model._level)
             a = _truncated(
                 mean,
-                np.asarray(np.linalg.inv(precision), dtype=float),
+                precision,
                 grams.is_positive[columns],
                 count,
                 own_generator,
@@ -777,7 +804,7 @@ class ModelPosterior:
                 inside = there + grams.k
                 gram = base.gram[np.ix_(inside, inside)] + np.diag(prior)
                 right = base.right[inside] - a @ base.gram[np.ix_(columns, inside)]
-                lower = np.linalg.cholesky(gram)
+                lower = _root(gram)
                 centre = np.linalg.solve(gram, right.T).T
                 noise = own_generator.standard_normal((count, there.size))
                 h[rows, there] = centre + np.linalg.solve(lower.T, noise.T).T
@@ -785,7 +812,7 @@ class ModelPosterior:
                 values = np.concatenate([a, h[rows, there]], axis=1)
                 centre = (base.nuisance_pull - values @ base.cross[:, both].T) @ base.inverse
                 block = base.inverse[grams.d :, grams.d :]
-                root = np.linalg.cholesky(block)
+                root = _root(block)
                 noise = own_generator.standard_normal((count, block.shape[0]))
                 sizes[rows, grams.place_free] = centre[:, grams.d :] + noise @ root.T
             inverse_u, _ = _factor(base.nuisance_gram[: grams.d, : grams.d])
@@ -854,37 +881,32 @@ def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> F
 
 def _truncated(
     mean: FloatArray,
-    covariance: FloatArray,
+    precision: FloatArray,
     positive: np.ndarray,
     n: int,
     generator: np.random.Generator,
 ) -> FloatArray:
     """(n, k) draws of a normal with some amplitudes positive: n chains of Gibbs side by side."""
-    result = np.zeros((n, mean.size))
+    result, covariance = np.zeros((n, mean.size)), np.linalg.inv(precision)
     bounded, free = np.flatnonzero(positive), np.flatnonzero(~positive)
     if bounded.size:
         sub = covariance[np.ix_(bounded, bounded)]
-        precision = np.linalg.inv(sub)
+        own = np.linalg.inv(sub)
         middle = mean[bounded]
         x = np.maximum(np.broadcast_to(middle, (n, bounded.size)), 0.0).copy()
         for _ in range(GIBBS_SWEEPS if bounded.size > 1 else 1):
             for i in range(bounded.size):
                 others = [j for j in range(bounded.size) if j != i]
-                sd = 1.0 / math.sqrt(precision[i, i])
-                centre = (
-                    middle[i]
-                    - (x[:, others] - middle[others]) @ precision[others, i] / precision[i, i]
-                )
+                sd = 1.0 / math.sqrt(own[i, i])
+                centre = middle[i] - (x[:, others] - middle[others]) @ own[others, i] / own[i, i]
                 x[:, i] = _above_zero(centre, sd, generator)
         result[:, bounded] = x
     if free.size:
         centre = np.broadcast_to(mean[free], (n, free.size))
-        rest = covariance[np.ix_(free, free)]
         if bounded.size:
             gain = np.linalg.solve(sub, covariance[np.ix_(bounded, free)])
             centre = centre + (result[:, bounded] - mean[bounded]) @ gain
-            rest = rest - covariance[np.ix_(free, bounded)] @ gain
-        root = np.linalg.cholesky(rest)
+        root = _root(np.linalg.inv(precision[np.ix_(free, free)]))
         result[:, free] = centre + generator.standard_normal((n, free.size)) @ root.T
     return result
 

@@ -350,3 +350,26 @@ def test_where_a_band_may_be_off_its_rows_name_nothing():
     with_band, without = search(lin, None, 1), search(replace(lin, bands=[]), None, 1)
     assert without.inclusion["chance"] > NAMED_AT
     assert with_band.inclusion["chance"] < NAMED_AT
+
+
+def test_noise_of_next_to_nothing_leaves_an_answer() -> None:
+    """Collinear parameters and residuals of a million standard deviations: rounding is large."""
+    rng = np.random.default_rng(8)
+    rows = 300
+    base = rng.standard_normal((rows, 1))
+    jacobian = 1e6 * (base + 1e-5 * rng.standard_normal((rows, 12)))
+    always = Term("always", 1e6 * (base + 1e-6 * rng.standard_normal((rows, 1))), always=True)
+    bounded = Term("bounded", 1e6 * base, positive=True, always=True)
+    misfit = rng.standard_normal((rows, 150)) + 1e3 * base
+    view = Linearised(
+        1e4 * rng.standard_normal(rows),
+        jacobian,
+        np.eye(12),
+        np.zeros(12),
+        [always, bounded],
+        misfit,
+        [DiscrepancyGroup("laws", slice(0, 150))],
+    )
+    drawn = search(view, None, 0).draw(np.random.default_rng(1), 200)
+    assert np.all(np.isfinite(drawn.shift))
+    assert np.all(drawn.sizes[:, 1] >= 0.0)
