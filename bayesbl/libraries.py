@@ -1,10 +1,10 @@
 """Libraries without the extras that they import where these happen to be installed.
 
-pandas imports pyarrow, xarray dask, cma matplotlib and scipy.stats, emcee h5py: together a second
-and 110 MB, of which a command uses nothing, or only later and by itself. They ask whether an extra
-is there as they are imported, and remember the answer for the life of the process. So only a
-process of ours may do this, a command or its worker, before it has other threads: whoever imports
-bayesbl into a program of their own finds pandas and xarray as they know them.
+pandas imports pyarrow, xarray dask, cma matplotlib and emcee h5py: together most of a second and
+110 MB, of which a command uses nothing, or only later and by itself. They ask whether an extra is
+there as they are imported, and remember the answer for the life of the process. So only a process
+of ours may do this, a command or its worker, before it has other threads: whoever imports bayesbl
+into a program of their own finds pandas and xarray as they know them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def bare(*, dask: bool = False) -> Iterator[None]:
         with _never_collected():
             with absent("pyarrow"):
                 import xarray  # noqa: F401  # imports pandas
-            with absent("matplotlib", "scipy.stats"), warnings.catch_warnings():
+            with absent("matplotlib"), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "Could not import matplotlib")
                 import cma  # noqa: F401
             with absent("h5py"):
