@@ -339,9 +339,12 @@ class JointFit:
 
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
         """Its draws with impacts that differ, laws, drift, and all that the bench may lack."""
-        scattering, drifting, *others = seed.spawn(2 if self.naming is None else 3)
+        scattering, drifting, others = seed.spawn(3)
         whole = marginalised(widened(posterior, scattering), self.rest, drifting)
-        return whole if self.naming is None else averaged(whole, self.naming, others[0])
+        if self.naming is None or not self.naming.effects:
+            # Sets that explain too little to be named know less of the misfit than the bench does.
+            return whole
+        return averaged(whole, self.naming, others)
 
 
 def fit_jointly(

@@ -622,9 +622,13 @@ def marginalised(
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
+    # What nothing explains is in no catalogue, so neither is the side to which it moves a fit.
+    unsure = rest.posterior.draw(np.random.default_rng(0), SIZES_DRAWN).shift.mean(axis=0)
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
         tried = flat[outside] + rest.posterior.draw(rng, outside.size).shift
+        if rest.has_discrepancy:
+            tried += np.outer(rng.standard_normal(outside.size) - 1.0, unsure)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
         for k in gaps:
             unknown = model.unknowns[k]
@@ -649,10 +653,10 @@ def is_useful(fit: SimulatedFit, rest: Beside) -> bool:
     for place, unknown in enumerate(fit.model.unknowns):
         if unknown.name != GAP:
             continue
-        sd = math.hypot(math.sqrt(fit.covariance[place, place]), float(drawn[:, place].std()))
-        middle = fit.point[place] + float(drawn[:, place].mean())
+        moved = float(np.mean(drawn[:, place] ** 2))
+        sd = math.sqrt(float(fit.covariance[place, place]) + moved)
         reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
-        low, high = unknown.value(np.array([middle - reach, middle + reach]))
+        low, high = unknown.value(fit.point[place] + np.array([-reach, reach]))
         if not 0.0 < high < USEFUL_RATIO * low:
             return False
     return True
