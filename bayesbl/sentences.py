@@ -274,10 +274,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "repeats_beyond_noise": repeats_beyond_noise,
     "allows_for_misfit": repeats_beyond_noise,
-    "less_than_none": (
-        "Simulation and recording agree, but only with less than none of a damping or another law. "
-        "The bench lacks something that may move δ, so the interval is {times:.2g} times as wide; "
-        "`bayesbl diagnose` looks for what is missing."
+    "negative_law": (
+        "Simulation and recording agree only if a damping, or another law that cannot be negative, "
+        "is negative. The bench lacks something that may move δ, so the interval is {times:.2g} "
+        "times as wide; `bayesbl diagnose` looks for what is missing."
     ),
     "unexplained": (
         "Something is off that neither the bench nor any change of it explains, so δ cannot be "
@@ -286,9 +286,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "bench_lacks": bench_lacks,
     "sheet_contradicted": (
         "The recordings contradict several values of the bench file at once, most of all {names}. "
-        "One value may be wrong; several are the sign of something that the bench lacks, and δ is "
-        "as wrong as they are. Check the file, widen tolerances that are too narrow, or see what "
-        "`bayesbl diagnose` finds missing."
+        "One value may be wrong; several are the sign of something that the bench lacks, and δ may "
+        "be as wrong as they are. Check the file, widen tolerances that are too narrow, or see "
+        "what `bayesbl diagnose` finds missing."
     ),
     # Of a change.
     "change_without_drift": (
@@ -330,7 +330,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Of wear.
     "other_benches": (
         "Something other than the gap changed between the recordings, so their change is "
-        "withheld: another bench than by the others is needed in {needed}. `bayesbl compare` over "
+        "withheld: another bench than for the others is needed in {needed}. `bayesbl compare` over "
         "these recordings looks for what changed."
     ),
     "one_date": one_date,

@@ -461,7 +461,7 @@ def direct_verdict(
     if outcome != "withheld" and found.allows_for_misfit:
         outcome = "usable"
         wider = float(found.posterior.model_widening[fit.model.index(GAP, recording.name)])
-        code = "allows_for_misfit" if misfit else "less_than_none"
+        code = "allows_for_misfit" if misfit else "negative_law"
         reasons.append(Reason(code, {**misfit, "times": wider}))
     if not with_current:
         reasons.append(Reason("no_current"))

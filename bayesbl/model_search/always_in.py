@@ -622,13 +622,16 @@ def marginalised(
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
-    # What nothing explains is in no catalogue, so neither is the side to which it moves a fit.
-    unsure = rest.posterior.draw(np.random.default_rng(0), SIZES_DRAWN).shift.mean(axis=0)
+    lean = None
+    if rest.has_discrepancy:
+        # What nothing explains is in no catalogue, so neither is the side to which it moves δ.
+        drawn = rest.posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
+        lean = drawn.shift[:, gaps].mean(axis=0)
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
         tried = flat[outside] + rest.posterior.draw(rng, outside.size).shift
-        if rest.has_discrepancy:
-            tried += np.outer(rng.standard_normal(outside.size) - 1.0, unsure)
+        if lean is not None:
+            tried[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
         for k in gaps:
             unknown = model.unknowns[k]

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.bench.effects import effect_named
 from bayesbl.matching.least_squares import SimulatedFit, prior_pull
@@ -217,15 +218,24 @@ def averaged(
     """Draws of all sets: each other one than that of ``posterior`` has its share, normal at its
     fit; of what it lacks the draws stay."""
     common, model = naming.nominal.fit.point.size, posterior.fit.model
-    rng, flat = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
-    draws, order = flat.copy(), rng.permutation(len(flat))
-    for other, weight in naming.sets:
-        count = round(weight * len(flat))
-        if other.explanation.keys != naming.final.keys:
-            own = other.draws(rng, count)[:, :common]
-            draws[order[:count], :common] = np.clip(own, model.low[:common], model.high[:common])
-            order = order[count:]
+    rng, draws = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
+    draws = draws.copy()
+    for other, rows in shares_of_others(naming, naming.final.keys, len(draws), rng):
+        own = other.draws(rng, rows.size)[:, :common]
+        draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
     return posterior.with_model(draws)
+
+
+def shares_of_others(
+    naming: Naming, keys: frozenset[tuple[str, float | None]], n: int, rng: np.random.Generator
+) -> Iterator[tuple[FittedSet, NDArray[np.int64]]]:
+    """Each set but that of ``keys``, with the places that it has among n draws, in random order."""
+    order = rng.permutation(n)
+    for other, weight in naming.sets:
+        count = round(weight * n)
+        if other.explanation.keys != keys and count:
+            yield other, order[:count]
+            order = order[count:]
 
 
 def name_missing(

@@ -25,7 +25,7 @@ from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP
-from bayesbl.model_search.closed_loop import Naming, laws_of_shaft, log_gap_of
+from bayesbl.model_search.closed_loop import Naming, laws_of_shaft, log_gap_of, shares_of_others
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
@@ -200,14 +200,9 @@ def _averaged(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Draws of ln δ of the chosen set, with each other one in its share of them, (n,)."""
-    averaged, begin = own.copy(), 0
-    order = rng.permutation(own.size)
-    for other, weight in naming.sets:
-        count = round(weight * own.size)
-        if other.explanation.keys == keys or count == 0:
-            continue
-        averaged[order[begin : begin + count]] = log_gap_of(other, rng, count)
-        begin += count
+    averaged = own.copy()
+    for other, rows in shares_of_others(naming, keys, own.size, rng):
+        averaged[rows] = log_gap_of(other, rng, rows.size)
     return averaged
 
 
