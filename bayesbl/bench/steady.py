@@ -124,7 +124,7 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     waiting = waiting_torques(parameters)
     states = TICKING + waiting
     oldest = states - 1 if waiting else COMING
-    late = delay - waiting
+    late = max(0.0, delay) - waiting
     plant = np.zeros((TICKING, TICKING))
     moving = contact_matrices(free[None, :])[0]
     plant[: len(moving), : len(moving)] = moving
@@ -144,19 +144,23 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     turned = np.zeros(states)
     turned[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST]], turned[kernel.SENSED_SPEED] = 1.0, -speed_lag
-    error = -turned / period
+    instant = kernel.instant_share(parameters)
+    fresh = np.zeros(states)
+    fresh[kernel.SENSED_SPEED if speed_lag > 0.0 else [kernel.MOTOR_SPEED, kernel.BELT_SPEED]] = 1.0
+    seen = (1.0 - instant) * turned / period + instant * fresh
+    error = -seen
     error[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST, UNTIL]] -= outer
     work = np.eye(states)
     work[TICKING:] = np.eye(states)[[COMING, *range(TICKING, states)][:waiting]]
     work[kernel.MOTOR_ANGLE] -= turned
     work[UNTIL] = work[UNTIL] + turned if outer > 0.0 else 0.0
-    work[SEEN] = turned / period
+    work[SEEN] = seen
     work[kernel.INTEGRAL] = work[kernel.INTEGRAL] + period * error if integral > 0.0 else 0.0
     work[COMING] = gain * error + integral * work[kernel.INTEGRAL]
     noise = np.zeros(states)
     noise[kernel.INTEGRAL] = -period if integral > 0.0 else 0.0
     noise[COMING] = -gain + integral * noise[kernel.INTEGRAL]
-    if delay == 0.0:
+    if delay <= 0.0:
         work[ACTING], noise[ACTING] = work[COMING], noise[COMING]
     return work @ motion, noise
 

@@ -95,15 +95,12 @@ class Match:
         The value of the data sheet that is wrong, if one is.
     missing
         Effects that the bench lacks, by name, each with those it cannot be told from.
-    rest
-        What stands beside the final match; ``None`` where it was not asked.
     """
 
     nominal: Explanation
     final: Explanation
     beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
-    rest: Beside | None = None
 
     @property
     def completed(self) -> bool:
@@ -138,12 +135,12 @@ def identify(
     UserError
         If the bench cannot be simulated or a recording is too short.
     """
-    match = _match(problem, progress)
+    match, unnamed = _match(problem, progress)
     fit, rest = settled(match.final.fit, laws(match.final.fit.model.bench))
     check = tuple(disagreements(rest.explained(fit)))
     explained = agrees(check) and rest.is_possible
-    if not explained and match.rest is not None and fit is match.final.fit:
-        rest = match.rest
+    if not explained and unnamed is not None and fit is match.final.fit:
+        rest = unnamed
     allows = not (explained or agrees(check)) and is_useful(fit, rest)
     match = replace(match, final=replace(match.final, fit=fit))
     verdict: Verdict = "agrees" if explained else "unexplained"
@@ -159,7 +156,6 @@ def identify(
         match.final,
         match.beyond,
         match.missing,
-        match.rest,
         verdict=verdict,
         check=check,
         posterior=posterior,
@@ -167,14 +163,17 @@ def identify(
     )
 
 
-def _match(problem: Problem, progress: StageProgress | None) -> Match:
-    """The data sheet, completed by what explains the recordings."""
+def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Beside | None]:
+    """The data sheet, completed by what explains the recordings.
+
+    With what stands beside it, misfit included, where a search has weighed that.
+    """
     # A match with a sheet that no joint can be as would take minutes or fail.
     nominal = _nominal(problem, progress) if is_plausible(problem) else None
     far_off = nominal is None or (may_be_wrong_by_far(problem) and _is_far_off(nominal))
     far = far_beyond_data_sheet(problem, of_stage(progress, AFAR)) if far_off else None
     if far is not None:
-        return replace(far, nominal=nominal or far.final)
+        return replace(far, nominal=nominal or far.final), None
     if nominal is None:
         nominal = _nominal(problem, progress)
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
@@ -189,18 +188,18 @@ def _match(problem: Problem, progress: StageProgress | None) -> Match:
     if naming.repeats and not far_off:
         far = far_beyond_data_sheet(problem, of_stage(progress, AFAR))
         if far is not None:
-            return replace(far, nominal=nominal)
+            return replace(far, nominal=nominal), None
     missing = tuple(e.members for e in naming.effects if e.candidate.kind == "effect")
     is_asked = problem.effects == "catalogue" or all(set(m) <= set(DELAYS) for m in missing)
     if not naming.effects or not is_asked:
-        return Match(nominal, nominal, None, missing, None if naming.effects else naming.rest)
+        return Match(nominal, nominal, None, missing), None if naming.effects else naming.rest
     final = replace(naming.final, fit=believed(naming.final.fit))
     wrong = next((e for e in naming.effects if e.candidate.kind == "parameter"), None)
     beyond = None
     if wrong is not None:
         beyond = _beyond(final, wrong.candidate, wrong.members[1:], problem)
     rest = naming.rest if final.fit is naming.final.fit else None
-    return Match(nominal, final, beyond, missing, rest)
+    return Match(nominal, final, beyond, missing), rest
 
 
 def _is_far_off(nominal: Explanation) -> bool:

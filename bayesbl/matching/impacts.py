@@ -6,9 +6,10 @@ axes do as much: each impact then has a best gap of its own. Two things follow.
 
 The impacts' scores scatter by v times what the noise of the channels leaves them
 (:mod:`bayesbl.noise.impact_scatter`). What v is to be expected is simulated
-(:mod:`bayesbl.matching.loop_noise`). The draws are then widened as if all noise of the recording
-had v times its variance: x + √(v − 1) C(JᵀJ)^½ ξ, ξ standard normal. What a prior knows stays as
-sharp as it is.
+(:mod:`bayesbl.matching.loop_noise`). The draws are then those of a recording whose noise has v
+times its variance: with P of the priors and r the residual at the fit, their precision is P + JᵀJ/v
+in place of P + JᵀJ, and they move by −(P + JᵀJ/v)⁻¹ (1 − 1/v) Jᵀr. So what a prior knows stays as
+sharp as it is, and nothing is less sharp than its prior.
 
 And the mean rotation has the ringing of none of them: it is smeared, by however many they are. How
 far that moves the fit is simulated, and each draw is moved back.
@@ -118,15 +119,29 @@ def scattered(
 
     ``covariance``: C, (d, d), of the draws.
     """
-    wider = draws.copy()
-    for impacts in by_impact(fit, covariance):
-        values, vectors = np.linalg.eigh(impacts.derivatives.T @ impacts.derivatives)
-        root = vectors * np.sqrt(np.clip(values, 0.0, None))
-        moves = rng.standard_normal(draws.shape) @ root.T @ covariance
-        case = rng.integers(impacts.factors.size, size=len(draws))
-        wider += np.sqrt(impacts.factors[case] - 1.0)[:, None] * moves
+    every = by_impact(fit, covariance)
+    cases = rng.integers(FACTORS, size=(len(every), len(draws)))
+    shares = [1.0 / impacts.factors[case] for impacts, case in zip(every, cases, strict=True)]
+    # In units in which all variances are near one.
+    unit = np.sqrt(np.diag(covariance))
+    known = fit.model.prior_precision() * np.outer(unit, unit)
+    by_noise = np.repeat(known[None], len(draws), axis=0)
+    pull = np.zeros(draws.shape)
+    residuals = fit.model.by_recording(fit.residual)
+    for impacts, share in zip(every, shares, strict=True):
+        slopes = impacts.derivatives * unit
+        gram = slopes.T @ slopes
+        known = known + gram
+        by_noise += share[:, None, None] * gram
+        pull -= np.outer(1.0 - share, slopes.T @ residuals[impacts.place].ravel())
+    wide = np.linalg.inv(by_noise)
+    values, vectors = np.linalg.eigh(wide - np.linalg.inv(known))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
+    moves = np.einsum("mij,mj->mi", root, rng.standard_normal(draws.shape))
+    wider = draws + unit * (moves + np.einsum("mij,mj->mi", wide, pull))
+    for impacts, case in zip(every, cases, strict=True):
         wider -= impacts.late[case, None] * smeared(fit, impacts)
-    return wider
+    return np.asarray(wider)
 
 
 def smeared(fit: SimulatedFit, impacts: Impacts) -> FloatArray:

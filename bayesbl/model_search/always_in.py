@@ -17,7 +17,8 @@ than its interval. So each is tried at its full size over its frequencies, fitte
 promises anything, and weighed.
 
 All is linear at a fit (:mod:`bayesbl.model_search.linear`). What is far from where the fit has it
-is made one of its unknowns, fitted and sampled as any other; linear is the rest.
+is made one of its unknowns, fitted and sampled as any other; linear is the rest. Laws that act
+alike may be far together and none of them alone: then the one that explains most by itself is.
 """
 
 from __future__ import annotations
@@ -213,7 +214,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
             if own.name == "sampled_control" and "delay_periods" not in own.parameters:
-                yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0)
+                least = effect_named(own.name).parameter("delay_periods").low
+                yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0, least=least)
         elif effect.always_in:
             item, usual = effect.amplitudes[0], _usual(bench, effect.name)
             yield Direction(
@@ -344,7 +346,10 @@ class Beside:
 
     @property
     def far(self) -> tuple[Label, ...]:
-        """What data put elsewhere than a fit without it has it, or surely say has changed."""
+        """What data put elsewhere than a fit without it has it, or surely say has changed.
+
+        Where that is so of all together only, what explains most of it alone.
+        """
         far: list[Label] = []
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             first = label.directions[0]
@@ -356,6 +361,8 @@ class Beside:
             named = label.hypothesis in self.posterior.named
             if named if label.cause else at > FAR * float(drawn[:, 0].std()):
                 far.append(label)
+        if not far and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
+            far = self._leading()
         # What has changed has not drifted besides.
         changed = {(d.slot, lab.recording) for lab in far if lab.cause for d in lab.directions}
         return tuple(
@@ -363,6 +370,20 @@ class Beside:
             for lab in far
             if lab.cause or (lab.directions[0].slot, lab.recording) not in changed
         )
+
+    def _leading(self) -> list[Label]:
+        """The law by which alone χ² falls most."""
+        at = self.posterior.linearised
+        inverse = np.linalg.pinv(at.jacobian.T @ at.jacobian + at.prior_precision, hermitian=True)
+        gains = {}
+        for label, term in zip(self.labels, at.terms, strict=True):
+            if label.recording is None and not label.directions[0].is_fitted:
+                (column,) = term.columns.T
+                by = at.jacobian.T @ column
+                pull = column @ at.residual
+                if pull > 0.0 or not term.positive:
+                    gains[label] = pull**2 / (1.0 + column @ column - by @ inverse @ by)
+        return [max(gains, key=gains.__getitem__)] if gains else []
 
     @property
     def has_discrepancy(self) -> bool:

@@ -656,6 +656,12 @@ class ModelPosterior:
     log_evidence: float
     _grams: _Grams
 
+    @property
+    def always_gain(self) -> float:
+        """Fall of χ², priors included, by what is always there."""
+        base = self._grams.base((0,) * len(self.linearised.scaled))
+        return base.squares - base.chi_square
+
     @cached_property
     def sets(self) -> dict[tuple[int, ...], float]:
         """Probability of each set of terms, the most probable first."""

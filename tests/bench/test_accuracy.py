@@ -363,7 +363,8 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
     free[[S.speed_gain_nm_s_per_rad, S.integral_gain_nm_per_rad]] = 0.0
     y, (held, coming, angle, speed, *older) = state[:8].copy(), state[HELD_TORQUE:]
     on_the_way = [coming, *older]  # the newest first
-    late = delay - len(older)
+    late = max(0.0, delay) - len(older)
+    instant = max(0.0, -2.0 * delay)
     y[2], y[3] = state[0] / n - state[2], state[1] / n - state[3]
     total, reference = state[4], p[S.reference_speed_rpm] / RPM
 
@@ -389,19 +390,22 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
         y = moved(y, held, late * period)
         held = on_the_way.pop()
         y = moved(y, held, (1.0 - late) * period)
-        speed, angle = (y[0] - angle) / period, y[0]
+        speed, angle = (1.0 - instant) * (y[0] - angle) / period + instant * y[1], y[0]
         total += period * (reference - speed)
         coming = p[S.speed_gain_nm_s_per_rad] * (reference - speed)
         coming += p[S.integral_gain_nm_per_rad] * total
         on_the_way.insert(0, coming)
-        if delay == 0.0:
+        if delay <= 0.0:
             held = coming
     return np.array(logged).T
 
 
 @pytest.mark.parametrize(
     ("period_s", "delay"),
-    [(2e-3, 0.0), (2e-3, 0.4), (2e-3, 1.0), (2e-4, 0.4), (1e-3, 3.0), (1e-3, 1.6), (2e-4, 16.0)],
+    [
+        *[(2e-3, d) for d in (-0.8, -0.5, -0.2, 0.0, 0.4, 1.0)],
+        *[(2e-4, 0.4), (1e-3, 3.0), (1e-3, 1.6), (2e-4, 16.0)],
+    ],
 )
 @pytest.mark.parametrize("effects", [[], ["load_coulomb_friction", "gear_transmission_error"]])
 def test_a_sampled_controller_keeps_the_promise(

@@ -439,6 +439,23 @@ def test_the_linear_loop_knows_its_ticks() -> None:
     assert np.max(slower.real) > 0.9 * np.max(continuous.real)
 
 
+def test_a_speed_of_the_instant_takes_half_a_period_from_the_loop() -> None:
+    """What damps the ringing is how late the loop is: (1 + d) T."""
+    instant, difference, later = (
+        np.min(rates.real[(rates.imag != 0.0) & (rates.real > -200.0)])
+        for rates in (
+            contact_rates(BENCH.vector(**sampled(period, delay)))[0]
+            for period, delay in ((1e-3, -0.5), (5e-4, 0.0), (1e-3, 0.0))
+        )
+    )
+    assert abs(instant - difference) < 0.1 * abs(later - difference)
+
+
+def test_a_sampled_loop_a_period_ahead_is_not_late() -> None:
+    late, ahead = (np.abs(channels(**sampled(delay=d)) - channels())[SPEED] for d in (0.0, -1.0))
+    assert np.max(ahead) < 0.1 * np.max(late)
+
+
 @pytest.mark.parametrize("delay", [1, 4])
 def test_noise_through_a_sampled_controller_is_answered_as_late_as_its_torque_acts(
     delay: int,

@@ -15,7 +15,7 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.impacts import by_impact, scattered, smeared
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
-from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
+from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.noise.impact_scatter import Scatter
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
@@ -124,6 +124,30 @@ def test_a_scatter_decides_only_where_it_is_well_known() -> None:
     assert middle(400.0, 400, 1.0) == pytest.approx(1.0, abs=0.05)
     assert middle(2000.0, 400, 1.0) == pytest.approx(5.0, rel=0.1)
     assert middle(2000.0, 400, 5.0) == pytest.approx(5.0, rel=0.1)
+
+
+def test_what_impacts_scatter_by_leaves_nothing_less_sharp_than_its_prior(
+    independent: ModuleType,
+) -> None:
+    """Of a stiffness that the recording tells little of; and the gap becomes less sharp."""
+    bench = reference_bench()
+    seen = observed(turning(independent, 7e-4, 3.0, 1, in_loop=True), bench, SPEED_RPM)
+    stiffness = "shaft_stiffness_nm_per_rad"
+    middle = math.log(bench.value(stiffness))
+    for sd in (3e-3, 3e-4):
+        known = Unknown(
+            stiffness, middle - 1.0, middle + 1.0, centre=middle, sd=sd, logarithmic=True
+        )
+        unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown(seen.name), known]
+        fit = fit_aligned(bench, [seen], unknowns)
+        (impacts,) = by_impact(fit, fit.covariance)
+        assert np.median(impacts.factors) > 1.5
+        rng = np.random.default_rng(0)
+        draws = rng.multivariate_normal(fit.point, fit.covariance, 4000)
+        wider = scattered(fit, draws, fit.covariance, rng).std(axis=0)
+        gap, place = fit.model.index(GAP), fit.model.index(stiffness)
+        assert wider[gap] > 1.1 * draws[:, gap].std()
+        assert wider[place] < 1.03 * sd
 
 
 def late(late_s: float, phase_rad: float) -> SimulatedFit:

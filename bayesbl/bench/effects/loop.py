@@ -51,7 +51,9 @@ SPEED_SENSOR_LAG = Effect(
 # in all about (1 + d) T that the loop is late, and its gain is K_i T/2 higher. A dead time of bus
 # or torque filter is part of d, which may be any number of periods. Drives show speed and current
 # as they are at their ticks, with d above one the mean current from there to the next; a recording
-# begins with a tick.
+# begins with a tick. Most simulated controllers, and drives that observe the speed, read it of the
+# instant: T/2 less late, d = −1/2. Around that the speed is on the line through both: at d = −1 it
+# is ahead by what it is held, so the loop is not late.
 SAMPLED_CONTROL = Effect(
     place=195,
     name="sampled_control",
@@ -70,7 +72,8 @@ SAMPLED_CONTROL = Effect(
         Shape(
             "delay_periods",
             "",
-            "computing and dead time d in periods",
+            "computing and dead time d in periods; −0.5: none, and the speed of the instant",
+            low=-1.0,
             high=128.0,  # 8 ms of a bus at 62.5 µs, the shortest period of a drive
             typical=1.0,
             neutral=1.0,
