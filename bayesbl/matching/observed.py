@@ -217,7 +217,7 @@ def reference_speed(recording: Recording, bench: Bench, stated_rpm: float | None
         return asked_speed(recording, bench)[0] or reference
     raise RecordingError(
         " ".join(filter(None, ["The recording was made at another speed than stated.", unit])),
-        file=recording.name,
+        file=recording.place,
         found=f"{mean:.6g} rpm on average",
         expected=f"{reference:g} rpm, or the right reference_speed_rpm",
     )
@@ -278,7 +278,7 @@ def observed(
     if speed.size * period < 1.9 * rotation:
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
-            file=recording.name,
+            file=recording.place,
             found=f"{speed.size * period / rotation:.3g} load rotations",
             expected="at least two",
         )

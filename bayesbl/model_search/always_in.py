@@ -132,7 +132,7 @@ tells a worn joint from one twice as worn."""
 
 WIDTH_DRAWS = 1000
 
-MOST_ROUNDS = 3
+MOST_ROUNDS = 6
 MOST_HALVES = 4
 MOST_TRIES = 20
 SIZES_DRAWN = 1000
@@ -279,6 +279,15 @@ class Label:
             return [d.changed for d in self.directions]
         return [d.usual if self.recording is None else d.drift for d in self.directions]
 
+    def can_be_simulated(self, sizes: FloatArray) -> bool:
+        """Whether it can be an unknown, of these sizes in standard deviations, (k,).
+
+        A lag of less than the simulator takes stays linear.
+        """
+        first = self.directions[0]
+        lacks = self.recording is None and first.least > 0.0
+        return not (first.is_fitted or (lacks and sizes[0] * first.usual < first.least))
+
     @property
     def hypothesis(self) -> str:
         """Name, with the snapshot where it is of one."""
@@ -344,46 +353,42 @@ class Beside:
     sizes: FloatArray
     residual: FloatArray
 
-    @property
-    def far(self) -> tuple[Label, ...]:
-        """What data put elsewhere than a fit without it has it, or surely say has changed.
+    def furthest(self) -> Label | None:
+        """By which alone χ² falls most, of what data put far from where the fit has it.
 
-        Where that is so of all together only, what explains most of it alone.
+        That is what they put elsewhere than a fit without it has it, or surely say has changed; or,
+        where that is so of all together only, any law. ``None`` where nothing is far.
         """
-        far: list[Label] = []
-        for label, drawn in zip(self.labels, self.by_label(), strict=True):
-            first = label.directions[0]
-            if first.is_fitted:
-                continue
-            # Less than none of a law is none of it, but something else: that stays linear.
-            lacks = first.effect is not None and first.is_not_negative
-            at = float(drawn[:, 0].mean() if lacks else abs(drawn[:, 0].mean()))
-            named = label.hypothesis in self.posterior.named
-            if named if label.cause else at > FAR * float(drawn[:, 0].std()):
-                far.append(label)
+        means = [drawn.mean(axis=0) for drawn in self.by_label()]
+        can_be = [k for k, label in enumerate(self.labels) if label.can_be_simulated(means[k])]
+        far = [k for k in can_be if self._is_far(k, self.by_label()[k])]
         if not far and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
-            far = self._leading()
-        # What has changed has not drifted besides.
-        changed = {(d.slot, lab.recording) for lab in far if lab.cause for d in lab.directions}
-        return tuple(
-            lab
-            for lab in far
-            if lab.cause or (lab.directions[0].slot, lab.recording) not in changed
-        )
-
-    def _leading(self) -> list[Label]:
-        """The law by which alone χ² falls most."""
+            far = [k for k in can_be if self.labels[k].recording is None]
+        if not far:
+            return None
         at = self.posterior.linearised
         inverse = np.linalg.pinv(at.jacobian.T @ at.jacobian + at.prior_precision, hermitian=True)
-        gains = {}
-        for label, term in zip(self.labels, at.terms, strict=True):
-            if label.recording is None and not label.directions[0].is_fitted:
-                (column,) = term.columns.T
-                by = at.jacobian.T @ column
-                pull = column @ at.residual
-                if pull > 0.0 or not term.positive:
-                    gains[label] = pull**2 / (1.0 + column @ column - by @ inverse @ by)
-        return [max(gains, key=gains.__getitem__)] if gains else []
+
+        def gain(k: int) -> float:
+            columns, positive = at.terms[k].columns, at.terms[k].positive
+            by, pull = at.jacobian.T @ columns, columns.T @ at.residual
+            precision = np.eye(pull.size) + columns.T @ columns - by.T @ inverse @ by
+            return (
+                0.0
+                if positive and pull[0] < 0.0
+                else float(pull @ np.linalg.solve(precision, pull))
+            )
+
+        return self.labels[max(far, key=gain)]
+
+    def _is_far(self, k: int, drawn: FloatArray) -> bool:
+        label, first = self.labels[k], self.labels[k].directions[0]
+        if label.cause:
+            return label.hypothesis in self.posterior.named
+        # Less than none of a law is none of it, but something else: that stays linear.
+        lacks = first.effect is not None and first.is_not_negative
+        mean = float(drawn[:, 0].mean())
+        return (mean if lacks else abs(mean)) > FAR * float(drawn[:, 0].std())
 
     @property
     def has_discrepancy(self) -> bool:
@@ -584,20 +589,21 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
 def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
+    One after another: what is far for a lack of another is so no more when that is there.
+
     Where all that does not explain the recordings, nothing is freed: a misfit has put it there, and
     takes the gaps along.
     """
     nominal = fit, (rest := beside(fit, among))
     for _ in range(MOST_ROUNDS):
-        if not (far := rest.far):
+        if (far := rest.furthest()) is None:
             break
-        bench = with_neutral(fit.model.bench, [d for label in far for d in label.directions])
-        own = [unknown for label in far for unknown in label.unknowns(bench)]
-        sizes = dict(zip(rest.labels, rest.by_label(), strict=True))
-        by = [w * s for lab in far for w, s in zip(sizes[lab].mean(0), lab.scales, strict=True)]
+        bench = with_neutral(fit.model.bench, far.directions)
+        own = far.unknowns(bench)
+        by = rest.by_label()[rest.labels.index(far)].mean(0) * far.scales
         model = fit.model.beside(bench, own)
-        nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], np.array(by))
-        if nearer is None:
+        nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], by)
+        if nearer is None or nearer.chi_square >= fit.chi_square:
             break
         if nearer.chi_square > _goal(nearer):
             return nominal

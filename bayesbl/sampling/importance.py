@@ -170,14 +170,17 @@ def normal_in_box(
 ) -> tuple[FloatArray, FloatArray]:
     """Points (count, d) in a box, roughly those of a normal distribution, and their log density.
 
-    One coordinate after the other, the shortest range first, each normal given those before it and
-    within its range (Geweke 1989, Hajivassiliou and McFadden 1998). The density, up to a constant,
+    One coordinate after the other, first the one whose range holds least of its normal
+    distribution, each normal given those before it and within its range (Geweke 1989, Hajivassiliou
+    and McFadden 1998). The density, up to a constant,
     is that by which they were drawn.
     """
-    from scipy.special import log_ndtr
+    from scipy.special import log_ndtr, ndtr
 
     low, high = box
-    order = np.argsort((high - low) / np.sqrt(np.diag(covariance)))
+    sd = np.sqrt(np.diag(covariance))
+    outside = ndtr((low - peak) / sd) + ndtr((peak - high) / sd)
+    order = np.lexsort(((high - low) / sd, -outside))
     root = np.linalg.cholesky(covariance[np.ix_(order, order)])
     white, log_mass = np.empty((count, peak.size)), np.zeros(count)
     points = np.empty((count, peak.size))

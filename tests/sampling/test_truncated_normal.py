@@ -44,6 +44,15 @@ def test_correlated_coordinates_in_a_corner_have_the_mean_of_an_integral() -> No
     assert np.all((found >= [-2.0, -2.0]) & (found <= [0.5, 0.0]))
 
 
+def test_a_range_that_a_peak_is_far_beyond_holds_draws_of_its_tail() -> None:
+    """Beside shorter ranges, of coordinates that are correlated with its own."""
+    covariance = np.full((6, 6), 0.99) + 0.01 * np.eye(6)
+    low = [*[-20.0] * 5, 0.0]
+    found = drawn([*[0.0] * 5, -4.0], covariance, low, [*[20.0] * 5, 100.0])
+    assert kstest(found[:, 5], truncnorm(4.0, 104.0, loc=-4.0).cdf).pvalue > FALSE_ALARM
+    assert np.unique(found[:, 5]).size > 0.9 * DRAWS
+
+
 def test_without_a_box_it_is_the_normal_distribution() -> None:
     covariance = np.array([[2.0, -0.6], [-0.6, 0.5]])
     found = drawn([1.0, 2.0], covariance, [-np.inf] * 2, [np.inf] * 2)
