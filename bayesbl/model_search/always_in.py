@@ -605,8 +605,6 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
         nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], by)
         if nearer is None or nearer.chi_square >= fit.chi_square:
             break
-        if nearer.chi_square > _goal(nearer):
-            return nominal
         fit = nearer
         rest = beside(fit, among)
     return (fit, rest) if rest.explains(fit) else nominal
