@@ -175,6 +175,7 @@ class Plant(NamedTuple):
     outside__dropout_length_s: float = 0.004
     outside__dropout_share: float = 0.5
     outside__loop_counts: float = 0.0  # in a turn, of the encoder that a digital controller has
+    outside__speed_of_instant: float = 0.0  # 1: a digital controller has it, and no difference
     outside__loop_filter: float = 1.0  # share of a new speed that its filter passes at each tick
 
 
@@ -278,11 +279,13 @@ def _work(step, each, y, p, phase, asked):
     if since != 0:
         return
     period = p.sampled_control__period_s
-    angle, _, _ = _measured(y, p, phase)
+    angle, _, speed = _measured(y, p, phase)
     if p.outside__loop_counts > 0.0:
         count = 2.0 * math.pi / p.outside__loop_counts
         angle = count * math.floor(angle / count)
-    y[LAST_SPEED] += p.outside__loop_filter * ((angle - y[LAST_ANGLE]) / period - y[LAST_SPEED])
+    if p.outside__speed_of_instant == 0.0:
+        speed = (angle - y[LAST_ANGLE]) / period
+    y[LAST_SPEED] += p.outside__loop_filter * (speed - y[LAST_SPEED])
     y[LAST_ANGLE] = angle
     error = asked[0] - y[LAST_SPEED] + p.position_gain_per_s * (asked[1] - angle)
     limit = p.torque_constant_nm_per_a * p.current_limit_a

@@ -31,6 +31,7 @@ from bayesbl.model_search.always_in import (
     settled,
     with_neutral,
 )
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
 BENCH = reference_bench()
@@ -160,6 +161,42 @@ def test_dry_friction_at_one_speed_is_told_from_viscous_by_the_crossing() -> Non
         place = fit.model.index(GAP, name)
         sd = math.hypot(math.sqrt(fit.covariance[place, place]), float(shift[:, place].std()))
         assert abs(fit.point[place] + shift[:, place].mean() - math.log(gap)) < 3.5 * sd
+
+
+@pytest.mark.parametrize("with_current", [True, False])
+def test_a_controller_that_reads_the_speed_of_the_instant_is_less_late(
+    independent: ModuleType, with_current: bool
+) -> None:
+    """By half a period; δ within 3.5 standard deviations, on a sheet that is off."""
+    period = EffectParameterValue(1e-3)
+    off = scaled(**{INERTIA: 1.02, STIFFNESS: 0.97, GRAVITY: 1.01})
+    shares = {INERTIA: 0.05, STIFFNESS: 0.08, GRAVITY: 0.04, GAIN: 0.01}
+    known = {n: BenchParameter(off.value(n), share * off.value(n)) for n, share in shares.items()}
+    bench = replace(off, parameters={**off.parameters, **known})
+    bench = bench.with_effects(BenchEffect("sampled_control", {"period_s": period}))
+    truth = {name: item.value for name, item in BENCH.parameters.items()}
+    truth |= {"sampled_control.period_s": 1e-3, "sampled_control.delay_periods": 0.0}
+    truth |= {"outside__speed_of_instant": 1.0, "start_angle_rad": 0.4}
+    rng, seen = np.random.default_rng(5), []
+    gaps_rad = {"before": 7e-4, "after": 9e-4}
+    for name, gap in gaps_rad.items():
+        _, speed, current = independent.noise_free(
+            independent.plant(truth, gap_rad=gap), 3.02, 1000.0
+        )
+        channels = {MOTOR_SPEED: speed + 0.2 * rng.standard_normal(speed.size)}
+        if with_current:
+            channels[MOTOR_CURRENT] = current + 0.02 * rng.standard_normal(speed.size)
+        made = Recording(name, np.arange(speed.size) / 1000.0, channels)
+        seen.append(observed(made, bench, 2000.0))
+    whole = fit_jointly(bench, seen, (1e-4, 1e-2), {})
+    assert whole.joint.explained
+    shift = whole.rest.posterior.draw(np.random.default_rng(0), 1000).shift
+    fit = whole.fit
+    for name, gap in gaps_rad.items():
+        place = fit.model.index(GAP, name)
+        sd = math.hypot(math.sqrt(fit.covariance[place, place]), float(shift[:, place].std()))
+        assert abs(fit.point[place] + shift[:, place].mean() - math.log(gap)) < 3.5 * sd
+        assert sd < 0.03
 
 
 @pytest.mark.long
