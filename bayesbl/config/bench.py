@@ -422,8 +422,9 @@ class EffectEntry(Section):
     """An entry of ``[[effects]]``: what the joint has beside its parameters (``bayesbl effects``).
 
     A digital drive has ``sampled_control``: ``parameters = {period_s = {value = 250e-6}}``, the
-    period of its speed controller. Its torque acts ``delay_periods`` after the encoder was read, 1
-    if not given; 17 with a dead time of 4 ms besides.
+    period of its speed controller. Its torque acts ``delay_periods`` after the encoder was read, 17
+    with a dead time of 4 ms besides; −0.5 if the speed is that of the instant and the torque acts
+    at once. If not given it is 1, and fitted by the direct route and ``identify``.
     """
 
     name: Annotated[str, AfterValidator(effect_name)]
