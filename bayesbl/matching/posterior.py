@@ -174,8 +174,10 @@ class DirectPosterior:
 
         One value of a data sheet may be wrong. Several at once are the work of something that the
         bench lacks, and δ is as wrong as they are. Of normal priors of covariance S around c, the
-        means of a posterior of covariance V are off with a covariance of S − V. Empty where that is
-        no more than chance (1 %); the values furthest off first.
+        means x of a posterior of covariance V are off with a covariance of S − V, so
+        (x − c)ᵀS⁻¹(x − c) is a sum of squares with weights 1 − λ, λ the eigenvalues of S⁻¹V: what
+        the recordings hardly tell hardly counts. Empty where that is no more than chance (1 %); the
+        values furthest off first.
         """
         model = self.fit.model
         at = [
@@ -193,21 +195,21 @@ class DirectPosterior:
         axes = root.T @ axes
         told = (axes * np.maximum(1.0 / shares - 1.0, 0.0)) @ axes.T
         pull = (told + root.T @ root) @ off
-        # A variance is known no better by so many draws.
-        least = math.sqrt(2.0 / len(draws))
 
-        def surprise(worst: int) -> float:
-            """χ² of the others, where nothing is stated of one."""
+        def chance(worst: int) -> float:
+            """Of the others, where nothing is stated of one; by the moments of the sum."""
             own = [k for k in range(len(at)) if k != worst]
             root = np.linalg.inv(np.linalg.cholesky(stated[np.ix_(own, own)]))
             precision = told.copy()
             precision[np.ix_(own, own)] += root.T @ root
             posterior = np.linalg.pinv(precision, hermitian=True)
-            shares, axes = np.linalg.eigh(root @ posterior[np.ix_(own, own)] @ root.T)
-            along = axes.T @ root @ (posterior @ pull)[own]
-            return float(np.sum(along**2 / np.maximum(1.0 - shares, least)))
+            along = root @ (posterior @ pull)[own]
+            shares = np.linalg.eigvalsh(root @ posterior[np.ix_(own, own)] @ root.T)
+            weights = np.clip(1.0 - shares, 1e-12, 1.0)
+            mean, squares = float(weights.sum()), float(np.sum(weights**2))
+            return float(chi2_sf(float(along @ along) * mean / squares, mean**2 / squares))
 
-        if chi2_sf(min(map(surprise, range(len(at)))), len(at) - 1.0) > CONTRADICTED_BY_CHANCE:
+        if max(map(chance, range(len(at)))) > CONTRADICTED_BY_CHANCE:
             return []
         order = np.argsort(-np.abs(off) / np.sqrt(np.diag(stated)))
         return [model.unknowns[at[k]].name for k in order]

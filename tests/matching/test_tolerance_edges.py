@@ -133,6 +133,13 @@ def test_one_wrong_value_is_a_wrong_value_and_several_are_something_else() -> No
     assert set(names[:3]) == {SHEET[0], SHEET[2], SHEET[3]}
 
 
+def test_values_that_recordings_hardly_tell_contradict_no_sheet() -> None:
+    """Half a standard deviation off, as laws of one sign pull them, and nearly as wide as stated."""
+    rng = np.random.default_rng(5)
+    mean = SD * np.array([0.5, -0.5, 0.5, 0.5, -0.5])
+    assert not of_sheet(mean, 0.96 * SD**2 * np.eye(len(SHEET)), rng).contradicted_together()
+
+
 @pytest.mark.parametrize(("low_s", "withheld"), [(2e-4, False), (4e-3, True)])
 def test_below_a_range_is_no_more_than_zero(low_s: float, withheld: bool) -> None:
     """A lag at the lower edge of 0.2 to 10 ms can be shorter by 0.2 ms, and no more."""
