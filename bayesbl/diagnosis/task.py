@@ -14,7 +14,6 @@ from bayesbl.diagnosis.disagreement import Use
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.checks import require_channels, require_unclipped
 from bayesbl.recording.types import BoolArray, Recording
-from bayesbl.results.work import NOTHING_KEPT, WorkStore
 
 MOST_EXCLUDED = 0.5
 """Largest share of a piece that may be left out: what remains should still be a recording."""
@@ -33,15 +32,11 @@ OTHER_METHODS = {
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """The configuration, the bench it names, and a recording for each of its entries.
-
-    ``work`` keeps what a method has finished.
-    """
+    """The configuration, the bench it names, and a recording for each of its entries."""
 
     config: DiagnoseConfig
     bench: Bench
     recordings: tuple[Recording, ...]
-    work: WorkStore = NOTHING_KEPT
 
     def require_drive(self, drive: Drive, why: str) -> None:
         """Refuse a bench of another kind."""

@@ -17,7 +17,7 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.work import NOTHING_KEPT, WorkStore
+from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
 
 FEWEST_SAMPLES = 200
@@ -31,7 +31,7 @@ def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTr
     UserError
         If bench or recordings cannot be used for this comparison.
     """
-    method, task = method_named(config.comparison.method), task_of(config, work)
+    method, task = method_named(config.comparison.method), task_of(config)
     found = work.get(
         "diagnosis",
         (settings_of(config), task.bench, task.recordings),
@@ -49,9 +49,9 @@ def describe(config: DiagnoseConfig, plan: Plan) -> None:
     plan.add("comparison", lambda: method.describe(task_of(config)))
 
 
-def task_of(config: DiagnoseConfig, work: WorkStore = NOTHING_KEPT) -> Task:
+def task_of(config: DiagnoseConfig) -> Task:
     """Bench and recordings, read and long enough to be compared."""
-    return Task(config, bench_from(config.bench), tuple(_recordings(config)), work)
+    return Task(config, bench_from(config.bench), tuple(_recordings(config)))
 
 
 def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:

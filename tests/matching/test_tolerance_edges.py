@@ -134,7 +134,7 @@ def test_one_wrong_value_is_a_wrong_value_and_several_are_something_else() -> No
 
 
 def test_values_that_recordings_hardly_tell_contradict_no_sheet() -> None:
-    """Half a standard deviation off, as laws of one sign pull them, and nearly as wide as stated."""
+    """Half a standard deviation off, as laws of one sign pull them, nearly as wide as stated."""
     rng = np.random.default_rng(5)
     mean = SD * np.array([0.5, -0.5, 0.5, 0.5, -0.5])
     covariance = 0.9 * SD**2 * np.eye(len(SHEET))

@@ -12,13 +12,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.findings import (
-    MOST_EFFECTS,
-    Findings,
-    ForwardSettings,
-    part_of,
-    search,
-)
+from bayesbl.diagnosis.closed_loop.findings import MOST_EFFECTS, ForwardSettings, part_of, search
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.rigid.speed_loop import METHOD as RIGID
 from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, refused, unclipped
@@ -93,8 +87,7 @@ class ClosedLoop:
             config.run.workers,
         )
         fits = of_stage(progress, "Fitting candidates")
-        problem = (task.bench, used, held_out, unknowns, settings)
-        found = task.work.get("naming", problem, lambda: search(*problem, fits), Findings)
+        found = search(task.bench, used, held_out, unknowns, settings, fits)
         if found.learned is not None:
             return diagnosis_of(found, None, (*notes, NOT_SAMPLED))
         seed = np.random.SeedSequence(config.run.seed)
