@@ -370,14 +370,12 @@ class Beside:
         inverse = np.linalg.pinv(at.jacobian.T @ at.jacobian + at.prior_precision, hermitian=True)
 
         def gain(k: int) -> float:
-            columns, positive = at.terms[k].columns, at.terms[k].positive
+            columns = at.terms[k].columns
             by, pull = at.jacobian.T @ columns, columns.T @ at.residual
+            if at.terms[k].positive and pull[0] < 0.0:
+                return 0.0
             precision = np.eye(pull.size) + columns.T @ columns - by.T @ inverse @ by
-            return (
-                0.0
-                if positive and pull[0] < 0.0
-                else float(pull @ np.linalg.solve(precision, pull))
-            )
+            return float(pull @ np.linalg.solve(precision, pull))
 
         return self.labels[max(far, key=gain)]
 

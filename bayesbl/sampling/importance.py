@@ -172,8 +172,7 @@ def normal_in_box(
 
     One coordinate after the other, first the one whose range holds least of its normal
     distribution, each normal given those before it and within its range (Geweke 1989, Hajivassiliou
-    and McFadden 1998). The density, up to a constant,
-    is that by which they were drawn.
+    and McFadden 1998). The density, up to a constant, is that by which they were drawn.
     """
     from scipy.special import log_ndtr, ndtr
 
