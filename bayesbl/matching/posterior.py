@@ -583,7 +583,8 @@ def _contradicted(
     Index, side, how much further it would be without that, in its coordinate, and a sentence.
 
     Of a normal prior with standard deviation s, the mean of the posterior is off its centre with
-    a variance of s² − v, v that of the posterior. A flat one is contradicted where the draws crowd
+    a variance of s² − v, v that of the posterior; nothing is contradicted while that mean is within
+    the tolerance. A flat one is contradicted where the draws crowd
     at its edge; its true value is then taken to be half the range further, or at zero.
     """
     precision = model.normal_prior.precision
@@ -599,7 +600,8 @@ def _contradicted(
             off, variance = float(own.mean()) - unknown.centre, float(own.var(ddof=1))
             # A variance is known no better by so many draws.
             told = max(believed - variance, math.sqrt(2.0 / own.size) * believed)
-            if chi2_sf(off**2 / told, 1.0) < CONTRADICTED_BY_CHANCE / len(precision):
+            beyond = not low < own.mean() < high
+            if beyond and chi2_sf(off**2 / told, 1.0) < CONTRADICTED_BY_CHANCE / len(precision):
                 sides["upper" if off > 0.0 else "lower"] = abs(off) * variance / told
         else:
             info = PARAMETER_INFO.get(unknown.name)

@@ -50,11 +50,12 @@ def disagreement(summary: dict[str, Any], use: str) -> dict[str, float]:
     return found
 
 
-def test_kuka_axis_lacks_coulomb_and_viscous_friction_then_a_ripple(tmp_path: Path) -> None:
+def test_kuka_axis_lacks_coulomb_and_viscous_friction_and_a_ripple(tmp_path: Path) -> None:
     summary = run("diagnose_kuka_axis1", tmp_path)
-    assert set(named(summary)[:2]) == {"motor_coulomb_friction", "motor_viscous_friction"}
-    assert named(summary)[2:] == ["motor_torque_ripple"]
-    ripple = summary["effects"][2]["parameters"]
+    effects = dict(zip(named(summary), summary["effects"], strict=True))
+    friction = {"motor_coulomb_friction", "motor_viscous_friction"}
+    assert set(effects) == friction | {"motor_torque_ripple"}
+    ripple = effects["motor_torque_ripple"]["parameters"]
     assert ripple["order"]["median"] == pytest.approx(8.0, abs=0.01)
     assert ripple["torque_nm"]["median"] == pytest.approx(0.5, abs=0.1)
     assert not any("stribeck" in a for e in summary["effects"] for a in e["indistinguishable_from"])
