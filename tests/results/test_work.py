@@ -5,15 +5,24 @@ from __future__ import annotations
 import errno
 import math
 import os
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
 from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
 
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.errors import ResultError
+from bayesbl.identification.identify import Identification
+from bayesbl.measurement.amplitude_route import Fit
+from bayesbl.measurement.curves import SweepRow
+from bayesbl.measurement.direct_route import DirectMatch
 from bayesbl.results.work import WorkStore, address, decoder, encoded
+from bayesbl.runs.study import Case
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,3 +181,29 @@ def test_file_system_without_locks_can_be_written_to(
     with WorkStore.beside(tmp_path / "out") as work:
         assert work.folder is not None
         assert work.folder.is_dir()
+
+
+SIMPLE = (int, float, str, bool, type(None), date, Path, np.ndarray, np.random.SeedSequence)
+CONTAINERS = (Union, UnionType, tuple, list, set, frozenset, dict, Mapping, Sequence)
+
+
+def unstorable(kind: Any, seen: set[Any]) -> Iterator[str]:
+    """Fields of a dataclass, and of those in it, of a type that a store does not take."""
+    hints = get_type_hints(kind)
+    for item in fields(kind):
+        found = [hints[item.name]] if item.init and item.compare else []
+        while found:
+            own = found.pop()
+            if get_origin(own) in CONTAINERS:
+                found += [each for each in get_args(own) if each is not Ellipsis]
+            elif is_dataclass(own):
+                if own not in seen:
+                    seen.add(own)
+                    yield from unstorable(own, seen)
+            elif (get_origin(own) or own) not in (*SIMPLE, Literal, Any):
+                yield f"{kind.__name__}.{item.name}: {own}"
+
+
+@pytest.mark.parametrize("kind", [Fit, DirectMatch, Diagnosis, Identification, SweepRow, Case])
+def test_all_that_runs_finish_can_be_stored(kind):
+    assert not list(unstorable(kind, set()))
