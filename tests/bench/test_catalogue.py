@@ -125,7 +125,8 @@ def test_the_simulator_refuses_what_the_declaration_excludes_and_nothing_else(
         assert refused(effect, item, 1e9) is (item.smaller_than is not None)
     for item in effect.shapes:
         assert refused(effect, item, 0.0) is item.positive_scale
-        assert refused(effect, item, -abs(item.typical)) is (item.positive_scale or item.bounded)
+        below = item.low - abs(item.typical) if item.bounded else -abs(item.typical)
+        assert refused(effect, item, below) is (item.positive_scale or item.bounded)
         assert refused(effect, item, 1e9) is item.bounded
 
 
