@@ -71,6 +71,7 @@ def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
             motion=None,
             cycle=None,
             begin_s=0.0,
+            motor_lines=None,
         )
         yield seen, place
 

@@ -36,7 +36,7 @@ from bayesbl.identification.verdict import reason_of
 from bayesbl.identification.wrong_by_far import may_be_wrong_by_far
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
-from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import (
@@ -105,7 +105,8 @@ def recordings_of(bench: Bench) -> tuple[Observed, ...]:
             seed=np.random.default_rng([7, seed]),
             name=f"recording {seed}",
         )
-        found.append(observed(recording, joint(), speed))
+        # As a run does it.
+        found.append(marginalising_motor_lines(observed(recording, joint(), speed), joint()))
     return tuple(found)
 
 
