@@ -422,6 +422,19 @@ def _put_disagreement(found: Numbers, summary: Mapping[str, Any], keys: tuple[st
             found["values"][f"disagreement.{use}.{key}"] = _numbers(part[key])
 
 
+def read_identify(output: Path) -> Numbers:
+    """Values of the bench and gaps, and what else would tell more."""
+    found = _empty()
+    summary = _summary(output)
+    found["names"]["verdict"] = summary["verdict"]
+    for name, parameter in summary["parameters"].items():
+        _put(found, name, parameter["posterior"])
+    for name, gap in summary["gaps"].items():
+        _put(found, f"{name}.delta_rad", gap)
+    _put_in_chain(found, "suggested_recording", summary["suggested_recording"])
+    return found
+
+
 def read_study(output: Path) -> Numbers:
     """Every case of every row: truth, rank, error and sd."""
     found = _empty()
@@ -448,6 +461,7 @@ RUNS: dict[str, Run] = {
     "direct_effect": Run(read_compare),
     "simulate_hidden": Run(read_simulate),
     "diagnose_forward": Run(read_forward, ("simulate_hidden",)),
+    "identify": Run(read_identify, ("simulate_hidden",)),
     "diagnose_inverse": Run(read_rigid),
     "diagnose_free_motion": Run(read_rigid),
     "study": Run(read_study, ("sweep",)),
