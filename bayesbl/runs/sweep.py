@@ -281,10 +281,9 @@ def require_drawable(config: SweepConfig, bench: Bench) -> None:
     if config.sweep.bench_draws and not bench.tolerances:
         raise ConfigError(
             "There is nothing to draw: no parameter of the bench has a tolerance.",
-            file=config.bench,
             where="[sweep] bench_draws",
             found=config.sweep.bench_draws,
-            expected="a tolerance or relative_tolerance in the bench file, or bench_draws = 0",
+            expected=f"a tolerance or relative_tolerance in {config.bench}, or bench_draws = 0",
         )
 
 
