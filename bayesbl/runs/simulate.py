@@ -118,7 +118,12 @@ def _targets(config: SimulateFile, config_path: Path, out: str | Path | None = N
     for target in targets:
         require_replaceable(target)
     for parent in dict.fromkeys(target.absolute().parent for target in targets):
-        require_writable(parent)
+        try:
+            require_writable(parent)
+        except ResultError as problem:
+            if out is not None:
+                raise
+            raise problem.at(ResultError, str(parent), config_path) from None
     return targets
 
 
