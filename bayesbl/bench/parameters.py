@@ -201,6 +201,9 @@ def check_parameters(matrix: FloatArray) -> None:
             _refuse_where(values <= 0.0, matrix, slot, "a number above zero")
         elif not info.signed:
             _refuse_where(values < 0.0, matrix, slot, "zero or a number above it")
+        size = np.abs(values)
+        extreme = (size > 1.0 / SMALLEST) | ((size != 0.0) & (size < SMALLEST))
+        _refuse_where(extreme, matrix, slot, f"a size from {SMALLEST:g} to {1.0 / SMALLEST:g}")
     _check_gap(matrix)
     _check_effects(matrix)
 
@@ -245,6 +248,9 @@ _RANGES = {
 
 
 ROUNDING = 1e-12
+
+SMALLEST = 1e-30
+"""Size of a parameter: products and ratios of a few such numbers are numbers still."""
 
 _LEARNED = (
     (Slot.learned_torque__side, Slot.learned_torque__period),

@@ -12,6 +12,7 @@ from scipy.integrate import cumulative_simpson
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.kernel import RPM, STATES, Slot
+from bayesbl.bench.parameters import BENCH_PARAMETERS, ParameterInfo, check_parameters
 from bayesbl.bench.simulation import simulate_channels, simulate_speeds, simulate_states
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError
@@ -278,3 +279,10 @@ def test_failed_rows_can_be_nan(settings: dict[str, Any]) -> None:
     speed = simulate_speeds(p, 100, 500.0, failures="nan")
     assert np.all(np.isfinite(speed[0]))
     assert np.all(np.isnan(speed[1]))
+
+
+@pytest.mark.parametrize("info", BENCH_PARAMETERS, ids=lambda info: info.name)
+@pytest.mark.parametrize("value", [1e-300, 1e300])
+def test_a_size_whose_square_is_no_number_is_refused(info: ParameterInfo, value: float) -> None:
+    with pytest.raises(BenchError, match=info.name):
+        check_parameters(BENCH.vector(**{info.name: value}))
