@@ -64,7 +64,8 @@ class Run:
 def origin_of_machine() -> dict[str, str]:
     """What decides how numbers are rounded: processor and numerical packages."""
     packages = {name: version(name) for name in NUMERICAL_PACKAGES}
-    return {"cpu": _cpu(), "python": platform.python_version(), **packages}
+    kernels = os.environ.get("OPENBLAS_CORETYPE", "of the processor")
+    return {"cpu": _cpu(), "blas": kernels, "python": platform.python_version(), **packages}
 
 
 def _cpu() -> str:
