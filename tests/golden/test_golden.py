@@ -42,7 +42,10 @@ REMAINS = re.compile(r"disagreement\..*\.after")
 REMAINS_ELSEWHERE = 0.5 * 0.1**2
 MEAN_SHARE, WIDTH_SHARE = 0.25, 0.5
 """Parts of a posterior standard deviation by which another machine may differ."""
-QUICK = ("fit_published", "sweep_draws", "simulate_wear", "direct", "diagnose_inverse")
+QUICK = (
+    *("fit_published", "sweep_draws", "simulate_wear", "direct"),
+    *("diagnose_forward", "diagnose_inverse"),
+)
 """Runs of a run of all tests that leaves out the long ones."""
 SDS_IN_INTERVAL = 3.29
 """Width of a normal 90 % interval in standard deviations; narrower levels are held closer."""
