@@ -582,10 +582,10 @@ def _contradicted(
 
     Index, side, how much further it would be without that, in its coordinate, and a sentence.
 
-    Of a normal prior with standard deviation s, the mean of the posterior is off its centre with
-    a variance of s² − v, v that of the posterior; nothing is contradicted while that mean is within
-    the tolerance. A flat one is contradicted where the draws crowd
-    at its edge; its true value is then taken to be half the range further, or at zero.
+    Of a normal prior with standard deviation s, the mean of the posterior is off its centre with a
+    variance of s² − v, v that of the posterior; nothing is contradicted while that mean is within
+    the tolerance. A flat one is contradicted where the draws crowd at its edge; its true value is
+    then taken to be half the range further, or at zero.
     """
     precision = model.normal_prior.precision
     for i, unknown in enumerate(model.unknowns):

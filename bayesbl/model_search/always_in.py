@@ -133,6 +133,8 @@ tells a worn joint from one twice as worn."""
 WIDTH_DRAWS = 1000
 
 MOST_ROUNDS = 6
+"""Laws freed one after another. It limits time only: the check decides on what is still far."""
+
 MOST_HALVES = 4
 MOST_TRIES = 20
 SIZES_DRAWN = 1000

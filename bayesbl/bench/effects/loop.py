@@ -72,7 +72,7 @@ SAMPLED_CONTROL = Effect(
         Shape(
             "delay_periods",
             "",
-            "computing and dead time d in periods; −0.5: none, and the speed of the instant",
+            "computing and dead time d in periods",
             low=-1.0,
             high=128.0,  # 8 ms of a bus at 62.5 µs, the shortest period of a drive
             typical=1.0,
