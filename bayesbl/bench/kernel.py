@@ -174,6 +174,8 @@ LONGEST_PHASE = 1.0
 SHORT_PHASE = 0.1
 # Widths of a smoothed edge or sign beyond which it bends no more than a step follows.
 CLEAR = 20.0
+# Widths of a smoothed edge within which a step is no longer than its width.
+LAYERS = 10.0
 # Of a gap that varies with the load angle: below it the teeth would jam.
 LEAST_GAP_SHARE = 0.01
 # rad/s: pace of a rigid bench that nothing drives.
@@ -1045,6 +1047,19 @@ def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
+def through_layer(y, region, layer, p, c):  # type: ignore[no-untyped-def]
+    """Longest step, s, that does not pass a smoothed edge unseen.
+
+    To the layer at once, and through it by its own widths: a longer step has one stage in it or
+    none, and its error estimate too.
+    """
+    twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
+    near = min(twist - lower_edge(region, c), upper_edge(region, c) - twist)
+    away = max(near - LAYERS * layer, 0.0)
+    return (away + 2.0 * layer) / (abs(y[TWIST_SPEED]) + 1e-9)
+
+
+@_jit
 def error_of(h, k, scale):  # type: ignore[no-untyped-def]
     """Largest component of the step's error estimate over its allowance; nan if diverged."""
     worst = 0.0
@@ -1378,6 +1393,8 @@ def integrate(  # type: ignore[no-untyped-def]
         if t >= stop_time:
             return DONE, t, evaluations
         h = min(h, longest)
+        if layer > 0.0 and has_edges:
+            h = min(h, through_layer(y, region, layer, p, c))
         last = t + h >= stop_time
         if last:
             h = stop_time - t
@@ -1520,10 +1537,6 @@ def integrate(  # type: ignore[no-untyped-def]
             region += crossed
             right_hand_side(t, y, region, p, c, k[0])
             evaluations += 1
-            # The arctan's layer is passed in steps of its own width.
-            approach = abs(k[0, TWIST]) + 1e-9
-            if layer > 0.0 and edge != 0.0:
-                h_next = min(h_next, 2.0 * layer / approach)
         h = max(h_next, 1e-9)
     return TOO_MANY_STEPS, t, evaluations
 
