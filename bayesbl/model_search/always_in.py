@@ -159,6 +159,9 @@ class Direction:
         Of the catalogue, where the bench has none such.
     is_fitted
         The bench has its most probable value already.
+    instead_of, per_unit
+        An unknown of the fit that gives way by so much for each unit of this, or none: what only
+        the two together show would drown in what they share.
     """
 
     slot: str
@@ -169,6 +172,8 @@ class Direction:
     least: float = 0.0
     effect: str | None = None
     is_fitted: bool = False
+    instead_of: str = ""
+    per_unit: float = 0.0
 
     @property
     def size(self) -> float:
@@ -369,7 +374,7 @@ class Beside:
         if not far:
             return None
         at = self.posterior.linearised
-        inverse = np.linalg.pinv(at.jacobian.T @ at.jacobian + at.prior_precision, hermitian=True)
+        inverse = np.linalg.inv(at.jacobian.T @ at.jacobian + at.prior_precision)
 
         def gain(k: int) -> float:
             columns = at.terms[k].columns
@@ -485,8 +490,10 @@ def _dry_share(fit: SimulatedFit) -> list[Direction]:
     if VISCOUS not in names or DRY in names:
         return []
     fastest = max(abs(seen.reference_speed_rpm) for seen in model.recordings) / RPM
-    torque = fit.value(VISCOUS) * fastest / model.bench.value("gear_ratio")
-    return [Direction(DRY, torque / math.sqrt(3.0), 0.0, positive=True, effect=DRY_FRICTION)]
+    speed_rad_per_s = fastest / model.bench.value("gear_ratio")
+    usual = fit.value(VISCOUS) * speed_rad_per_s / math.sqrt(3.0)
+    instead = {"instead_of": VISCOUS, "per_unit": 1.0 / speed_rad_per_s}
+    return [Direction(DRY, usual, 0.0, positive=True, effect=DRY_FRICTION, **instead)]
 
 
 def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
@@ -555,12 +562,19 @@ def _slopes(
     farthest = LARGEST_STEP * np.array([d.size for d in among])
     signs = np.where((high - at < farthest) & (at - low > high - at), -1.0, 1.0)
     farthest = np.minimum(farthest, np.where(signs > 0.0, high - at, at - low))
+    giving_way = np.zeros((len(among), point.size))
+    for k, direction in enumerate(among):
+        if direction.instead_of:
+            other = model.index(direction.instead_of)
+            giving_way[k, other] = -direction.per_unit
+            farthest[k] = min(farthest[k], (point[other] - model.low[other]) / direction.per_unit)
     steps = np.minimum(steps, farthest)
     slopes, pending = np.zeros((len(among), here.size)), np.arange(len(among))
     for _ in range(2):
         points = np.repeat(point[None], pending.size, axis=0)
         by = signs[pending] * steps[pending]
         points[np.arange(pending.size), own[pending]] = by
+        points += by[:, None] * giving_way[pending]
         changes = np.nan_to_num(here - model.whitened_of(points, place), nan=0.0)
         slopes[pending] = changes / by[:, None]
         size = np.linalg.norm(changes, axis=1)
@@ -602,7 +616,11 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
         own = far.unknowns(bench)
         by = rest.by_label()[rest.labels.index(far)].mean(0) * far.scales
         model = fit.model.beside(bench, own)
-        nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], by)
+        move = np.concatenate([np.zeros(fit.point.size), by])
+        for size, direction in zip(by, far.directions, strict=True):
+            if direction.instead_of:
+                move[model.index(direction.instead_of)] -= size * direction.per_unit
+        nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], move)
         if nearer is None or nearer.chi_square >= fit.chi_square:
             break
         fit = nearer
@@ -618,9 +636,10 @@ def _goal(fit: SimulatedFit) -> float:
 def _fitted_from(
     model: SimulatedSignals, fit: SimulatedFit, centres: Sequence[float], by: FloatArray
 ) -> SimulatedFit | None:
-    """Fitted from where all is linear, or nearer by halves where that cannot be simulated."""
+    """Fitted from where all is linear, ``by`` from the fit and the centres, (d,), or nearer by
+    halves where that cannot be simulated."""
     for _ in range(MOST_HALVES):
-        start = np.concatenate([fit.point, centres + by])
+        start = np.concatenate([fit.point, centres]) + by
         # What is linear may promise less than none of a law.
         start = np.clip(start, model.low, model.high)
         if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
