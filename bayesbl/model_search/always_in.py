@@ -402,13 +402,18 @@ class Beside:
 
     @property
     def is_possible(self) -> bool:
-        """Whether no law is surely less than none: then it stands for something else."""
-        return not any(
-            label.directions[0].effect is not None
-            and label.directions[0].is_not_negative
-            and drawn[:, 0].mean() < -FAR * drawn[:, 0].std()
-            for label, drawn in zip(self.labels, self.by_label(), strict=True)
-        )
+        """Whether no law is surely less than none: then it stands for something else.
+
+        Lags are only so together: what one part of a loop compensates another is late by.
+        """
+        sizes: dict[str, FloatArray] = {}
+        for label, drawn in zip(self.labels, self.by_label(), strict=True):
+            first = label.directions[0]
+            if first.effect is not None and first.is_not_negative:
+                effect = effect_named(first.effect)
+                kind = effect.enters if effect.in_nominal else label.hypothesis
+                sizes[kind] = sizes.get(kind, 0.0) + drawn[:, 0] * label.scales[0]
+        return not any(size.mean() < -FAR * size.std() for size in sizes.values())
 
     def explains(self, fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> bool:
         """Whether the fit with all this agrees with the recordings, and can be."""
