@@ -580,12 +580,22 @@ def logged_torque(y, repeated, p, c):  # type: ignore[no-untyped-def]
     """Torque that a sampled drive shows at its tick, N m: what acts, or its mean till the next.
 
     The mean where the delay is longer than a period: so it is d periods old for any d above one,
-    and smooth in d. A recorder that sees each torque for several samples shows what acts.
+    and smooth in d. A recorder that sees each torque for several samples shows what acts. Behind a
+    lag that is the mean of what flows.
     """
-    if repeated or c.waiting == 0:
-        return y[HELD_TORQUE]
-    share = p[Slot.sampled_control__delay_periods] - c.waiting
-    return share * y[HELD_TORQUE] + (1.0 - share) * next_to_act(y, c)
+    held, following, share = y[HELD_TORQUE], y[HELD_TORQUE], 1.0
+    if not repeated and c.waiting > 0:
+        share = p[Slot.sampled_control__delay_periods] - c.waiting
+        following = next_to_act(y, c)
+    shown = share * held + (1.0 - share) * following
+    if p[Slot.current_loop_lag__time_s] > 0.0:
+        lag = p[Slot.current_loop_lag__time_s] / p[Slot.sampled_control__period_s]
+        decay = math.exp(-share / lag)
+        behind = y[DRIVE_TORQUE] - held
+        shown += lag * behind * (1.0 - decay)
+        behind = behind * decay + held - following
+        shown += lag * behind * (1.0 - math.exp((share - 1.0) / lag))
+    return shown
 
 
 @_jit
@@ -1322,6 +1332,7 @@ def is_stiffer(p):  # type: ignore[no-untyped-def]
     """Whether an effect is on that may be faster than all that the bench is judged by."""
     return (
         p[Slot.speed_sensor_lag__time_s] > 0.0
+        or p[Slot.current_loop_lag__time_s] > 0.0
         or p[Slot.shaft_hysteresis__torque_nm] != 0.0
         or p[Slot.stiffness_hardening__stiffness_nm_per_rad3] != 0.0
         or p[Slot.contact_damping__factor_s_per_rad] != 0.0
@@ -1359,7 +1370,6 @@ def integrate(  # type: ignore[no-untyped-def]
     averaged = p[Slot.speed_averaging__time_s] > 0.0 and out.shape[0] != STATES
     skewed = (skewed or averaged) and out.shape[0] != STATES
     logged = c.sampled and out.shape[0] != STATES
-    lagged = p[Slot.current_loop_lag__time_s] > 0.0
     repeated = is_repeated(p[Slot.sampled_control__period_s], dt)
     period = p[Slot.sampled_control__period_s]
     delay = p[Slot.sampled_control__delay_periods]
@@ -1378,7 +1388,7 @@ def integrate(  # type: ignore[no-untyped-def]
     layer = max(softness_scale(p), 0.0 if c.hard else 1.0 / c.sharpness)
     margin = CLEAR * layer
     shortest = SHORT_PHASE / max(1.0 / longest, fastest_decay(p, c))
-    if not logged or lagged or is_stiffer(p):
+    if not logged or is_stiffer(p):
         shortest = 0.0
     evaluations = 0
     budget = 1000 + int(MAX_STEPS_PER_SECOND * max(1.0, stop_time - t))
@@ -1472,7 +1482,7 @@ def integrate(  # type: ignore[no-untyped-def]
             next_sample[0] = emit(t, h, dense, EVERY, next_sample[0], start, moments, out, y, p, c)
         else:
             for row in range(3):
-                by_ticks = logged and (row == SPEED or (row == CURRENT and not lagged))
+                by_ticks = logged and row != POSITION
                 if by_ticks or (row == SPEED and averaged):
                     continue
                 if out.shape[0] == 3 or row == SPEED:
@@ -1509,7 +1519,7 @@ def integrate(  # type: ignore[no-untyped-def]
                         t - period, t, p, SPEED, next_sample[SPEED], start, moments, repeated,
                         out, old, y[TICK_SPEED] * RPM,
                     )  # fmt: skip
-            if logged and out.shape[0] == 3 and not lagged and (repeated or ticks):
+            if logged and out.shape[0] == 3 and (repeated or ticks):
                 old = current
                 current = logged_torque(y, repeated, p, c) / p[Slot.torque_constant_nm_per_a]
                 next_sample[CURRENT] = emit_logged(

@@ -90,10 +90,6 @@ MOST_CHANGED = 3
 ONE_SPEED = 0.02
 """Share by which speeds differ too little to tell friction's laws apart."""
 
-VISCOUS = Slot.load_viscous_friction__coefficient_nm_s_per_rad.name
-DRY_FRICTION = "load_coulomb_friction"
-DRY = Slot.load_coulomb_friction__torque_nm.name
-
 FAR = 3.0
 """Posterior standard deviations between a size and none, from which it is an unknown of the fit."""
 
@@ -123,6 +119,13 @@ DEAD_TIME = Slot.sampled_control__delay_periods.name
 UNSTATED_PERIODS = 1.0
 """Of the dead time of a sampled controller: a manual states its period, and hardly what buses add.
 A judgement: one more stage that the same clock paces."""
+
+USUAL_PERIODS_S = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)
+"""Of the speed controllers of drives and robots."""
+
+USUAL_DELAYS = (-0.5, 0.0, 1.0, 2.0)
+LEAST_DELAY = -1.0
+PERIODS_FITTED = 2
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
@@ -251,7 +254,7 @@ def with_friction(bench: Bench, recordings: Sequence[Observed]) -> Bench:
     """The bench with the friction of motor and load that every joint has and few data sheets give.
 
     Of usual size, half-normal from none; as viscous friction where the joint turns at one speed,
-    beside which :func:`_dry_share` stands. What the bench has already stays as it is.
+    beside which :func:`_dry_shares` stands. What the bench has already stays as it is.
     """
     laws = ["viscous"]
     speeds = [r.reference_speed_rpm for r in recordings]
@@ -294,6 +297,12 @@ class Label:
         first = self.directions[0]
         lacks = self.recording is None and first.least > 0.0
         return not (first.is_fitted or (lacks and sizes[0] * first.usual < first.least))
+
+    @property
+    def is_lag(self) -> bool:
+        """A lag of the speed loop."""
+        effect = self.directions[0].effect
+        return effect is not None and effect_named(effect).enters == "loop"
 
     @property
     def hypothesis(self) -> str:
@@ -409,7 +418,8 @@ class Beside:
         sizes: dict[str, FloatArray] = {}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             first = label.directions[0]
-            if first.effect is not None and first.is_not_negative:
+            is_law = first.effect is not None and label.recording is None
+            if is_law and first.is_not_negative:
                 effect = effect_named(first.effect)
                 kind = effect.enters if effect.in_nominal else label.hypothesis
                 sizes[kind] = sizes.get(kind, 0.0) + drawn[:, 0] * label.scales[0]
@@ -484,26 +494,35 @@ def always_terms(
     return labels, [every[:, a:b] for a, b in itertools.pairwise(ends)]
 
 
-def _dry_share(fit: SimulatedFit) -> list[Direction]:
-    """How much of the load's friction is dry, where a fit at one speed takes all for viscous.
+def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
+    """How much of each side's friction is dry, where a fit at one speed takes all for viscous.
 
-    Dry friction brakes a load that crosses the gap no more where it crosses faster. Half-normal,
-    with 1/√3 of all friction as standard deviation: of a uniform share the root mean square.
+    Dry friction brakes a load that crosses the gap no more where it crosses faster, and damps no
+    ringing of the motor. Half-normal, with 1/√3 of all friction as standard deviation: of a uniform
+    share the root mean square.
     """
     model = fit.model
     names = {u.name for u in model.unknowns}
-    if VISCOUS not in names or DRY in names:
-        return []
-    fastest = max(abs(seen.reference_speed_rpm) for seen in model.recordings) / RPM
-    speed_rad_per_s = fastest / model.bench.value("gear_ratio")
-    usual = fit.value(VISCOUS) * speed_rad_per_s / math.sqrt(3.0)
-    instead = {"instead_of": VISCOUS, "per_unit": 1.0 / speed_rad_per_s}
-    return [Direction(DRY, usual, 0.0, positive=True, effect=DRY_FRICTION, **instead)]
+    motor_rad_per_s = max(abs(seen.reference_speed_rpm) for seen in model.recordings) / RPM
+    load_rad_per_s = motor_rad_per_s / model.bench.value("gear_ratio")
+    for side, speed_rad_per_s in (("motor", motor_rad_per_s), ("load", load_rad_per_s)):
+        viscous = Slot[f"{side}_viscous_friction__coefficient_nm_s_per_rad"].name
+        dry = Slot[f"{side}_coulomb_friction__torque_nm"].name
+        if viscous in names and dry not in names:
+            yield Direction(
+                dry,
+                fit.value(viscous) * speed_rad_per_s / math.sqrt(3.0),
+                0.0,
+                positive=True,
+                effect=f"{side}_coulomb_friction",
+                instead_of=viscous,
+                per_unit=1.0 / speed_rad_per_s,
+            )
 
 
 def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
     """Each direction for all snapshots together, and drift and causes for each but the first."""
-    model, among = fit.model, [*among, *_dry_share(fit)]
+    model, among = fit.model, [*among, *_dry_shares(fit)]
     taken = {(u.name, u.recording) for u in model.unknowns}
     owners = [seen.name for seen in model.recordings[1:]]
     labels = [Label((d,), None) for d in among if d.usual > 0.0]
@@ -580,6 +599,7 @@ def _slopes(
         by = signs[pending] * steps[pending]
         points[np.arange(pending.size), own[pending]] = by
         points += by[:, None] * giving_way[pending]
+        points = np.clip(points, model.low, model.high)
         changes = np.nan_to_num(here - model.whitened_of(points, place), nan=0.0)
         slopes[pending] = changes / by[:, None]
         size = np.linalg.norm(changes, axis=1)
@@ -608,7 +628,9 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
 def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
-    One after another: what is far for a lack of another is so no more when that is there.
+    One after another: what is far for a lack of another is so no more when that is there. Where a
+    lag of the loop is, and the bench states no period of its controller, it may as well be the
+    ticks of one: whichever explains more.
 
     Where all that does not explain the recordings, nothing is freed: a misfit has put it there, and
     takes the gaps along.
@@ -617,20 +639,63 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
     for _ in range(MOST_ROUNDS):
         if (far := rest.furthest()) is None:
             break
-        bench = with_neutral(fit.model.bench, far.directions)
-        own = far.unknowns(bench)
-        by = rest.by_label()[rest.labels.index(far)].mean(0) * far.scales
-        model = fit.model.beside(bench, own)
-        move = np.concatenate([np.zeros(fit.point.size), by])
-        for size, direction in zip(by, far.directions, strict=True):
-            if direction.instead_of:
-                move[model.index(direction.instead_of)] -= size * direction.per_unit
-        nearer = _fitted_from(model, fit, [unknown.centre for unknown in own], move)
+        fits = [_freed(fit, rest, far)]
+        if far.is_lag and not _is_sampled(fit.model.bench):
+            fits += _sampled_loops(fit, among)
+        nearer = min((f for f in fits if f is not None), key=_misfit, default=None)
         if nearer is None or nearer.chi_square >= fit.chi_square:
             break
         fit = nearer
         rest = beside(fit, among)
     return (fit, rest) if rest.explains(fit) else nominal
+
+
+def _freed(fit: SimulatedFit, rest: Beside, far: Label) -> SimulatedFit | None:
+    """With one label among its unknowns; ``None`` where that cannot be simulated."""
+    bench = with_neutral(fit.model.bench, far.directions)
+    own = far.unknowns(bench)
+    by = rest.by_label()[rest.labels.index(far)].mean(0) * far.scales
+    model = fit.model.beside(bench, own)
+    move = np.concatenate([np.zeros(fit.point.size), by])
+    for size, direction in zip(by, far.directions, strict=True):
+        if direction.instead_of:
+            move[model.index(direction.instead_of)] -= size * direction.per_unit
+    return _fitted_from(model, fit, [unknown.centre for unknown in own], move)
+
+
+def _is_sampled(bench: Bench) -> bool:
+    return any(effect.name == "sampled_control" for effect in bench.effects)
+
+
+def _misfit(fit: SimulatedFit) -> float:
+    """χ² with what the priors say of the point."""
+    return fit.chi_square - 2.0 * float(fit.model.log_prior(fit.point)[0])
+
+
+def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
+    """Fits with controllers of usual periods, those that promise most.
+
+    Each with a dead time of its own. A period that is free is no unknown of a fit: χ² changes from
+    tick to tick.
+    """
+    known, promises = _Known.of(fit, among), []
+    for period_s in USUAL_PERIODS_S:
+        ticks = BenchEffect("sampled_control", {"period_s": EffectParameterValue(period_s)})
+        bench = fit.model.bench.with_effects(*fit.model.bench.effects, ticks)
+        dead_time = Unknown(DEAD_TIME, LEAST_DELAY, centre=1.0, sd=UNSTATED_PERIODS)
+        model = fit.model.beside(bench, [dead_time])
+        for delay in USUAL_DELAYS:
+            point = np.append(fit.point, delay)
+            residual = model.whitened(point)[0]
+            if np.all(np.isfinite(residual)):
+                left, shift = known.left(residual)
+                promises.append((left + (delay - 1.0) ** 2, model, point + np.append(shift, 0.0)))
+    promises.sort(key=lambda promise: promise[0])
+    fits = []
+    for _, model, start in promises[:PERIODS_FITTED]:
+        with suppress(SimulationError):
+            fits.append(fit_simulated(model, start, fit.steps, goal=_goal(fit)))
+    return fits
 
 
 def _goal(fit: SimulatedFit) -> float:
@@ -858,6 +923,13 @@ class _Known:
         orthogonal, triangle = np.linalg.qr(known)
         residual = np.concatenate([fit.residual, np.zeros(known.shape[1])])
         return cls(fit, orthogonal, triangle, residual - orthogonal @ (orthogonal.T @ residual))
+
+    def left(self, residual: FloatArray) -> tuple[float, FloatArray]:
+        """χ² that is left of a residual (N,), and the shift of the fit's unknowns with it, (d,)."""
+        residual = np.concatenate([residual, np.zeros(len(self.triangle))])
+        along = self.orthogonal.T @ residual
+        shift = np.linalg.solve(self.triangle, along)[: self.fit.point.size]
+        return float(residual @ residual - along @ along), np.asarray(shift)
 
     def promise(self, column: FloatArray) -> tuple[float, FloatArray]:
         """Fall of χ² by a column (N,), none where it is the other way, and the shift of the fit's
