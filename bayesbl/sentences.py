@@ -323,6 +323,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "{frequency_hz:.2g} Hz (probability {probability:.2g}). The interval of δ includes this; "
         "add the part to the bench file to make δ sharper."
     ),
+    "controller_period": (
+        "The speed controller seems to compute every {period_s:.3g} s; the bench states no period. "
+        "δ includes this. If you know the period, state it as sampled_control in the bench file."
+    ),
     "counted_twice": (
         "The bench was identified from {name} as well, so this recording counts twice and its "
         "interval is somewhat too narrow. Measure later recordings with that bench."

@@ -203,7 +203,7 @@ class DirectMeasurer(Measurer):
         check = [entry for entry in found.check if entry.recording == recording.name]
         seen = posterior.fit.model.recordings[index]
         told = (Reason.of_text("recording", text) for text in (*recording.notes, *seen.notes))
-        notes = (*told, *_of_the_part(found.joint), *self._counted_twice(recording))
+        notes = (*told, *self._beyond_the_bench(found), *self._counted_twice(recording))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
         groups = direct_groups(posterior, recording, index, check, generator)
@@ -222,23 +222,27 @@ class DirectMeasurer(Measurer):
             else upper_bound(gap),
         )
 
+    def _beyond_the_bench(self, found: DirectMatch) -> Iterator[Reason]:
+        """Notes of what the bench lacks and δ allows for."""
+        if (part := found.joint.part) is not None:
+            told = {
+                "name": part.name,
+                "frequency_hz": part.frequency_hz,
+                "probability": part.probability,
+            }
+            yield Reason("elastic_part", told)
+        stated = {effect.name for effect in self.bench.effects}
+        for effect in found.posterior.fit.model.bench.effects:
+            if effect.name == "sampled_control" and effect.name not in stated:
+                period_s = effect.complete()["period_s"]
+                yield Reason("controller_period", {"period_s": period_s})
+
     def _counted_twice(self, recording: Recording) -> Iterator[Reason]:
         """A note where the bench was identified from this very recording."""
         joint = self.bench.identified
         entry = self.config.entry_of(recording.name)
         if joint is not None and file_sha256(entry.file) in joint.sources:
             yield Reason("counted_twice", {"name": entry.name})
-
-
-def _of_the_part(joint: JointFindings) -> Iterator[Reason]:
-    """A note of an elastic part that the bench lacks."""
-    if joint.part is not None:
-        told = {
-            "name": joint.part.name,
-            "frequency_hz": joint.part.frequency_hz,
-            "probability": joint.part.probability,
-        }
-        yield Reason("elastic_part", told)
 
 
 def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> Observed:

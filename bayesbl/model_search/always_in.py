@@ -301,8 +301,8 @@ class Label:
     @property
     def is_lag(self) -> bool:
         """A lag of the speed loop."""
-        effect = self.directions[0].effect
-        return effect is not None and effect_named(effect).enters == "loop"
+        name, _, parameter = self.directions[0].slot.partition("__")
+        return bool(parameter) and effect_named(name).enters == "loop"
 
     @property
     def hypothesis(self) -> str:
@@ -369,19 +369,17 @@ class Beside:
     sizes: FloatArray
     residual: FloatArray
 
-    def furthest(self) -> Label | None:
-        """By which alone χ² falls most, of what data put far from where the fit has it.
+    def far(self) -> list[Label]:
+        """What data put far from where the fit has it, that by which alone χ² falls most first.
 
         That is what they put elsewhere than a fit without it has it, or surely say has changed; or,
-        where that is so of all together only, any law. ``None`` where nothing is far.
+        where that is so of all together only, any law.
         """
         means = [drawn.mean(axis=0) for drawn in self.by_label()]
         can_be = [k for k, label in enumerate(self.labels) if label.can_be_simulated(means[k])]
         far = [k for k in can_be if self._is_far(k, self.by_label()[k])]
         if not far and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
             far = [k for k in can_be if self.labels[k].recording is None]
-        if not far:
-            return None
         at = self.posterior.linearised
         inverse = np.linalg.inv(at.jacobian.T @ at.jacobian + at.prior_precision)
 
@@ -393,7 +391,7 @@ class Beside:
             precision = np.eye(pull.size) + columns.T @ columns - by.T @ inverse @ by
             return float(pull @ np.linalg.solve(precision, pull))
 
-        return self.labels[max(far, key=gain)]
+        return [self.labels[k] for k in sorted(far, key=gain, reverse=True)]
 
     def _is_far(self, k: int, drawn: FloatArray) -> bool:
         label, first = self.labels[k], self.labels[k].directions[0]
@@ -418,9 +416,10 @@ class Beside:
         sizes: dict[str, FloatArray] = {}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             first = label.directions[0]
-            is_law = first.effect is not None and label.recording is None
-            if is_law and first.is_not_negative:
-                effect = effect_named(first.effect)
+            if first.effect is None or label.recording is not None:
+                continue
+            effect = effect_named(first.effect)
+            if first.is_not_negative:
                 kind = effect.enters if effect.in_nominal else label.hypothesis
                 sizes[kind] = sizes.get(kind, 0.0) + drawn[:, 0] * label.scales[0]
         return not any(size.mean() < -FAR * size.std() for size in sizes.values())
@@ -628,26 +627,33 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
 def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
-    One after another: what is far for a lack of another is so no more when that is there. Where a
-    lag of the loop is, and the bench states no period of its controller, it may as well be the
-    ticks of one: whichever explains more.
+    One after another: what is far for a lack of another is so no more when that is there.
 
     Where all that does not explain the recordings, nothing is freed: a misfit has put it there, and
     takes the gaps along.
     """
     nominal = fit, (rest := beside(fit, among))
     for _ in range(MOST_ROUNDS):
-        if (far := rest.furthest()) is None:
-            break
-        fits = [_freed(fit, rest, far)]
-        if far.is_lag and not _is_sampled(fit.model.bench):
-            fits += _sampled_loops(fit, among)
-        nearer = min((f for f in fits if f is not None), key=_misfit, default=None)
+        nearer = _nearer(fit, rest, among)
         if nearer is None or nearer.chi_square >= fit.chi_square:
             break
         fit = nearer
         rest = beside(fit, among)
     return (fit, rest) if rest.explains(fit) else nominal
+
+
+def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
+    """With one more of what is far among the unknowns; ``None`` where that leads nowhere.
+
+    What makes a loop late is much alike where all is linear: each is fitted, and the ticks of a
+    controller where the bench states none.
+    """
+    far = rest.far()
+    freed = (_freed(fit, rest, label) for label in far if label.is_lag or not far[0].is_lag)
+    if far and far[0].is_lag:
+        tried = [*freed, *_sampled_loops(fit, among)]
+        return min((f for f in tried if f is not None), key=_misfit, default=None)
+    return next((f for f in freed if f is not None and f.chi_square < fit.chi_square), None)
 
 
 def _freed(fit: SimulatedFit, rest: Beside, far: Label) -> SimulatedFit | None:
@@ -663,10 +669,6 @@ def _freed(fit: SimulatedFit, rest: Beside, far: Label) -> SimulatedFit | None:
     return _fitted_from(model, fit, [unknown.centre for unknown in own], move)
 
 
-def _is_sampled(bench: Bench) -> bool:
-    return any(effect.name == "sampled_control" for effect in bench.effects)
-
-
 def _misfit(fit: SimulatedFit) -> float:
     """χ² with what the priors say of the point."""
     return fit.chi_square - 2.0 * float(fit.model.log_prior(fit.point)[0])
@@ -676,8 +678,10 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     """Fits with controllers of usual periods, those that promise most.
 
     Each with a dead time of its own. A period that is free is no unknown of a fit: χ² changes from
-    tick to tick.
+    tick to tick. None where the bench has a sampled controller.
     """
+    if any(effect.name == "sampled_control" for effect in fit.model.bench.effects):
+        return []
     known, promises = _Known.of(fit, among), []
     for period_s in USUAL_PERIODS_S:
         ticks = BenchEffect("sampled_control", {"period_s": EffectParameterValue(period_s)})
