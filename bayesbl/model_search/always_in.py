@@ -184,8 +184,13 @@ class Direction:
         return self.usual or self.drift or self.changed
 
     @property
+    def is_law(self) -> bool:
+        """A law that the bench lacks and of which the simulator takes no negative size."""
+        return self.effect is not None and self.is_not_negative
+
+    @property
     def is_not_negative(self) -> bool:
-        """A law of which the simulator takes no negative size."""
+        """Whether the simulator takes no negative size."""
         name, _, parameter = self.slot.partition("__")
         return bool(parameter) and any(
             a.not_negative for a in effect_named(name).amplitudes if a.name == parameter
@@ -292,17 +297,22 @@ class Label:
     def can_be_simulated(self, sizes: FloatArray) -> bool:
         """Whether it can be an unknown, of these sizes in standard deviations, (k,).
 
-        A lag of less than the simulator takes stays linear.
+        A law of less than none, or than the simulator takes, stays linear.
         """
         first = self.directions[0]
-        lacks = self.recording is None and first.least > 0.0
-        return not (first.is_fitted or (lacks and sizes[0] * first.usual < first.least))
+        is_less = self.recording is None and first.is_law and sizes[0] * first.usual <= first.least
+        return not (first.is_fitted or is_less)
 
     @property
     def is_lag(self) -> bool:
-        """A lag of the speed loop."""
+        """Of the speed loop."""
         name, _, parameter = self.directions[0].slot.partition("__")
         return bool(parameter) and effect_named(name).enters == "loop"
+
+    @property
+    def is_positive(self) -> bool:
+        """Less than none of it is something else."""
+        return self.directions[0].is_law and not self.is_lag
 
     @property
     def hypothesis(self) -> str:
@@ -369,38 +379,38 @@ class Beside:
     sizes: FloatArray
     residual: FloatArray
 
-    def far(self) -> list[Label]:
+    def far(self) -> list[tuple[Label, FloatArray]]:
         """What data put far from where the fit has it, that by which alone χ² falls most first.
 
-        That is what they put elsewhere than a fit without it has it, or surely say has changed; or,
-        where that is so of all together only, any law.
+        Each with its sizes alone, in standard deviations. Far is what they put elsewhere than a fit
+        without it has it, or surely say has changed; or, where that is so of all together only, any
+        law. Lags are alike where all is linear: where one is far, in either sense, any may be it.
         """
-        means = [drawn.mean(axis=0) for drawn in self.by_label()]
-        can_be = [k for k, label in enumerate(self.labels) if label.can_be_simulated(means[k])]
-        far = [k for k in can_be if self._is_far(k, self.by_label()[k])]
+        far = {k for k in range(len(self.labels)) if self._is_far(k, self.by_label()[k])}
+        shared = {k for k, label in enumerate(self.labels) if label.recording is None}
         if not far and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
-            far = [k for k in can_be if self.labels[k].recording is None]
+            far = shared
+        if any(self.labels[k].is_lag for k in far):
+            far |= {k for k in shared if self.labels[k].is_lag}
         at = self.posterior.linearised
         inverse = np.linalg.inv(at.jacobian.T @ at.jacobian + at.prior_precision)
-
-        def gain(k: int) -> float:
+        alone = []
+        for k in far:
             columns = at.terms[k].columns
             by, pull = at.jacobian.T @ columns, columns.T @ at.residual
-            if at.terms[k].positive and pull[0] < 0.0:
-                return 0.0
             precision = np.eye(pull.size) + columns.T @ columns - by.T @ inverse @ by
-            return float(pull @ np.linalg.solve(precision, pull))
-
-        return [self.labels[k] for k in sorted(far, key=gain, reverse=True)]
+            sizes = np.asarray(np.linalg.solve(precision, pull), dtype=np.float64)
+            if self.labels[k].can_be_simulated(sizes):
+                alone.append((float(pull @ sizes), k, sizes))
+        return [(self.labels[k], sizes) for _, k, sizes in sorted(alone, reverse=True)]
 
     def _is_far(self, k: int, drawn: FloatArray) -> bool:
-        label, first = self.labels[k], self.labels[k].directions[0]
+        label = self.labels[k]
         if label.cause:
             return label.hypothesis in self.posterior.named
-        # Less than none of a law is none of it, but something else: that stays linear.
-        lacks = first.effect is not None and first.is_not_negative
         mean = float(drawn[:, 0].mean())
-        return (mean if lacks else abs(mean)) > FAR * float(drawn[:, 0].std())
+        # Less than none of a law is none of it, but something else: that stays linear.
+        return (mean if label.is_positive else abs(mean)) > FAR * float(drawn[:, 0].std())
 
     @property
     def has_discrepancy(self) -> bool:
@@ -415,12 +425,8 @@ class Beside:
         """
         sizes: dict[str, FloatArray] = {}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
-            first = label.directions[0]
-            if first.effect is None or label.recording is not None:
-                continue
-            effect = effect_named(first.effect)
-            if first.is_not_negative:
-                kind = effect.enters if effect.in_nominal else label.hypothesis
+            if label.recording is None and label.directions[0].is_law:
+                kind = "lag" if label.is_lag else label.hypothesis
                 sizes[kind] = sizes.get(kind, 0.0) + drawn[:, 0] * label.scales[0]
         return not any(size.mean() < -FAR * size.std() for size in sizes.values())
 
@@ -649,18 +655,19 @@ def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> Simu
     controller where the bench states none.
     """
     far = rest.far()
-    freed = (_freed(fit, rest, label) for label in far if label.is_lag or not far[0].is_lag)
-    if far and far[0].is_lag:
-        tried = [*freed, *_sampled_loops(fit, among)]
+    lags = [own for own in far if own[0].is_lag]
+    if lags and far[0][0].is_lag:
+        tried = [*(_freed(fit, *own) for own in lags), *_sampled_loops(fit, among)]
         return min((f for f in tried if f is not None), key=_misfit, default=None)
+    freed = (_freed(fit, *own) for own in far)
     return next((f for f in freed if f is not None and f.chi_square < fit.chi_square), None)
 
 
-def _freed(fit: SimulatedFit, rest: Beside, far: Label) -> SimulatedFit | None:
-    """With one label among its unknowns; ``None`` where that cannot be simulated."""
+def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | None:
+    """With one label among its unknowns, from these sizes; ``None`` where nothing is simulated."""
     bench = with_neutral(fit.model.bench, far.directions)
     own = far.unknowns(bench)
-    by = rest.by_label()[rest.labels.index(far)].mean(0) * far.scales
+    by = sizes * far.scales
     model = fit.model.beside(bench, own)
     move = np.concatenate([np.zeros(fit.point.size), by])
     for size, direction in zip(by, far.directions, strict=True):
