@@ -1057,7 +1057,7 @@ def is_clear(y, region, margin, p, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def through_layer(y, region, layer, p, c):  # type: ignore[no-untyped-def]
+def through_layer(y, acceleration, region, layer, p, c):  # type: ignore[no-untyped-def]
     """Longest step, s, that does not pass a smoothed edge unseen.
 
     To the layer at once, and through it by its own widths: a longer step has one stage in it or
@@ -1065,8 +1065,9 @@ def through_layer(y, region, layer, p, c):  # type: ignore[no-untyped-def]
     """
     twist = contact_twist(y[MOTOR_ANGLE], y[TWIST], p, c)
     near = min(twist - lower_edge(region, c), upper_edge(region, c) - twist)
-    away = max(near - LAYERS * layer, 0.0)
-    return (away + 2.0 * layer) / (abs(y[TWIST_SPEED]) + 1e-9)
+    room = max(near - LAYERS * layer, 0.0) + 2.0 * layer
+    speed = abs(y[TWIST_SPEED])
+    return 2.0 * room / (speed + math.sqrt(speed * speed + 2.0 * abs(acceleration) * room) + 1e-9)
 
 
 @_jit
@@ -1404,7 +1405,7 @@ def integrate(  # type: ignore[no-untyped-def]
             return DONE, t, evaluations
         h = min(h, longest)
         if layer > 0.0 and has_edges:
-            h = min(h, through_layer(y, region, layer, p, c))
+            h = min(h, through_layer(y, k[0, TWIST_SPEED], region, layer, p, c))
         last = t + h >= stop_time
         if last:
             h = stop_time - t

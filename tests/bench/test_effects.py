@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -544,3 +545,30 @@ def test_a_bench_carries_effects_by_name() -> None:
         effect_named("friction")
     with pytest.raises(BenchError, match="no such parameter"):
         BENCH.with_effects(BenchEffect("backlash", {"size": EffectParameterValue(1.0)}))
+
+
+@pytest.mark.parametrize("variance", [1e-12, 1e-11])
+@pytest.mark.parametrize("gap", [3.4e-4, 5e-4, 8e-4])
+def test_what_soft_edges_do_does_not_depend_on_the_accuracy(gap: float, variance: float) -> None:
+    """An edge much narrower than a step of the integrator is not passed unseen."""
+    bench = replace(BENCH, gap_form="dead_zone").vector
+    late = {"gap_rad": gap, "current_loop_lag__time_s": 1e-3}
+    matrix = np.vstack([bench(**late), bench(**late, contact_softness__variance_rad2=variance)])
+
+    def change(accuracy_rpm: float) -> np.ndarray:
+        sharp, soft = simulate_channels(matrix, 7200, 1000.0, accuracy_rpm=accuracy_rpm)[:, SPEED]
+        return np.asarray(soft - sharp)
+
+    fine = change(1e-6)
+    assert np.linalg.norm(change(1e-3) - fine) < 0.15 * np.linalg.norm(fine)
+
+
+def test_a_short_lag_behind_a_sampled_controller_is_next_to_none() -> None:
+    """Of what is logged too: the current that flows until the next tick."""
+    for delay in (0.0, 1.0, 1.4):
+        none = simulate_channels(BENCH.vector(gap_rad=GAP, **sampled(delay=delay)), 2000, 1000.0)
+        changes = []
+        for lag in (1e-5, 1e-4):
+            late = BENCH.vector(gap_rad=GAP, current_loop_lag__time_s=lag, **sampled(delay=delay))
+            changes.append((simulate_channels(late, 2000, 1000.0) - none)[0, CURRENT] / lag)
+        assert np.linalg.norm(changes[0] - changes[1]) < 0.2 * np.linalg.norm(changes[1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from types import ModuleType
 
@@ -16,9 +17,9 @@ from bayesbl.bench.parameters import BENCH_PARAMETERS, DEFAULT_DRIFT, PARAMETER_
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import observed
+from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import direct_unknowns, fit_directly, fit_jointly
+from bayesbl.measurement.direct_route import JointFit, direct_unknowns, fit_directly, fit_jointly
 from bayesbl.model_search.always_in import (
     Direction,
     always_terms,
@@ -177,26 +178,56 @@ def test_a_controller_that_reads_the_speed_of_the_instant_is_less_late(
     truth = {name: item.value for name, item in BENCH.parameters.items()}
     truth |= {"sampled_control.period_s": 1e-3, "sampled_control.delay_periods": 0.0}
     truth |= {"outside__speed_of_instant": 1.0, "start_angle_rad": 0.4}
+    seen = by_ticks(independent, bench, truth, with_current)
+    whole = fit_jointly(bench, seen, (1e-4, 1e-2), {})
+    assert_holds_the_gaps(whole)
+
+
+@pytest.mark.parametrize(("period_s", "delay"), [(2e-3, 0.0), (1e-3, 1.0)])
+def test_a_period_that_nobody_states_is_found_beside_dry_friction(
+    independent: ModuleType, period_s: float, delay: float
+) -> None:
+    """Of both sides; without the ticks the loop's lags stand in, and the gap is withheld."""
+    truth = {name: item.value for name, item in BENCH.parameters.items()}
+    truth |= {"sampled_control.period_s": period_s, "sampled_control.delay_periods": delay}
+    truth |= {"motor_coulomb_friction.torque_nm": 0.2, "load_coulomb_friction.torque_nm": 8.0}
+    seen = by_ticks(independent, BENCH, truth | {"start_angle_rad": 0.4}, True)
+    whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    assert_holds_the_gaps(whole)
+    (ticks,) = [e for e in whole.fit.model.bench.effects if e.name == "sampled_control"]
+    assert ticks.complete()["period_s"] == period_s
+    assert whole.fit.value("sampled_control__delay_periods") == pytest.approx(delay, abs=0.1)
+
+
+GAPS_RAD = {"before": 7e-4, "after": 9e-4}
+
+
+def by_ticks(
+    independent: ModuleType, bench: Bench, truth: Mapping[str, float], with_current: bool
+) -> list[Observed]:
+    """Two snapshots by another simulator."""
     rng, seen = np.random.default_rng(5), []
-    gaps_rad = {"before": 7e-4, "after": 9e-4}
-    for name, gap in gaps_rad.items():
-        _, speed, current = independent.noise_free(
-            independent.plant(truth, gap_rad=gap), 3.02, 1000.0
-        )
+    for name, gap in GAPS_RAD.items():
+        plant = independent.plant(truth, gap_rad=gap)
+        _, speed, current = independent.noise_free(plant, 3.02, 1000.0)
         channels = {MOTOR_SPEED: speed + 0.2 * rng.standard_normal(speed.size)}
         if with_current:
             channels[MOTOR_CURRENT] = current + 0.02 * rng.standard_normal(speed.size)
         made = Recording(name, np.arange(speed.size) / 1000.0, channels)
         seen.append(observed(made, bench, 2000.0))
-    whole = fit_jointly(bench, seen, (1e-4, 1e-2), {})
+    return seen
+
+
+def assert_holds_the_gaps(whole: JointFit) -> None:
     assert whole.joint.explained
-    shift = whole.rest.posterior.draw(np.random.default_rng(0), 1000).shift
-    fit = whole.fit
-    for name, gap in gaps_rad.items():
+    fit, shift = whole.fit, whole.rest.posterior.draw(np.random.default_rng(0), 1000).shift
+    for name, gap in GAPS_RAD.items():
         place = fit.model.index(GAP, name)
         sd = math.hypot(math.sqrt(fit.covariance[place, place]), float(shift[:, place].std()))
         assert abs(fit.point[place] + shift[:, place].mean() - math.log(gap)) < 3.5 * sd
         assert sd < 0.03
+    error, sd = change(fit, shift)
+    assert abs(error - math.log(GAPS_RAD["after"] / GAPS_RAD["before"])) < 3.5 * sd
 
 
 @pytest.mark.long
