@@ -125,7 +125,6 @@ USUAL_PERIODS_S = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 
 USUAL_DELAYS = (-0.5, 0.0, 1.0, 2.0)
 LEAST_DELAY = -1.0
-PERIODS_FITTED = 2
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
@@ -682,30 +681,37 @@ def _misfit(fit: SimulatedFit) -> float:
 
 
 def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
-    """Fits with controllers of usual periods, those that promise most.
+    """Fits with controllers of usual periods, each with a dead time of its own.
 
-    Each with a dead time of its own. A period that is free is no unknown of a fit: χ² changes from
-    tick to tick. None where the bench has a sampled controller.
+    The one that promises most first, and from there the others, as late. A period that is free is
+    no unknown of a fit: χ² changes from tick to tick. None where the bench has such a controller.
     """
     if any(effect.name == "sampled_control" for effect in fit.model.bench.effects):
         return []
-    known, promises = _Known.of(fit, among), []
+    known, models, promises = _Known.of(fit, among), {}, []
     for period_s in USUAL_PERIODS_S:
         ticks = BenchEffect("sampled_control", {"period_s": EffectParameterValue(period_s)})
         bench = fit.model.bench.with_effects(*fit.model.bench.effects, ticks)
         dead_time = Unknown(DEAD_TIME, LEAST_DELAY, centre=1.0, sd=UNSTATED_PERIODS)
-        model = fit.model.beside(bench, [dead_time])
+        models[period_s] = fit.model.beside(bench, [dead_time])
         for delay in USUAL_DELAYS:
             point = np.append(fit.point, delay)
-            residual = model.whitened(point)[0]
+            residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
                 left, shift = known.left(residual)
-                promises.append((left + (delay - 1.0) ** 2, model, point + np.append(shift, 0.0)))
-    promises.sort(key=lambda promise: promise[0])
-    fits = []
-    for _, model, start in promises[:PERIODS_FITTED]:
+                promises.append((left, period_s, point + np.append(shift, 0.0)))
+    fits: list[SimulatedFit] = []
+    if not promises:
+        return fits
+    _, first_s, point = min(promises, key=lambda promise: promise[:2])
+    steps, goal = fit.steps, _goal(fit)
+    for period_s in sorted(models, key=lambda period_s: abs(math.log(period_s / first_s))):
+        as_late = (1.0 + point[-1]) * first_s / period_s - 1.0
+        start = np.append(point[:-1], point[-1] if period_s == first_s else as_late)
         with suppress(SimulationError):
-            fits.append(fit_simulated(model, start, fit.steps, goal=_goal(fit)))
+            fits.append(fit_simulated(models[period_s], start, steps, goal=goal))
+            if period_s == first_s:
+                point, steps, goal = fits[0].point, fits[0].steps, fits[0].chi_square
     return fits
 
 
