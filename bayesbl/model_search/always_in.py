@@ -115,6 +115,7 @@ CLOSE = 30.0
 """χ² by which a rough fit of one part may be behind that of another and still be fitted to the end:
 odds of e¹⁵."""
 
+SAMPLED = "sampled_control"
 DEAD_TIME = Slot.sampled_control__delay_periods.name
 UNSTATED_PERIODS = 1.0
 """Of the dead time of a sampled controller: a manual states its period, and hardly what buses add.
@@ -227,7 +228,7 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
                 size = max(abs(values[item.name]), _stated_sd(own, item.name))
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
                 yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
-            if own.name == "sampled_control" and "delay_periods" not in own.parameters:
+            if own.name == SAMPLED and "delay_periods" not in own.parameters:
                 least = effect_named(own.name).parameter("delay_periods").low
                 yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0, least=least)
         elif effect.always_in:
@@ -686,11 +687,11 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     The one that promises most first, and from there the others, as late. A period that is free is
     no unknown of a fit: χ² changes from tick to tick. None where the bench has such a controller.
     """
-    if any(effect.name == "sampled_control" for effect in fit.model.bench.effects):
+    if any(effect.name == SAMPLED for effect in fit.model.bench.effects):
         return []
     known, models, promises = _Known.of(fit, among), {}, []
     for period_s in USUAL_PERIODS_S:
-        ticks = BenchEffect("sampled_control", {"period_s": EffectParameterValue(period_s)})
+        ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
         bench = fit.model.bench.with_effects(*fit.model.bench.effects, ticks)
         dead_time = Unknown(DEAD_TIME, LEAST_DELAY, centre=1.0, sd=UNSTATED_PERIODS)
         models[period_s] = fit.model.beside(bench, [dead_time])
@@ -902,9 +903,19 @@ def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> 
         part.name,
         {name.partition("__")[2]: EffectParameterValue(value) for name, value in values.items()},
     )
-    bench = nominal.model.bench
-    model = nominal.model.beside(bench.with_effects(*bench.effects, effect), ())
-    alone = fit_simulated(model, found.fit.point[:own], found.fit.steps[:own])
+    bench, fit = nominal.model.bench, found.fit
+    stated = {own.name for own in bench.effects}
+    # Ticks are no law that stood in for the part.
+    ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
+    kept = [
+        *range(own),
+        *(k for k, u in enumerate(fit.model.unknowns) if ticks and u.name == DEAD_TIME),
+    ]
+    model = nominal.model.beside(
+        bench.with_effects(*bench.effects, *ticks, effect),
+        [fit.model.unknowns[k] for k in kept[own:]],
+    )
+    alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
     directions = tuple(
         Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0, is_fitted=True)
         for u in part.unknowns
