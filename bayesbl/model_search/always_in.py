@@ -388,8 +388,9 @@ class Beside:
         """
         far = {k for k in range(len(self.labels)) if self._is_far(k, self.by_label()[k])}
         shared = {k for k, label in enumerate(self.labels) if label.recording is None}
+        least = -math.inf
         if not far and self.posterior.always_gain > chi2_isf(FALSE_ALARM, len(self.labels)):
-            far = shared
+            far, least = shared, FAR**2
         if any(self.labels[k].is_lag for k in far):
             far |= {k for k in shared if self.labels[k].is_lag}
         at = self.posterior.linearised
@@ -400,7 +401,7 @@ class Beside:
             by, pull = at.jacobian.T @ columns, columns.T @ at.residual
             precision = np.eye(pull.size) + columns.T @ columns - by.T @ inverse @ by
             sizes = np.asarray(np.linalg.solve(precision, pull), dtype=np.float64)
-            if self.labels[k].can_be_simulated(sizes):
+            if self.labels[k].can_be_simulated(sizes) and float(pull @ sizes) > least:
                 alone.append((float(pull @ sizes), k, sizes))
         return [(self.labels[k], sizes) for _, k, sizes in sorted(alone, reverse=True)]
 
