@@ -248,7 +248,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "beyond_curve": beyond_curve,
     "box_search_missed": (
-        "The search of {searched}, missed the best fit. It ended at A = {amplitude_rpm:.3g} rpm "
+        "The search of eq. 6 in the ranges of Table 2, both as printed, missed the best fit. "
+        "It ended at A = {amplitude_rpm:.3g} rpm "
         "with RMSE {rmse_rpm:.3g} rpm (by eq. 4, {gap_as_printed_rad:.3g mrad}); the best fit has "
         "A = {optimum_amplitude_rpm:.3g} rpm and RMSE {optimum_rmse_rpm:.3g} rpm. Use "
         '[estimator.search] method = "guess".'

@@ -38,17 +38,12 @@ from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum, local_search
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import ROTATION, WINDOW_END, WINDOW_START, DisturbanceModel
-from bayesbl.ringing.table_2 import (
-    same_pulses,
-    search_as_printed,
-    search_pulse_train,
-    speed_as_printed,
-)
+from bayesbl.ringing.table_2 import same_pulses, search_as_printed, speed_as_printed
 
 AMPLITUDE_RPM = 20.0
 SAME_RMSE = 1e-6
 """An RMSE within this part of the optimum's is the optimum's."""
-Method = Literal["guess", "paper", "table_2_box"]
+Method = Literal["guess", "paper"]
 
 COLUMNS = {
     "found": ("1", "1 where the RMSE is as low as that of the optimum refined from the truth"),
@@ -163,8 +158,7 @@ def search(method: Method, objective: Objective, generator: np.random.Generator)
     if method == "guess":
         optimum = find_optimum(objective, method, generator)
         return Found(optimum.symbols, optimum.rmse_rpm, optimum.evaluations)
-    search_one = search_as_printed if method == "paper" else search_pulse_train
-    found, history = search_one(objective, generator)
+    found, history = search_as_printed(objective, generator)
     return Found(found.symbols, found.rmse_rpm, int(history.evaluations[-1]))
 
 

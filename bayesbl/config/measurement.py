@@ -122,11 +122,10 @@ class Joint(Section):
 class Search(Section):
     """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first.
 
-    ``paper`` searches eq. 6 in the ranges of Table 2 as well, exactly as printed, ``table_2_box``
-    the pulse train of the estimator's model.
+    ``paper`` searches eq. 6 in the ranges of Table 2 as well, exactly as printed.
     """
 
-    method: Literal["guess", "paper", "table_2_box"] = "guess"
+    method: Literal["guess", "paper"] = "guess"
     start_from: ResultFile | None = None
 
     @model_validator(mode="after")

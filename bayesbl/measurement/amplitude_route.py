@@ -540,7 +540,9 @@ def amplitude_groups(
     """All groups of one recording, without a ``snapshot`` dimension."""
     checked = {} if fit.check is None else {"sampler_check": _sampler_check(fit.check)}
     box = fit.point.optimum.box_search
-    searched = {} if box is None else {"box_search": _box_search(box, fit.point)}
+    searched = (
+        {} if box is None else {"box_search": dataset(BOX_SEARCH, _box_values(box, fit.point))}
+    )
     index = _index(fit, gap)
     draws = {name: v.ravel()[index] for name, v in fit.posterior.draws.items()}
     baseline = fit.posterior.baseline_rpm.reshape(index.size, -1)[index]
@@ -742,12 +744,6 @@ def _optimum(fit: Fit) -> xr.Dataset:
     return result
 
 
-def _box_search(box: BoxSearch, point: PointEstimate) -> xr.Dataset:
-    result = dataset(BOX_SEARCH, _box_values(box, point))
-    result.attrs["searched"] = box.searched
-    return result
-
-
 def _box_values(box: BoxSearch, point: PointEstimate) -> dict[str, float]:
     return {
         **box.symbols,
@@ -934,7 +930,6 @@ def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
     box = point.optimum.box_search
     if box is not None and not has_pulses_of_optimum(box, point):
         values = {
-            "searched": box.searched,
             "amplitude_rpm": box.symbols[AMPLITUDE],
             "rmse_rpm": box.rmse_rpm,
             "gap_as_printed_rad": gap_as_printed_rad(box),

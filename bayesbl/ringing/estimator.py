@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.errors import RecordingError
 from bayesbl.noise import outside_lines
 from bayesbl.noise.impact_scatter import normal_quantiles
 from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
@@ -185,15 +185,6 @@ class Estimator:
     noise_kind: NoiseKind = "auto"
     noise_order: int | None = None
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
-
-    def __post_init__(self) -> None:
-        if not self.model.amplitude_is_free:
-            raise ConfigError(
-                "With the amplitude fixed there is nothing to measure.",
-                where="[estimator.model] fixed",
-                found=f"{AMPLITUDE} = {self.model.fixed[AMPLITUDE]}",
-                expected=f"{AMPLITUDE} free",
-            )
 
     def fingerprint(self, recording: Recording) -> str:
         """What decides the meaning of A in this recording, as readable JSON."""

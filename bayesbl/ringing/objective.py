@@ -159,15 +159,6 @@ class Objective:
         """As :meth:`sum_of_squares`, with log|XᵀX| of the columns solved for, shape (m,)."""
         return self._evaluate(self._matrix(searched), keep=False)[:2]
 
-    def sum_of_squares_at(
-        self, searched: FloatArray, amplitude_rpm: FloatArray, mean_speed_rpm: FloatArray
-    ) -> FloatArray:
-        """Sum of squares with A and v_t given, shape (m,) each, instead of solved for."""
-        matrix = self._matrix(searched)
-        matrix[:, kernel.AMPLITUDE] = amplitude_rpm
-        matrix[:, kernel.MEAN] = mean_speed_rpm - self.offset_rpm
-        return self._evaluate(matrix, keep=False, solve_linear=False)[0]
-
     def solve(self, searched: FloatArray) -> LinearSolution:
         """A, v_t and baseline at each row of ``searched`` (m, d)."""
         sse, _, coefficients, factor = self._evaluate(self._matrix(searched), keep=True)
@@ -195,16 +186,12 @@ class Objective:
         return matrix
 
     def _evaluate(
-        self, matrix: FloatArray, *, keep: bool, solve_linear: bool = True
+        self, matrix: FloatArray, *, keep: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         m, c = len(matrix), self._columns
         sse, volume = np.empty(m), np.empty(m)
         kept = m if keep else 0
         coefficients, factor = np.empty((kept, c)), np.empty((kept, c, c))
-        solve = (
-            solve_linear and self.model.amplitude_is_free,
-            solve_linear and self.model.mean_is_free,
-        )
         output = (sse, volume, coefficients, factor)
         kernel.sums_of_squares(
             matrix,
@@ -217,7 +204,7 @@ class Objective:
             self._table_length,
             self._left_out,
             self._left_out_table,
-            *solve,
+            self.model.mean_is_free,
             *output,
         )
         return output

@@ -1,8 +1,8 @@
 """The RMSE optimum of the disturbance model by CMA-ES.
 
 Its search starts from what the recording itself suggests and solves A, v_t and the baseline
-exactly. The methods ``paper`` and ``table_2_box`` search from the middle of Table 2's ranges as
-well (:mod:`bayesbl.ringing.table_2`); what that ended at stands beside the optimum.
+exactly. The method ``paper`` searches eq. 6 from the middle of Table 2's ranges as well
+(:mod:`bayesbl.ringing.table_2`); what that ended at stands beside the optimum.
 
 It may also start from the optimum of an earlier recording. The ringing of a joint keeps its shape
 from one recording to the next, but a recording may start anywhere in a rotation. So the old
@@ -39,11 +39,11 @@ from bayesbl.ringing.symbols import (
     WINDOW_START,
     DisturbanceModel,
 )
-from bayesbl.ringing.table_2 import BoxSearch, search_as_printed, search_pulse_train
+from bayesbl.ringing.table_2 import BoxSearch, search_as_printed
 from bayesbl.ringing.waveform import model_speed
 
-SearchMethod = Literal["guess", "paper", "table_2_box"]
-FoundBy = Literal["guess", "paper", "table_2_box", "warm"]
+SearchMethod = Literal["guess", "paper"]
+FoundBy = Literal[SearchMethod, "warm"]
 """How an optimum was found: by one of the searches, or from an earlier optimum."""
 
 GUESSES_REFINED = 4
@@ -74,7 +74,7 @@ class Optimum:
     rivals
         Other local optima, best first.
     box_search
-        What the search from the middle of Table 2's ranges ended at, where it was asked for.
+        What the paper's search ended at, where it was asked for.
     """
 
     model: DisturbanceModel
@@ -124,9 +124,8 @@ def find_optimum(
     began = time.perf_counter()
     ends, histories = _guess_search(objective, generator)
     box_search = None
-    if method != "guess":
-        search = search_as_printed if method == "paper" else search_pulse_train
-        box_search, of_box = search(objective, generator)
+    if method == "paper":
+        box_search, of_box = search_as_printed(objective, generator)
         histories.append(of_box)
     history = SearchHistory.of_runs(histories)
     evaluations = sum(int(h.evaluations[-1]) for h in histories)
@@ -287,7 +286,7 @@ def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
     value = objective.model.named(point)
     amplitude = float(objective.solve(point[None]).coefficients[0, -1])
     forms = [value]
-    if movable and amplitude < 0.0 and objective.model.amplitude_is_free:
+    if movable and amplitude < 0.0:
         separation = value[SEPARATION]
         forms.insert(0, value | {START: value[START] - separation, SEPARATION: -separation})
     ranges = {name: r for name, r in objective.model.ranges.items() if name in names}

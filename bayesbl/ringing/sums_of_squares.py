@@ -212,9 +212,7 @@ def _subtract(gram, left_out, train, sums, kappa, centre):  # type: ignore[no-un
 
 
 @compiled()
-def solve(  # type: ignore[no-untyped-def]
-    gram, rhs, y_square, amplitude, mean, solve_amplitude, solve_mean, solution, factor
-):
+def solve(gram, rhs, y_square, mean, solve_mean, solution, factor):  # type: ignore[no-untyped-def]
     """Solve XᵀX b = Xᵀy for columns ordered [1, cos, sin, …, pulses].
 
     Parameters
@@ -224,11 +222,11 @@ def solve(  # type: ignore[no-untyped-def]
         overwritten.
     y_square
         Σ y², rpm².
-    amplitude, mean
-        Values of the last and first coefficient where they are not solved for, rpm.
+    mean
+        Value of the first coefficient where it is not solved for, rpm.
     solution, factor
-        Output: coefficients (c,) and lower Cholesky factor (c, c), whose rows and columns of
-        given coefficients are left as they are.
+        Output: coefficients (c,) and lower Cholesky factor (c, c), whose row and column of a
+        given mean are left as they are.
 
     Returns
     -------
@@ -237,13 +235,7 @@ def solve(  # type: ignore[no-untyped-def]
     """
     c = rhs.size
     first = 0 if solve_mean else 1
-    last = c if solve_amplitude else c - 1
     left = y_square
-    if not solve_amplitude:
-        left += amplitude * (amplitude * gram[c - 1, c - 1] - 2.0 * rhs[c - 1])
-        for k in range(c - 1):
-            rhs[k] -= amplitude * gram[c - 1, k]
-        solution[c - 1] = amplitude
     if not solve_mean:
         left += mean * (mean * gram[0, 0] - 2.0 * rhs[0])
         for k in range(1, c):
@@ -251,7 +243,7 @@ def solve(  # type: ignore[no-untyped-def]
         solution[0] = mean
 
     log_determinant = 0.0
-    for i in range(first, last):
+    for i in range(first, c):
         for j in range(first, i + 1):
             s = gram[i, j]
             for k in range(first, j):
@@ -268,9 +260,9 @@ def solve(  # type: ignore[no-untyped-def]
             v -= factor[i, k] * solution[k]
         solution[i] = v / factor[i, i]
         left -= solution[i] ** 2
-    for i in range(last - 1, first - 1, -1):
+    for i in range(c - 1, first - 1, -1):
         v = solution[i]
-        for k in range(i + 1, last):
+        for k in range(i + 1, c):
             v -= factor[k, i] * solution[k]
         solution[i] = v / factor[i, i]
     return max(left, 0.0), log_determinant
@@ -288,7 +280,6 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     table_length,
     left_out,
     left_out_table,
-    solve_amplitude,
     solve_mean,
     sse,
     log_determinant,
@@ -300,8 +291,8 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     parameters
-        Shape (m, 8), columns as named at the top of this module; times in s, A in rpm, v_t in
-        rpm relative to the signal's mean. A and v_t are read only where they are not solved for.
+        Shape (m, 8), columns as named at the top of this module; times in s, v_t in rpm relative
+        to the signal's mean, read only where it is not solved for. A is always solved for.
     y, y_square
         Signal with its mean removed, shape (n,), rpm, and Σ y².
     table, table_length
@@ -496,19 +487,9 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             gram[c - 1, 2 * j - 1], gram[c - 1, 2 * j] = q_harmonic[j].real, q_harmonic[j].imag
         gram[c - 1, 0], gram[c - 1, c - 1], rhs[c - 1] = q_one, q_q, q_y
         if left_out.size > 0:
+            train = left_out_train
             _pulses_at(
-                left_out,
-                count,
-                sign,
-                w,
-                n0,
-                begin,
-                end,
-                extra_at,
-                extra,
-                cosine,
-                sine,
-                left_out_train,
+                left_out, count, sign, w, n0, begin, end, extra_at, extra, cosine, sine, train
             )
             left_out_sums[0] = left_out.size
             for k in range(1, 2 * harmonics + 1):
@@ -517,15 +498,7 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             _subtract(gram, left_out, left_out_train, left_out_sums, kappa, centre)
 
         sse[row], log_determinant[row] = solve(
-            gram,
-            rhs,
-            y_square,
-            p[AMPLITUDE],
-            p[MEAN],
-            solve_amplitude,
-            solve_mean,
-            solution,
-            factor,
+            gram, rhs, y_square, p[MEAN], solve_mean, solution, factor
         )
         if keep:
             # Element by element: to compile the assignment of an array takes seconds.

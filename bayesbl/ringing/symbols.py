@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
+from bayesbl.errors import ConfigError
+
 AMPLITUDE = "amplitude_rpm"
 START = "start_time_s"
 DECAY = "decay_rate_per_s"
@@ -74,6 +76,15 @@ class DisturbanceModel:
     fixed: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_FIXED))
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if AMPLITUDE in self.fixed:
+            raise ConfigError(
+                "With the amplitude fixed there is nothing to measure.",
+                where="[estimator.model] fixed",
+                found=f"{AMPLITUDE} = {self.fixed[AMPLITUDE]}",
+                expected=f"{AMPLITUDE} free",
+            )
+
     @property
     def searched(self) -> tuple[str, ...]:
         """Free symbols that enter nonlinearly, in the paper's order."""
@@ -97,11 +108,6 @@ class DisturbanceModel:
         """The model with these symbols fixed as well and without ranges."""
         ranges = {name: r for name, r in self.ranges.items() if name not in values}
         return replace(self, fixed={**self.fixed, **values}, ranges=ranges)
-
-    @property
-    def amplitude_is_free(self) -> bool:
-        """Whether A is solved for."""
-        return AMPLITUDE not in self.fixed
 
     @property
     def mean_is_free(self) -> bool:

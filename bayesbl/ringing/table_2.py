@@ -1,14 +1,14 @@
-"""The paper's search: CMA-ES from the middle of Table 2's ranges, over eq. 6 or the pulse train.
+"""The paper's search: CMA-ES over eq. 6 as printed, from the middle of Table 2's ranges.
 
-Neither finds the pulses of a recording but by luck (``configs/search_study.toml``): their common
-RMSE has too many minima over T_w. What they end at is kept beside the optimum, and trusted only
-where it has the optimum's pulses.
+It finds the pulses of a recording by luck only (``configs/search_study.toml``): their RMSE has too
+many minima over T_w. What it ends at is kept beside the optimum, and trusted only where it has the
+optimum's pulses.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,6 @@ from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
     FREQUENCY,
-    LINEAR,
     MEAN,
     ROTATION,
     SEPARATION,
@@ -34,22 +33,12 @@ from bayesbl.ringing.symbols import (
 POPULATION = 3500
 ITERATIONS = 100
 REPETITIONS = 4
-LONGEST_WINDOW_S = 0.204
 
 
 @dataclass(frozen=True, slots=True)
 class BoxSearch:
-    """Where a search from the middle of Table 2's ranges ended.
+    """Where the search ended; all nine symbols by name, of either sign, in any rotation."""
 
-    Attributes
-    ----------
-    symbols
-        All nine by name, as found: of either sign, in any rotation.
-    searched
-        What was searched, in words.
-    """
-
-    searched: str
     symbols: dict[str, float]
     rmse_rpm: float
 
@@ -62,42 +51,26 @@ class BoxSearch:
 def search_as_printed(
     objective: Objective, generator: np.random.Generator
 ) -> tuple[BoxSearch, SearchHistory]:
-    """Exactly eq. 6, four repetitions, over the ranges of Table 2 as printed."""
+    """Exactly eq. 6 over the ranges of Table 2: x0 mid-range, σ0 a quarter of it."""
     time_s, speed_rpm = objective.time_s[objective.used], objective.speed_rpm[objective.used]
     box = ranges_as_printed(time_s, speed_rpm)
-    order = list(SYMBOLS)
 
     def sum_of_squares(points: FloatArray) -> FloatArray:
         return np.asarray(squares_as_printed(points, time_s, speed_rpm))
 
-    low, high = np.array([box[name] for name in order]).T
-    end, history = search_box(sum_of_squares, low, high, generator, speed_rpm.size)
-    symbols = {name: float(value) for name, value in zip(order, end, strict=True)}
-    rmse = float(history.rmse_rpm[-1])
-    return BoxSearch("eq. 6 as printed, in the ranges of Table 2", symbols, rmse), history
-
-
-def search_pulse_train(
-    objective: Objective, generator: np.random.Generator
-) -> tuple[BoxSearch, SearchHistory]:
-    """The endless pulse train of the objective's model, all its free symbols in Table 2's box."""
-    model = objective.model
-    box = table_2_box(objective)
-    names = [*objective.searched, *(name for name in LINEAR if name in model.free)]
-    d = len(objective.searched)
-
-    def sum_of_squares(x: FloatArray) -> FloatArray:
-        values = dict(zip(names, x.T, strict=True)) | {
-            n: np.full(len(x), v) for n, v in model.fixed.items() if n in LINEAR
-        }
-        return objective.sum_of_squares_at(x[:, :d], values[AMPLITUDE], values[MEAN])
-
-    low, high = np.array([model.ranges.get(name, box[name]) for name in names]).T
-    end, history = search_box(sum_of_squares, low, high, generator, objective.samples_used)
-    found = dict(model.fixed) | dict(zip(names, map(float, end), strict=True))
-    symbols = {name: found[name] for name in SYMBOLS}
-    rmse = float(history.rmse_rpm[-1])
-    return BoxSearch("the pulse train in Table 2's box", symbols, rmse), history
+    low, high = np.array([box[name] for name in SYMBOLS]).T
+    end, history = minimise(
+        sum_of_squares,
+        0.5 * (low + high),
+        0.25 * (high - low),
+        (low, high),
+        generator,
+        population=POPULATION,
+        iterations=ITERATIONS,
+        samples=speed_rpm.size,
+    )
+    symbols = dict(zip(SYMBOLS, map(float, end), strict=True))
+    return BoxSearch(symbols, float(history.rmse_rpm[-1])), history
 
 
 def ranges_as_printed(time_s: FloatArray, speed_rpm: FloatArray) -> dict[str, tuple[float, float]]:
@@ -111,46 +84,11 @@ def ranges_as_printed(time_s: FloatArray, speed_rpm: FloatArray) -> dict[str, tu
         DECAY: (5.0, 30.0),
         FREQUENCY: (2.0 * math.pi, 2.0 * math.pi * 40.0),
         MEAN: (low, high),
-        WINDOW_START: (0.0, LONGEST_WINDOW_S),
-        WINDOW_END: (0.0, 0.5 * LONGEST_WINDOW_S),
+        WINDOW_START: (0.0, 0.204),
+        WINDOW_END: (0.0, 0.102),
         SEPARATION: (begin, end),
         ROTATION: (begin, end),
     }
-
-
-def table_2_box(objective: Objective) -> dict[str, tuple[float, float]]:
-    """Table 2's ranges as an endless pulse train can have them, t1 and t2 read as swapped.
-
-    The period starts at one pulse window instead of the first time stamp: at T_w = 0 the train
-    has infinitely many pulses.
-    """
-    box = ranges_as_printed(objective.time_s, objective.speed_rpm)
-    begin, end = box[ROTATION]
-    return box | {
-        WINDOW_START: box[WINDOW_END],
-        WINDOW_END: box[WINDOW_START],
-        ROTATION: (max(begin, LONGEST_WINDOW_S), end),
-    }
-
-
-def search_box(
-    sum_of_squares: Callable[[FloatArray], FloatArray],
-    low: FloatArray,
-    high: FloatArray,
-    generator: np.random.Generator,
-    samples: int,
-) -> tuple[FloatArray, SearchHistory]:
-    """The paper's search: x0 mid-range, σ0 a quarter of it, 3500 individuals, 100 iterations."""
-    return minimise(
-        sum_of_squares,
-        0.5 * (low + high),
-        0.25 * (high - low),
-        (low, high),
-        generator,
-        population=POPULATION,
-        iterations=ITERATIONS,
-        samples=samples,
-    )
 
 
 def speed_as_printed(time_s: FloatArray, symbols: Mapping[str, float]) -> FloatArray:

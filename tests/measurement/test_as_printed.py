@@ -39,13 +39,12 @@ def test_pulses_fitted_to_gravitys_wave_give_no_gap(tmp_path: Path, no_figures) 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("method", ["paper", "table_2_box"])
 def test_a_search_that_ended_elsewhere_is_told_and_gives_no_gap(
-    tmp_path: Path, no_figures, monkeypatch: pytest.MonkeyPatch, method: str
+    tmp_path: Path, no_figures, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(table_2, "POPULATION", 100)
     monkeypatch.setattr(table_2, "ITERATIONS", 10)
-    ended, summary = fitted(tmp_path, method, 0)
+    ended, summary = fitted(tmp_path, "paper", 0)
     assert ended == 3
     assert summary["delta_rad"] is None
     assert "missed the best fit" in summary["reason"]["text"]

@@ -75,55 +75,33 @@ def random_case(seed: int) -> Case:
     return Case(model, symbols, time_s, 2000.0 + clean + noise)
 
 
-def plain_sum_of_squares(case: Case, solve_amplitude: bool, solve_mean: bool) -> float:
+def plain_sum_of_squares(case: Case, solve_mean: bool) -> float:
     """The paper's formula written out, linear symbols by a library's least squares."""
     period_s = (case.time_s[-1] - case.time_s[0]) / (case.time_s.size - 1)
     pulses = waveform(case.time_s, case.symbols, period_s)
     columns = baseline_columns(
         case.time_s, case.symbols["rotation_period_s"], case.model.baseline_harmonics
     )
-    left = case.speed_rpm.copy()
-    if solve_amplitude:
-        columns = np.column_stack([columns, pulses])
-    else:
-        left -= case.symbols["amplitude_rpm"] * pulses
+    left, columns = case.speed_rpm.copy(), np.column_stack([columns, pulses])
     if not solve_mean:
         left -= case.symbols["mean_speed_rpm"]
         columns = columns[:, 1:]
-    if columns.shape[1]:
-        left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
+    left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
     return float(left @ left)
 
 
-@pytest.mark.parametrize("solve_amplitude", [True, False])
 @pytest.mark.parametrize("solve_mean", [True, False])
-def test_the_kernel_agrees_with_the_plain_formula_to_1e_10(
-    solve_amplitude: bool, solve_mean: bool
-) -> None:
+def test_the_kernel_agrees_with_the_plain_formula_to_1e_10(solve_mean: bool) -> None:
     for seed in range(40):
         case = random_case(seed)
         fixed = dict(case.model.fixed)
-        if not solve_amplitude:
-            fixed["amplitude_rpm"] = case.symbols["amplitude_rpm"]
         if not solve_mean:
             fixed["mean_speed_rpm"] = case.symbols["mean_speed_rpm"]
         model = DisturbanceModel(case.model.baseline_harmonics, fixed)
         fast = Objective(model, case.time_s, case.speed_rpm).sum_of_squares(case.searched)[0]
-        plain = plain_sum_of_squares(case, solve_amplitude, solve_mean)
+        plain = plain_sum_of_squares(case, solve_mean)
         assert math.sqrt(plain / case.time_s.size) >= 0.009 * case.speed_rpm.std()
         assert math.isclose(math.sqrt(fast), math.sqrt(plain), rel_tol=1e-10), f"seed {seed}"
-
-
-def test_given_linear_symbols_cost_at_least_what_the_solved_ones_do() -> None:
-    case = random_case(5)
-    objective = Objective(case.model, case.time_s, case.speed_rpm)
-    solved = objective.solve(case.searched)
-    best = objective.sum_of_squares(case.searched)[0]
-    mean, amplitude = solved.coefficients[:, 0], solved.coefficients[:, -1]
-    at_best = objective.sum_of_squares_at(case.searched, amplitude, mean)
-    off = objective.sum_of_squares_at(case.searched, amplitude + 1.0, mean)
-    assert math.isclose(at_best[0], best, rel_tol=1e-12)
-    assert off[0] > best
 
 
 def test_moving_all_pulses_by_whole_rotations_changes_nothing() -> None:
@@ -291,7 +269,8 @@ def test_every_symbol_can_be_freed_or_fixed() -> None:
             assert name in DisturbanceModel(fixed=fixed).searched
         else:
             assert name in DisturbanceModel(fixed=fixed).free
-            assert name not in DisturbanceModel(fixed={**fixed, name: 1.0}).free
+            if name != "amplitude_rpm":  # without which there is nothing to measure
+                assert name not in DisturbanceModel(fixed={**fixed, name: 1.0}).free
 
 
 @pytest.mark.parametrize("harmonics", [0, 1, 3])
