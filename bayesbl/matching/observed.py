@@ -27,7 +27,7 @@ from bayesbl.recording.checks import (
     require_plausible_current,
     speed_in_another_unit,
 )
-from bayesbl.recording.evenly import UNEVEN_STAMPS, even
+from bayesbl.recording.lost_samples import UNEVEN_STAMPS, even
 from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
 from bayesbl.recording.repetition import Repetition, repetition
 from bayesbl.recording.types import (

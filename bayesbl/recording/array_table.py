@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError, shortened
-from bayesbl.recording.cells import number_in
+from bayesbl.recording.cells import is_date, number_in, seconds_of_calendar, seconds_of_dates
 from bayesbl.recording.channels import TIME
-from bayesbl.recording.timestamps import is_date, seconds_of_calendar, seconds_of_dates
 from bayesbl.recording.types import FloatArray
 
 AnyArray = NDArray[Any]

@@ -72,6 +72,9 @@ _STEMS = frozenset(
 NO_UNIT = "no unit found: check it"
 """Reason for a unit that nothing in the file supports."""
 
+AS_SPEED = "as the speed: check it"
+"""Reason for the unit of a reference that states none: it nearly always has the speed's."""
+
 UNKNOWN = "?"
 """In place of a unit that nothing tells now and nothing could check later."""
 
@@ -94,7 +97,7 @@ _FOLLOWS = 0.5
 """Share of a position's variance that another one explains, if both may be of one joint."""
 
 _AGREEMENT = 0.02
-"""Relative; speed and position, or speed and reference, that differ by less belong together."""
+"""Relative; speed and position that differ by less belong together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -470,14 +473,10 @@ def _units(
         seconds, angle = factor * values[TIME][good], values[MOTOR_POSITION][good]
         lasted = seconds[-1] - seconds[0] if seconds.size else 0.0
         rate = abs(angle[-1] - angle[0]) / lasted if lasted else 0.0  # time may stand still
-        pairs = _agreeing(chosen, speed, float(rate), MOTOR_POSITION, RPM_PER_RAD_PER_S)
-        found |= _of_position(pairs)
-    if REFERENCE_SPEED in values:
-        asked = float(np.nanmean(np.abs(values[REFERENCE_SPEED])))
-        pairs = _agreeing(chosen, speed, asked, REFERENCE_SPEED, 1.0)
-        known = found.get(MOTOR_SPEED, (None,))[0]
-        found = _of_reference([pair for pair in pairs if known in (None, pair[0])]) | found
-    return found
+        found |= _of_position(_agreeing(chosen, speed, float(rate)))
+    return found | {
+        REFERENCE_SPEED: (_stated(MOTOR_SPEED, chosen[MOTOR_SPEED], found).unit, AS_SPEED)
+    }
 
 
 def _of_position(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]:
@@ -495,23 +494,16 @@ def _of_position(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]
     return {MOTOR_SPEED: (speed, reason), MOTOR_POSITION: (angle, reason)}
 
 
-def _of_reference(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]:
-    """Units of speed and reference, which nearly always have the same."""
-    reason = "speed and reference then agree"
-    if len({speed for speed, _ in pairs}) != 1:  # as any unit would, where neither is stated
-        return {}
-    return {c: (u, reason) for c, u in zip((MOTOR_SPEED, REFERENCE_SPEED), pairs[0], strict=True)}
+def _agreeing(chosen: Mapping[str, _Named], speed: float, rate: float) -> list[tuple[str, str]]:
+    """Units of speed and position in which both agree, those of a usual speed first.
 
-
-def _agreeing(
-    chosen: Mapping[str, _Named], speed: float, other: float, channel: str, scale: float
-) -> list[tuple[str, str]]:
-    """Units of speed and another channel in which both agree, those of a usual speed first."""
+    ``speed``, and ``rate`` of the position per s: each in the unit of its column.
+    """
     found: list[tuple[bool, str, str]] = []
     for mine in _possible(MOTOR_SPEED, chosen[MOTOR_SPEED]):
         rpm = speed * conversion_factor(MOTOR_SPEED, mine)
-        for theirs in _possible(channel, chosen[channel]):
-            compared = other * conversion_factor(channel, theirs) * scale
+        for theirs in _possible(MOTOR_POSITION, chosen[MOTOR_POSITION]):
+            compared = rate * conversion_factor(MOTOR_POSITION, theirs) * RPM_PER_RAD_PER_S
             if 0.0 < rpm <= _USUAL_SPEEDS_RPM[1] and abs(compared / rpm - 1.0) <= _AGREEMENT:
                 found.append((rpm < _USUAL_SPEEDS_RPM[0], mine, theirs))
     return [(mine, theirs) for _, mine, theirs in sorted(found, key=lambda pair: pair[0])]

@@ -21,6 +21,7 @@ MEMORY_MB = 2000.0
 PACKED = ".gz"
 
 _KINDS = (
+    (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"),
@@ -45,11 +46,8 @@ def read_input(path: Path) -> bytes:
         raise OSError(errno.EINVAL, f"{kind}, not a file")
     flags = os.O_RDONLY | os.O_NONBLOCK
     with open(os.open(path, flags), "rb") as stream:
-        status = os.fstat(stream.fileno())
-        if stat.S_ISDIR(status.st_mode):
-            raise IsADirectoryError(errno.EISDIR, "a folder")
         largest = memory_bytes()
-        require_size(status.st_size)
+        require_size(os.fstat(stream.fileno()).st_size)
         data = stream.read(largest + 1)
     if len(data) > largest:
         raise _too_large("more")

@@ -1,4 +1,5 @@
-"""Lost samples: found as NaN or as holes in time, bridged where that is safe, else refused.
+"""Lost samples, found as NaN or as holes in time: bridged where that is safe, else refused. And
+recordings whose stamps are not evenly spaced, brought to an even grid by them.
 
 A bridged sample keeps the sampling even, so that later steps can count in samples, and is
 marked as excluded, so that a fit does not use it as a measurement.
@@ -8,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray, Recording
 
 LONGEST_LOSS_S = 0.1
 """Half the ringing of an impact: a longer loss could hide one but for its ends."""
@@ -229,3 +230,37 @@ def runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
     """First and one-past-last index of each run of true flags."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False]))))
     return edges[::2], edges[1::2]
+
+
+UNEVEN_STAMPS = "Its samples are not evenly spaced: an even grid was made by their time stamps."
+
+
+def even(recording: Recording, tolerance: float, harmless_s: float = 0.0) -> Recording:
+    """The recording on the even grid nearest to its time stamps, by cubic splines.
+
+    As it is, but for its stamps, where none departs by more than ``tolerance`` periods, or all by
+    ``harmless_s`` in the root mean square.
+    """
+    number = np.arange(recording.samples, dtype=np.float64)
+    deviation, period_s = deviation_from_grid(recording.time_s, number)
+    grid = recording.time_s.mean() + period_s * (number - number.mean())
+    rms_s = period_s * math.sqrt(float(np.mean(deviation**2)))
+    if np.max(np.abs(deviation)) <= tolerance or rms_s <= harmless_s:
+        return replace(recording, time_s=grid)
+    from scipy.interpolate import CubicSpline
+
+    channels = {
+        name: CubicSpline(recording.time_s, row)(grid) for name, row in recording.channels.items()
+    }
+    return replace(
+        recording, time_s=grid, channels=channels, excluded=widened(recording.excluded, 1)
+    )
+
+
+def widened(excluded: BoolArray | None, samples: int) -> BoolArray | None:
+    """A mask with so many samples more on either side of what it marks, shape (n,)."""
+    if excluded is None or not excluded.any():
+        return None
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(excluded, iterations=samples))

@@ -124,12 +124,6 @@ def read_recording(
         series = {column.channel: bridged.values[:, i] for i, column in enumerate(others)}
         new = new_values(series[MOTOR_SPEED]) if even and MOTOR_SPEED in series else None
     kept, slower = new or (slice(None), "")
-    if slower:
-        every = {2: "2nd", 3: "3rd"}.get(kept.step, f"{kept.step}th")
-        slower = (
-            f"The speed has a new value in every {every} sample and is {slower} "
-            "between them: only samples with a new value are used."
-        )
     return Recording(
         name=name or stem_of(path),
         time_s=bridged.time_s[kept],
@@ -173,6 +167,7 @@ def _values(
     What is missing, not finite or larger than anything measured is NaN.
     """
     indices = [column.index for column in others]
+    table.samples_of([time_column.index, *indices])
     stamps = table.timestamps(time_column.index)
     if stamps is None:
         if time_column.unit == "datetime":
@@ -182,13 +177,6 @@ def _values(
         if time_column.unit not in (None, "s", "datetime"):
             raise _wrong_time_unit(path, table, time_column, "dates", "numbers")
         values = table.numbers(indices)
-        if len(values) != len(stamps):
-            raise RecordingError(
-                "The columns do not have the same number of samples.",
-                file=path,
-                found=f"{len(stamps)} time stamps and {len(values)} values",
-                expected="one value of each for every time stamp",
-            )
     # In place and by column: a long recording is a good part of the memory.
     stamps[~np.isfinite(stamps)] = np.nan
     with np.errstate(over="ignore"):
@@ -249,10 +237,6 @@ def _read_bytes(path: Path) -> bytes:
             "There is no such file." + did_you_mean_file(path),
             file=path,
             expected="an existing recording",
-        ) from None
-    except IsADirectoryError:
-        raise UnavailableError(
-            "This is a folder.", file=path, found="a folder", expected="a recording's file"
         ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)

@@ -241,7 +241,8 @@ def without_strays(values: FloatArray, repairs: Counter[str], name: str) -> str:
 
 
 def new_values(speed: FloatArray) -> tuple[slice, str] | None:
-    """Which samples of an evenly sampled speed are new, where the recorder made up those between.
+    """Which samples of an evenly sampled speed are new, where the recorder made up those between,
+    and a note that says so.
 
     The recorder repeated the last new value (the first differences vanish but at every kth sample)
     or drew a line from one to the next (the second do). ``None`` where all are new.
@@ -255,7 +256,11 @@ def new_values(speed: FloatArray) -> tuple[slice, str] | None:
             others = float(np.delete(sizes, phase).max())
             often = float(np.median(rows[:, phase])) > 0.2 * sizes[phase]
             if sizes[phase] > 0.0 and others <= _ELSEWHERE * sizes[phase] and often:
-                return slice((phase + 1) % every, None, every), how
+                nth = {2: "2nd", 3: "3rd"}.get(every, f"{every}th")
+                return slice((phase + 1) % every, None, every), (
+                    f"The speed has a new value in every {nth} sample and is {how} between them: "
+                    "only samples with a new value are used."
+                )
     return None
 
 

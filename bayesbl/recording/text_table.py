@@ -26,17 +26,8 @@ import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import LONGEST_TEXT, AnyArray, ArrayTable, numbered
-from bayesbl.recording.cells import (
-    MISSING,
-    decimal_mark,
-    is_bare_number,
-    is_number,
-    is_value,
-    number_in,
-    parted,
-)
+from bayesbl.recording.cells import MISSING, decimal_mark, is_date, is_number, is_value, number_in
 from bayesbl.recording.input_bytes import require_memory
-from bayesbl.recording.timestamps import is_date
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import is_unit, spelled
 
@@ -124,27 +115,6 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def _units_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
-    """The unit that a column's cells state.
-
-    Raises
-    ------
-    RecordingError
-        If they state several: a value is then another multiple of its unit than the one above it.
-    """
-    cells = [row[column] for row in rows if column < len(row)]
-    units = {parted(cell)[1] for cell in cells if is_value(cell)}
-    if len(units) > 1:
-        raise RecordingError(
-            "The cells of a column are in different units.",
-            file=file,
-            where=f"column {column + 1}",
-            found=" and ".join(sorted(unit or "none" for unit in units)),
-            expected="one unit for the whole column, in its name",
-        )
-    return next(iter(units), "")
-
-
 def layout_of(
     file: Path,
     head: Sequence[str],
@@ -196,7 +166,6 @@ def layout_of(
     rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     numbers = [row[i] for row in rows for i in values if i < len(row)]
     mark = mark or decimal_mark(file, numbers)
-    stated = tuple(_units_of(file, rows, k) if k in values else "" for k in range(width))
     if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
         return layout_of(file, head, middle, lines, (" ",))  # tabs among spaces
     begin = written[first]
@@ -211,9 +180,8 @@ def layout_of(
                 expected=f"{len(nearest)}, as in the header",
             )
         unnamed = tuple(f"column {i + 1}" for i in range(width))
-        return Layout(separator, unnamed, mark, stated, (), begin)
+        return Layout(separator, unnamed, mark, begin=begin)
     last, names, units = found
-    units = stated[: len(names)] if any(stated) else units
     header = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
     return Layout(separator, names, mark, units, header, begin)
 
@@ -245,7 +213,7 @@ def _header_of(
             cells.pop()
         if not any(cells):
             continue
-        if len(cells) in widths and not any(map(is_bare_number, cells)):
+        if len(cells) in widths and not any(map(is_number, cells)):
             named.append(i)
         elif len(cells) > 1:
             named.clear()
@@ -359,10 +327,7 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
             cut = _cut(file, lines, first, layout, counts, incomplete)
             places.append(np.array(list(cut), dtype=np.int64))
             columns = zip(*cut.values(), strict=True) if cut else ()
-            series = [
-                _series(cells, layout.mark, layout.units[i] if layout.units else "")
-                for i, cells in enumerate(columns)
-            ]
+            series = [_series(cells, layout.mark) for cells in columns]
         else:
             places.append(np.arange(first, index))
             series = [np.ascontiguousarray(values) for values in read.T]
@@ -461,15 +426,11 @@ def _cut(
     return samples
 
 
-def _series(cells: Sequence[str], mark: str, unit: str) -> AnyArray:
+def _series(cells: Sequence[str], mark: str) -> AnyArray:
     """Numbers, shape (n,), NaN for missing ones; text where a cell is none, other cells as Python
     writes numbers."""
     are_dates = is_date(cells[0])
     numbers = [None if are_dates else number_in(cell, mark) for cell in cells]
-    for i, cell in enumerate(cells):
-        if numbers[i] is None and unit:
-            number, stated = parted(cell)
-            numbers[i] = number_in(number, mark) if stated == unit else None
     if None not in numbers:
         return np.array(numbers, dtype=float)
     texts = [

@@ -199,16 +199,13 @@ class Transmission:
         makes a turn or more.
     probability_of_play
         That δ is not zero.
-    log_odds
-        Log evidence of the best lag over none, without the priors.
+    counted
+        Times that a misfit which repeats is counted.
     misfit_rad
         What the model leaves that is no noise: it lasts for a stroke, or readings scatter less.
     position_rad, lag_rad, modelled_rad, curve_rad
         At the bins: the load's angle, motor less load without all but the lag, the lag as
         modelled, and the transmission error.
-    coasts, followed
-        Probability that the load coasts through the gap by itself, and, of these, in no way that
-        a friction alone would slow it.
     half_lag_rad
         Half of what lies between both directions, in both halves of the recording.
     reversals
@@ -221,7 +218,6 @@ class Transmission:
     draws: dict[str, FloatArray]
     harmonics: dict[tuple[str, int], FloatArray]
     probability_of_play: float
-    log_odds: float
     counted: float
     misfit_rad: float
     noise: Noise
@@ -229,8 +225,6 @@ class Transmission:
     lag_rad: FloatArray
     modelled_rad: FloatArray
     curve_rad: FloatArray
-    coasts: float
-    followed: float
     half_lag_rad: tuple[float, float]
     reversals: int
     friction_nm: float | None
@@ -649,13 +643,12 @@ def fit_transmission(
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
-    odds = (best.log_evidence - model.cell(0, 0.0, free).log_evidence) / model.counted
     lists = [
         _refined(model, best, [model.again(noise), model.again(free)], final)
         for final in (None, Final(model.misfit(free), best.half_rad))
     ]
     generator = np.random.default_rng(seed)
-    return _drawn(model, best, lists, odds, free, friction, weight, generator)
+    return _drawn(model, best, lists, free, friction, weight, generator)
 
 
 def _model(
@@ -827,7 +820,6 @@ def _drawn(
     model: Model,
     best: Cell,
     lists: Sequence[Sequence[Cell]],
-    log_odds: float,
     noise: Noise,
     friction: float | None,
     weight: float,
@@ -919,7 +911,6 @@ def _drawn(
         {name: values.reshape(DRAWS) for name, values in draws.items()},
         harmonics,
         float(np.mean(delta > 0.0)),
-        log_odds,
         model.counted,
         model.misfit(noise),
         noise,
@@ -927,8 +918,6 @@ def _drawn(
         seen,
         mode.lag,
         curve,
-        float(np.mean([cells[c].course > 0 for c in nearest])),
-        float(np.mean([model.courses[cells[c].course].free for c in nearest])),
         halves,
         paths.reversals,
         friction,

@@ -13,9 +13,15 @@ from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
-from bayesbl.curve.regression import SIZES, regress
 from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
-from bayesbl.curve.swept_curve import SweptDraws, degree_reports, swept_curve, virtual_departures
+from bayesbl.curve.swept_curve import (
+    SIZES,
+    SweptDraws,
+    degree_reports,
+    regress,
+    swept_curve,
+    virtual_departures,
+)
 from bayesbl.errors import ConfigError, CurveError, UserError
 from bayesbl.measurement.compatibility import SPEED_TOLERANCE, require_same_estimator
 from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset, read_curve

@@ -25,7 +25,7 @@ from bayesbl.diagnosis.rigid.inverse import POSITION_LAWS, TORQUE_LAWS, InverseV
 from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
-from bayesbl.recording.evenly import even
+from bayesbl.recording.lost_samples import even
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, MOTOR_TORQUE, Recording
 
 CUTOFF_HZ = 20.0

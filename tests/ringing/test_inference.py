@@ -29,9 +29,8 @@ from bayesbl.noise.rotation_noise import (
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing import optimum as optimum_module
 from bayesbl.ringing.covariance import Covariance, covariance
-from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
+from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate, repeating_misfit
 from bayesbl.ringing.guess import guesses
-from bayesbl.ringing.misfit import repeating_misfit
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, find_optimum, local_search
 from bayesbl.ringing.posterior import sample_posterior

@@ -58,7 +58,7 @@ from bayesbl.diagnosis.task import (
 )
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
-from bayesbl.recording.evenly import widened
+from bayesbl.recording.lost_samples import widened
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,

@@ -22,7 +22,7 @@ from bayesbl.diagnosis.task import (
 )
 from bayesbl.errors import RecordingError
 from bayesbl.progress import StageProgress
-from bayesbl.recording.evenly import even
+from bayesbl.recording.lost_samples import even
 from bayesbl.recording.types import Recording
 
 UNEVEN = 1e-3

@@ -1,4 +1,4 @@
-"""Text in any encoding: a table, a log of events, or an export of TwinCAT Scope."""
+"""Text in any encoding: a table, or an export of TwinCAT Scope."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError
 from bayesbl.recording.formats import Format
-from bayesbl.recording.formats.event_log import form_of_events, read_events
 from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_export
 from bayesbl.recording.input_bytes import require_memory
 
@@ -35,12 +34,9 @@ _LONGEST_LINE = 4_000_000
 _SCOPE_TIMES = 12.0
 """Times its size that an export of Scope takes, whose cells are texts until all are there."""
 
-_EVENT_TIMES = 10.0
-"""The same of a log of events."""
-
 
 def read_csv(file: Path, data: bytes) -> ArrayTable:
-    """Find the table in a text, or read an export of TwinCAT Scope or a log of events.
+    """Find the table in a text, or read an export of TwinCAT Scope.
 
     Raises
     ------
@@ -62,9 +58,6 @@ def read_csv(file: Path, data: bytes) -> ArrayTable:
     if is_scope_export("\n".join(head)):
         require_memory(file, _SCOPE_TIMES * len(data), "cells of text")
         return read_scope_export(file, list(lines_of(text)))
-    if form := form_of_events(head):
-        require_memory(file, _EVENT_TIMES * len(data), "events")
-        return read_events(file, lines_of(text), form)
     layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
     return table_of_text(file, text, layout, control)
 
