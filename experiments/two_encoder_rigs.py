@@ -290,7 +290,7 @@ def simulated(rig: Rig, generator: np.random.Generator) -> tuple[Joint, Channels
         stated=stated,
         skew_s=skew,
     )
-    return joint, Channels.unwrapped(stamps, turned, read, recorded)
+    return joint, Channels(stamps, turned, read, recorded)
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, float]:

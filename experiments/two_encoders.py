@@ -246,7 +246,7 @@ def simulated(row: Row, generator: np.random.Generator) -> tuple[Joint, Channels
         stated=None if stated is None else abs(stated),
         skew_s=skew,
     )
-    return joint, Channels.unwrapped(stamps, turned, wrapped, recorded)
+    return joint, Channels(stamps, turned, np.unwrap(wrapped), recorded)
 
 
 def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, float]:

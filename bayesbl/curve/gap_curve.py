@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.estimator import Estimator, PointEstimate
-from bayesbl.ringing.optimum import promoted
 from bayesbl.ringing.symbols import AMPLITUDE
 from bayesbl.sampling.convergence import Contender
 
@@ -294,9 +293,7 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
         deficit = 0.5 * excess / point.spread.scale
         if deficit > LARGEST_DEFICIT:
             continue
-        other = estimator.around(
-            point.recording, point.objective, promoted(point.objective, point.optimum, rival)
-        ).shaken(point.shaking)
+        other = estimator.at_rival(point, rival)
         weighed.append((_log_prior(curve, ringing, other) - deficit, other))
     evidence, best = max(weighed, key=lambda pair: pair[0])
     contenders = tuple(
@@ -311,15 +308,7 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
         f"{100.0 * (best.optimum.rmse_rpm / point.optimum.rmse_rpm - 1.0):.2g} % larger in RMSE, "
         "was used instead."
     )
-    notes = (*point.notes, note)
-    return replace(
-        best,
-        notes=notes,
-        start=point.start,
-        contenders=contenders,
-        mended=point.mended,
-        lines=point.lines,
-    )
+    return replace(best, notes=(*point.notes, note), contenders=contenders)
 
 
 def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float:

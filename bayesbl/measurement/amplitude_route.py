@@ -66,7 +66,7 @@ from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicte
 from bayesbl.ringing.posterior import SamplerCheck, require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
-from bayesbl.ringing.table_2 import BoxSearch
+from bayesbl.ringing.table_2 import BoxSearch, same_pulses
 from bayesbl.ringing.waveform import jacobian_columns, model_speed
 
 NAME = "amplitude"
@@ -947,7 +947,7 @@ def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
 
 def has_pulses_of_optimum(box: BoxSearch, point: PointEstimate) -> bool:
     """Whether a search in Table 2's ranges found the pulses of the optimum."""
-    return box.has_pulses_of(point.optimum.symbols, point.objective.duration_s)
+    return same_pulses(box.symbols, point.optimum.symbols, point.objective.duration_s)
 
 
 def gap_as_printed_rad(box: BoxSearch) -> float:

@@ -271,7 +271,7 @@ def require_unshaken(recording: Recording, bench: Bench) -> None:
     left, _ = without_motor_lines(recording)
     channels = {MOTOR_SPEED: left.motor_speed_rpm}
     turn_s = bench.rotation_period_s(float(recording.motor_speed_rpm.mean()))
-    _, lines = without_outside_lines(channels, MOTOR_SPEED, recording.sampling_period_s, turn_s)
+    _, lines = without_outside_lines(channels, recording.sampling_period_s, turn_s)
     orders = [line.frequency_hz * turn_s for line in lines]
     outside = [
         line

@@ -295,7 +295,7 @@ def channels_of(recording: Recording) -> Channels:
         torque = recording.channels.get(MOTOR_CURRENT)
     if torque is not None and float(np.ptp(torque)) == 0.0:
         torque = None
-    return Channels.unwrapped(
+    return Channels(
         recording.time_s,
         recording.channels[MOTOR_POSITION],
         recording.channels[LOAD_POSITION],

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesbl.probabilities import normal_isf
-from bayesbl.recording.types import ComplexArray, FloatArray
+from bayesbl.recording.types import MOTOR_SPEED, ComplexArray, FloatArray
 
 BAND_HZ = (6.0, 40.0)
 """Where joints ring; slower waves are the load's own, faster ones do not beat with the ringing."""
@@ -59,9 +59,9 @@ class OutsideLine:
 
 
 def without_outside_lines(
-    channels: dict[str, FloatArray], first: str, period_s: float, rotation_s: float = math.inf
+    channels: dict[str, FloatArray], period_s: float, rotation_s: float = math.inf
 ) -> tuple[dict[str, FloatArray], tuple[OutsideLine, ...]]:
-    """Channels (n,) by name without the lines that stand out of the ``first``, and these lines.
+    """Channels (n,) by name without the lines that stand out of the speed, and these lines.
 
     ``rotation_s``: of the load, where it is known.
     """
@@ -69,8 +69,8 @@ def without_outside_lines(
         return channels, ()
     left = dict(channels)
     lines: list[OutsideLine] = []
-    least = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[first]))
-    while (found := clearest_line(left[first], period_s, least)) is not None:
+    least = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[MOTOR_SPEED]))
+    while (found := clearest_line(left[MOTOR_SPEED], period_s, least)) is not None:
         if len(lines) == MOST_LINES:
             return channels, ()
         lines.append(found)

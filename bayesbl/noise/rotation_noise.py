@@ -285,8 +285,6 @@ class Noise:
         evidence for the order.
     differences
         Number of rotation differences behind the estimate.
-    chosen
-        Whether the order was chosen by BIC or given by the user.
     degrees_of_freedom
         Of Student-t innovations; ``None`` for normal ones.
     student_t_evidence
@@ -302,7 +300,6 @@ class Noise:
     coefficients: FloatArray
     bic: FloatArray
     differences: int
-    chosen: bool
     degrees_of_freedom: float | None = None
     student_t_evidence: float = -math.inf
     differentiated: bool = False
@@ -422,7 +419,6 @@ def estimate_noise(
         coefficients,
         evidence,
         count,
-        kind == "auto",
         found.degrees_of_freedom if heavy else None,
         found.evidence,
         differentiated,

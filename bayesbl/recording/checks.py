@@ -87,15 +87,14 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     require_sampling_rate(recording)
     require_uniform_sampling(recording)
     require_alive(recording, (MOTOR_SPEED,))
-    if moves(recording):
-        return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
-    require_alive(recording, (MOTOR_POSITION,))
-    require_plausible_speed_unit(recording)
-    require_unclipped(recording, MOTOR_SPEED)
-    require_turning(recording)
-    require_one_speed(recording)
-    if gear_ratio is not None:
-        require_rotations(recording, rotations_of(recording, gear_ratio))
+    if not moves(recording):
+        require_alive(recording, (MOTOR_POSITION,))
+        require_plausible_speed_unit(recording)
+        require_unclipped(recording, MOTOR_SPEED)
+        require_turning(recording)
+        require_one_speed(recording)
+        if gear_ratio is not None:
+            require_rotations(recording, rotations_of(recording, gear_ratio))
     return replace(recording, notes=(*recording.notes, *_of_dead_channels(recording)))
 
 
@@ -444,15 +443,14 @@ def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> s
     if expected_rpm is None:
         return None
     speed = abs(float(recording.motor_speed_rpm.mean()))
-    for unit in accepted_units(MOTOR_SPEED)[1:]:
-        other = speed * conversion_factor(MOTOR_SPEED, unit)
-        if speed > 0.0 and abs(other / abs(expected_rpm) - 1.0) <= 0.03:
-            return (
-                f"Is the unit of the speed right? The mean is {speed:.4g} rpm; if the column is "
-                f"in {unit}, it is {other:.4g} rpm, the speed of the bench "
-                f'({abs(expected_rpm):g} rpm): then state unit = "{unit}" under [columns].'
-            )
-    return None
+    unit = _unit_of_ratio(speed / abs(expected_rpm), MOTOR_SPEED)
+    if unit is None:
+        return None
+    return (
+        f"Is the unit of the speed right? The mean is {speed:.4g} rpm; if the column is in {unit}, "
+        f"it is {speed * conversion_factor(MOTOR_SPEED, unit):.4g} rpm, the speed of the bench "
+        f'({abs(expected_rpm):g} rpm): then state unit = "{unit}" under [columns].'
+    )
 
 
 def _require_same_speed(
@@ -475,12 +473,18 @@ def _other_unit(ratio: float, channel: str) -> str:
     if channel == MOTOR_POSITION:
         suspects.append((TIME, 1))
     for suspect, sign in suspects:
-        own, *others = accepted_units(suspect)
-        for unit in others:
-            factor = conversion_factor(suspect, unit)
-            if factor != 1.0 and abs(ratio * factor**sign - 1.0) <= UNIT_AGREEMENT:
-                return f" The column for {suspect} looks like {unit}, not {own}."
+        if unit := _unit_of_ratio(ratio**sign, suspect):
+            return f" The column for {suspect} looks like {unit}, not {accepted_units(suspect)[0]}."
     return ""
+
+
+def _unit_of_ratio(ratio: float, channel: str) -> str | None:
+    """The unit whose size the inverse of a ratio is: the channel would then be as expected."""
+    for unit in accepted_units(channel)[1:]:
+        factor = conversion_factor(channel, unit)
+        if factor != 1.0 and abs(ratio * factor - 1.0) <= UNIT_AGREEMENT:
+            return unit
+    return None
 
 
 def require_unclipped(recording: Recording, channel: str) -> None:

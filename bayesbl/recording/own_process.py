@@ -133,8 +133,7 @@ def answer(request: dict[str, object]) -> None:
             f"The file cannot be read as {kind}.",
             file=file,
             found=shortened(lines[0] if lines else type(error).__name__, 160),
-            expected=f"a whole {kind} file"
-            + (f", or {format_.otherwise}" if format_.otherwise else ""),
+            expected=_WHOLE.format(kind=kind),
         )
     try:
         with stream:

@@ -273,8 +273,7 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
             f"Reading {format_.name} needs {format_.library}, which is not installed.",
             file=path,
             found=f"no module {format_.library}",
-            expected='pip install "bayesbl[formats]"'
-            + (f", or {format_.otherwise}" if format_.otherwise else ""),
+            expected='pip install "bayesbl[formats]", or the recording as CSV',
         )
     return parsed_apart(format_, path, data), sha256
 

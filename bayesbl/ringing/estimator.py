@@ -33,8 +33,10 @@ from bayesbl.ringing.optimum import (
     EarlierOptimum,
     NoLongerFits,
     Optimum,
+    Rival,
     SearchMethod,
     find_optimum,
+    promoted,
     warm_optimum,
 )
 from bayesbl.ringing.posterior import Posterior, SamplerCheck, check_sampler, sample_posterior
@@ -137,11 +139,10 @@ class PointEstimate:
         scale = np.array([1.0, 1.0 / values[1], 1.0 / values[2]])
         covariance = np.zeros((3, 3))
         names = (AMPLITUDE, FREQUENCY, DECAY)
-        for i, a in enumerate(names):
-            for j, b in enumerate(names):
-                if a in spread.names and b in spread.names:
-                    entry = spread.sandwich[spread.names.index(a), spread.names.index(b)]
-                    covariance[i, j] = scale[i] * scale[j] * entry
+        free = [i for i, name in enumerate(names) if name in spread.names]
+        places = [spread.names.index(names[i]) for i in free]
+        covariance[np.ix_(free, free)] = spread.sandwich[np.ix_(places, places)]
+        covariance *= np.outer(scale, scale)
         covariance[0, 0] += float(np.var(centre[0] * spread.losses))
         centre[0] *= 1.0 + float(spread.losses.mean())
         return centre, covariance
@@ -230,9 +231,7 @@ class Estimator:
             n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)
         }
         turns_s = 60.0 * (gear_ratio or math.inf) / nominal_speed_rpm(recording)
-        loop, shaking = without_outside_lines(
-            loop, MOTOR_SPEED, recording.sampling_period_s, turns_s
-        )
+        loop, shaking = without_outside_lines(loop, recording.sampling_period_s, turns_s)
         if shaking:
             recording = replace(recording, channels={**recording.channels, **loop})
             notes.append(outside_lines.in_words(shaking))
@@ -304,6 +303,13 @@ class Estimator:
         )
         spread = covariance(optimum, objective.time_s, residual, noise)
         return PointEstimate(optimum, noise, spread, recording)
+
+    def at_rival(self, point: PointEstimate, rival: Rival) -> PointEstimate:
+        """A rival of the optimum in its place, of the recording as it was prepared for that."""
+        objective = point.objective
+        other = self.around(point.recording, objective, promoted(objective, point.optimum, rival))
+        moved = replace(point, optimum=other.optimum, noise=other.noise, spread=other.spread)
+        return moved.shaken(point.shaking)
 
     def fit(
         self,

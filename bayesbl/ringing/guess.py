@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -42,17 +41,8 @@ LONGEST_ROTATION = 0.95
 """Longest candidate period as a share of the recording: beyond one rotation nothing repeats."""
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
-    """The pulse window and the periods that a recording allows, all in s."""
-
-    length_s: float
-    shortest_rotation_s: float
-    longest_rotation_s: float
-
-
-def search_window(objective: Objective) -> Window:
-    """Pulse window length and candidate rotation periods for this recording and model."""
+def search_window(objective: Objective) -> tuple[float, float, float]:
+    """Length of the pulse window, shortest and longest rotation period of a recording, all in s."""
     model = objective.model
     fixed = model.fixed
     end = fixed.get(WINDOW_END, model.ranges.get(WINDOW_END, (0.0, 0.204))[1])
@@ -61,7 +51,7 @@ def search_window(objective: Objective) -> Window:
     low, high = model.ranges.get(ROTATION, (2.5 * length, longest))
     if ROTATION in fixed:
         low = high = fixed[ROTATION]
-    return Window(length, max(low, SHORTEST_ROTATION_S), min(high, longest))
+    return length, max(low, SHORTEST_ROTATION_S), min(high, longest)
 
 
 def guesses(objective: Objective, count: int) -> FloatArray:
@@ -71,18 +61,18 @@ def guesses(objective: Objective, count: int) -> FloatArray:
     -------
     Shape (up to ``count``, d), columns in the order of ``objective.searched``, best first.
     """
-    window = search_window(objective)
+    window_s, shortest_s, longest_s = search_window(objective)
     time_s, speed = objective.time_s, objective.speed_rpm - objective.offset_rpm
     power = _baseline_power(speed)
     folds: list[tuple[float, float, float, float, float, float]] = []
     for decay, frequency in _templates(objective):
-        response, step = _response(speed, objective.period_s, window, decay, frequency)
+        response, step = _response(speed, objective.period_s, window_s, decay, frequency)
         found = _fold_all(
             response,
             step,
-            window.shortest_rotation_s,
-            window.longest_rotation_s,
-            window.length_s,
+            shortest_s,
+            longest_s,
+            window_s,
             power,
             PERIODOGRAM_PADDING * objective.duration_s,
             objective.model.baseline_harmonics,
@@ -129,10 +119,10 @@ def _templates(objective: Objective) -> list[tuple[float, float]]:
 
 
 def _response(
-    speed_rpm: FloatArray, period_s: float, window: Window, decay: float, frequency: float
+    speed_rpm: FloatArray, period_s: float, window_s: float, decay: float, frequency: float
 ) -> tuple[FloatArray, float]:
     """Matched-filter response, thinned to the resolution its ringing needs, and its step in s."""
-    u = np.arange(0.0, window.length_s, period_s)
+    u = np.arange(0.0, window_s, period_s)
     template = np.exp(-decay * u) * np.sin(frequency * u)
     slow = np.stack([np.ones_like(u), u - u.mean()])
     template = template - (slow @ template / (slow**2).sum(axis=1)) @ slow

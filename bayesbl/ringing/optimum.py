@@ -85,10 +85,14 @@ class Optimum:
     speed_sd_rpm: float
     history: SearchHistory
     rivals: tuple[Rival, ...]
-    evaluations: int
-    seconds: float
     method: FoundBy
+    seconds: float = 0.0
     box_search: BoxSearch | None = None
+
+    @property
+    def evaluations(self) -> int:
+        """Of the objective, by CMA-ES in all its runs."""
+        return int(sum(self.history.evaluations[self.history.ends]))
 
     @property
     def rmse_rpm(self) -> float:
@@ -127,26 +131,14 @@ def find_optimum(
     if method == "paper":
         box_search, of_box = search_as_printed(objective, generator)
         histories.append(of_box)
-    history = SearchHistory.of_runs(histories)
-    evaluations = sum(int(h.evaluations[-1]) for h in histories)
-    found = settled(objective, ends, history, evaluations, began, method)
-    return replace(found, box_search=box_search)
+    found = settled(objective, ends, SearchHistory.of_runs(histories), method)
+    return replace(found, box_search=box_search, seconds=time.perf_counter() - began)
 
 
 def settled(
-    objective: Objective,
-    ends: FloatArray,
-    history: SearchHistory,
-    evaluations: int,
-    began: float,
-    method: FoundBy,
+    objective: Objective, ends: FloatArray, history: SearchHistory, method: FoundBy
 ) -> Optimum:
     """The best end point (of (m, d)) of a search in canonical form, the others as its rivals.
-
-    Parameters
-    ----------
-    began
-        Reading of ``time.perf_counter()`` when the search began.
 
     Raises
     ------
@@ -172,8 +164,6 @@ def settled(
         speed_sd_rpm=float(objective.speed_rpm[objective.used].std()),
         history=history,
         rivals=_rivals(objective, points, sse[order]),
-        evaluations=evaluations,
-        seconds=time.perf_counter() - began,
         method=method,
     )
 
@@ -233,14 +223,13 @@ def local_search(
 
 def bounds(objective: Objective) -> tuple[FloatArray, FloatArray]:
     """Search and prior box of the searched symbols, shapes (d,) and (d,), SI."""
-    window = search_window(objective)
+    _, shortest, longest = search_window(objective)
     begin, end = objective.time_s[0], objective.time_s[-1]
-    longest = window.longest_rotation_s
     default: dict[str, tuple[float, float]] = {
         **DEFAULT_RANGES,
         START: (begin - longest, end),
         SEPARATION: (-longest, 2.0 * longest),
-        ROTATION: (window.shortest_rotation_s, longest),
+        ROTATION: (shortest, longest),
         WINDOW_START: (0.0, 0.102),
         WINDOW_END: (0.0, 0.204),
     }
@@ -378,11 +367,11 @@ def warm_optimum(objective: Objective, earlier: EarlierOptimum) -> Optimum:
     history = SearchHistory(np.zeros(2), np.array([1.0, float(len(folds))]), rmse)
     if not np.any(np.isfinite(reached)):
         raise NoLongerFits("its pulses fit nowhere")
-    optimum = settled(objective, ends, history, len(folds), began, "warm")
+    optimum = settled(objective, ends, history, "warm")
     _require_near("rmse_rpm", optimum.rmse_rpm, earlier.rmse_rpm, LARGEST_RMSE_RATIO, "rpm", 0.0)
     for name, most in ((FREQUENCY, LARGEST_FREQUENCY_RATIO), (DECAY, LARGEST_DECAY_RATIO)):
         _require_near(name, optimum.symbols[name], old[name], most, SYMBOLS[name].unit)
-    return optimum
+    return replace(optimum, seconds=time.perf_counter() - began)
 
 
 def _require_near(

@@ -326,16 +326,15 @@ def _nested_over_modes(
         _nested(target, *_box(objective, target, centre, spread.scale), s)
         for centre, s in zip(centres, seeds, strict=True)
     ]
-    evidence = np.array([run.log_evidence for run in runs])
-    shares = np.exp(evidence - evidence.max())
-    count = len(runs[0].points)
+    points, log_evidence, evaluations = zip(*runs, strict=True)
+    shares = np.exp(np.array(log_evidence) - max(log_evidence))
     generator = np.random.default_rng(mix_seed)
-    picked = generator.multinomial(count, shares / shares.sum())
-    points = [
-        generator.choice(run.points, n, replace=n > len(run.points))
-        for run, n in zip(runs, picked, strict=True)
+    picked = generator.multinomial(len(points[0]), shares / shares.sum())
+    mixed = [
+        generator.choice(own, n, replace=n > len(own))
+        for own, n in zip(points, picked, strict=True)
     ]
-    return np.concatenate(points), sum(run.evaluations for run in runs)
+    return np.concatenate(mixed), sum(evaluations)
 
 
 def _box(
@@ -354,19 +353,13 @@ def _box(
     return np.maximum(target.low, centre - half), np.minimum(target.high, centre + half)
 
 
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """Equally weighted points, shape (n, d), and what they weigh against other runs."""
-
-    points: FloatArray
-    log_evidence: float
-    evaluations: int
-
-
 def _nested(
     target: LogPosterior, low: FloatArray, high: FloatArray, seed: np.random.SeedSequence
-) -> _Run:
-    """Nested sampling of a box; the evidence is under a flat prior of density one."""
+) -> tuple[FloatArray, float, int]:
+    """Nested sampling of a box: equally weighted points, shape (n, d), log evidence, evaluations.
+
+    The evidence is under a flat prior of density one.
+    """
     from dynesty import NestedSampler
 
     run_seed, weight_seed = seed.spawn(2)
@@ -382,4 +375,4 @@ def _nested(
     results = sampler.results
     points = np.asarray(results.samples_equal(rstate=np.random.default_rng(weight_seed)))
     volume = float(np.sum(np.log(high - low)))
-    return _Run(points, float(results.logz[-1]) + volume, int(np.sum(results.ncall)))
+    return points, float(results.logz[-1]) + volume, int(np.sum(results.ncall))

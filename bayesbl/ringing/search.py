@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
@@ -36,6 +37,11 @@ class SearchHistory:
     run: FloatArray
     evaluations: FloatArray
     rmse_rpm: FloatArray
+
+    @property
+    def ends(self) -> NDArray[np.intp]:
+        """The last row of each run."""
+        return np.flatnonzero(np.diff(self.run, append=np.inf))
 
     @classmethod
     def of_runs(cls, histories: Sequence[SearchHistory]) -> SearchHistory:

@@ -42,11 +42,6 @@ class BoxSearch:
     symbols: dict[str, float]
     rmse_rpm: float
 
-    def has_pulses_of(self, symbols: Mapping[str, float], duration_s: float) -> bool:
-        """Whether it rings where these symbols do."""
-        rings = self.symbols[WINDOW_END] > self.symbols[WINDOW_START]
-        return rings and same_pulses(self.symbols, symbols, duration_s)
-
 
 def search_as_printed(
     objective: Objective, generator: np.random.Generator
@@ -142,9 +137,9 @@ def squares_as_printed(points, time_s, speed_rpm):  # type: ignore[no-untyped-de
 
 
 def same_pulses(found: Mapping[str, float], truth: Mapping[str, float], duration_s: float) -> bool:
-    """Whether positive and negative impacts agree all along a recording.
+    """Whether there are pulses, and they are those of the truth all along a recording.
 
-    To a quarter of the ringing period.
+    To a quarter of the ringing period, positive and negative ones.
     """
     rotation = truth[ROTATION]
     quarter = 0.5 * math.pi / truth[FREQUENCY]
@@ -153,7 +148,8 @@ def same_pulses(found: Mapping[str, float], truth: Mapping[str, float], duration
         (a - b + 0.5 * rotation) % rotation - 0.5 * rotation
         for a, b in zip(_impacts(found), _impacts(truth), strict=True)
     ]
-    return drift < quarter and max(abs(shift) for shift in shifts) < quarter
+    rings = found[WINDOW_END] > found[WINDOW_START]
+    return rings and drift < quarter and max(abs(shift) for shift in shifts) < quarter
 
 
 def _impacts(symbols: Mapping[str, float]) -> tuple[float, float]:

@@ -281,10 +281,9 @@ def misfit_curvature(
         total[2:, 2:] += np.outer(moves, moves) * ((exponent**2 * wave.sum()).imag + bend)
     columns = jacobian_columns(model)
     curvature = np.zeros((len(columns), len(columns)))
-    for i, a in enumerate(names):
-        for j, b in enumerate(names):
-            if a in columns and b in columns:
-                curvature[columns.index(a), columns.index(b)] = total[i, j]
+    free = [i for i, name in enumerate(names) if name in columns]
+    places = [columns.index(names[i]) for i in free]
+    curvature[np.ix_(places, places)] = total[np.ix_(free, free)]
     return curvature
 
 

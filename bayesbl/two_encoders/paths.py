@@ -133,28 +133,12 @@ class Paths:
 
 @dataclass(frozen=True, slots=True)
 class Channels:
-    """What was recorded, unwrapped, shapes (n,); ``torque_nm`` is the motor's."""
+    """What was recorded, shapes (n,): positions that count turns, and the motor's torque."""
 
     time_s: FloatArray
     motor_rad: FloatArray
     load_rad: FloatArray
     torque_nm: FloatArray | None = None
-
-    @classmethod
-    def unwrapped(
-        cls,
-        time_s: FloatArray,
-        motor_rad: FloatArray,
-        load_rad: FloatArray,
-        torque_nm: FloatArray | None = None,
-    ) -> Channels:
-        """With jumps of whole turns taken out where both encoders then agree better."""
-        choices = [
-            (motor, load) for motor in _with_turns(motor_rad) for load in _with_turns(load_rad)
-        ]
-        scores = [_disagreement(*choice) for choice in choices]
-        best = min(range(len(choices)), key=lambda i: (round(scores[i], 6), i))
-        return cls(time_s, *choices[best], torque_nm)
 
     def slope(self) -> float:
         """The load over the motor: least squares; where a large play bends that, while both move.
@@ -172,12 +156,6 @@ class Channels:
         if not fast.any():
             return _slope(self.motor_rad, self.load_rad)
         return float(np.median(load[fast] / motor[fast]))
-
-
-def _with_turns(angle: FloatArray) -> list[FloatArray]:
-    """As it is, and without jumps of a turn where it has any."""
-    unwrapped = np.unwrap(angle)
-    return [angle] if np.allclose(unwrapped, angle) else [angle, unwrapped]
 
 
 def _slope(motor: FloatArray, load: FloatArray) -> float:

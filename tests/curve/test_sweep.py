@@ -230,7 +230,7 @@ def test_a_waveform_that_is_not_exact_bends_the_sum_of_squares_as_the_sandwich_s
     clean = Objective(model, time_s, speed)
     optimum = find_optimum(clean, "guess", np.random.default_rng(1))
     residual = speed - optimum.predict(time_s)
-    known = Noise(1.5, np.array([0.6]), np.zeros(16), 0, False)
+    known = Noise(1.5, np.array([0.6]), np.zeros(16), 0)
     spread = covariance(optimum, time_s, residual, known)
     without = covariance(optimum, time_s, np.zeros_like(speed), known)
     rng, count, found = np.random.default_rng(4), 120, []

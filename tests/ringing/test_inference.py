@@ -149,8 +149,6 @@ def test_noise_of_a_given_kind_is_not_chosen_by_the_criterion() -> None:
     third = estimate_noise(residual, 3.6, 1e-3, "ar", 3)
     assert (white.order, white.kind, third.order, third.kind) == (0, "white", 3, "ar")
     assert white.sd_rpm == third.sd_rpm
-    assert not white.chosen
-    assert estimate_noise(residual, 3.6, 1e-3).chosen
 
 
 def test_a_recording_without_a_second_rotation_cannot_tell_its_noise() -> None:
@@ -168,7 +166,7 @@ def test_autocorrelation_of_first_order_noise_is_geometric() -> None:
 
 def test_autocorrelation_agrees_with_a_long_simulation() -> None:
     coefficients = np.array([0.7, -0.2, 0.3])
-    noise = Noise(2.0, coefficients, np.zeros(16), 0, False)
+    noise = Noise(2.0, coefficients, np.zeros(16), 0)
     x = NoiseModel(2.0, tuple(coefficients)).draw(1_000_000, seeded(4))
     measured = [float(x[k:] @ x[: x.size - k]) / x.size for k in range(12)]
     # Standard errors are at most 0.5 % of the variance; four of them.
@@ -204,7 +202,7 @@ def test_the_misfit_that_repeats_is_found_and_nothing_where_nothing_repeats() ->
 
 def covariance_at_truth(noise: NoiseModel, measured: Recording) -> Covariance:
     """The sandwich at the truth under the noise as it is."""
-    known = Noise(noise.standard_deviation, np.array(noise.coefficients), np.zeros(16), 0, False)
+    known = Noise(noise.standard_deviation, np.array(noise.coefficients), np.zeros(16), 0)
     objective = objective_of(measured)
     solution = objective.solve(true_point(objective.model)[None])
     at_truth = Optimum(
@@ -216,7 +214,6 @@ def covariance_at_truth(noise: NoiseModel, measured: Recording) -> Covariance:
         speed_sd_rpm=1.0,
         history=None,  # type: ignore[arg-type]
         rivals=(),
-        evaluations=0,
         seconds=0.0,
         method="guess",
     )
@@ -258,7 +255,7 @@ def test_symbols_that_the_recording_does_not_determine_are_refused() -> None:
     # t2 beyond the end of every pulse's ringing, and no pulse at all: nothing to learn from.
     silent = {**found.symbols, AMPLITUDE: 0.0}
     lost = Optimum(**{**{n: getattr(found, n) for n in found.__slots__}, "symbols": silent})
-    noise = Noise(1.5, np.zeros(0), np.zeros(16), 0, False)
+    noise = Noise(1.5, np.zeros(0), np.zeros(16), 0)
     with pytest.raises(RecordingError, match="does not determine"):
         covariance(lost, objective.time_s, np.zeros(objective.samples), noise)
 

@@ -29,7 +29,7 @@ def turning(seed: int, gear_ratio: float = BENCH.value("gear_ratio")) -> Recordi
 
 
 def lines_of(recording: Recording) -> list[tuple[float, float]]:
-    _, lines = without_outside_lines(recording.channels, MOTOR_SPEED, recording.sampling_period_s)
+    _, lines = without_outside_lines(recording.channels, recording.sampling_period_s)
     return [(line.frequency_hz, line.size_rpm) for line in lines]
 
 
@@ -55,7 +55,7 @@ def test_a_long_recording_sharpens_the_frequency() -> None:
     time_s = np.arange(0.0, 900.0, 2e-3)
     noise = np.random.default_rng(1).normal(0.0, NOISE_RPM, time_s.size)
     speed = 2000.0 + noise + 2.0 * np.sin(2.0 * np.pi * 13.2345 * time_s)
-    _, ((line),) = without_outside_lines({MOTOR_SPEED: speed}, MOTOR_SPEED, 2e-3)
+    _, ((line),) = without_outside_lines({MOTOR_SPEED: speed}, 2e-3)
     assert line.frequency_hz == pytest.approx(13.2345, abs=1e-5)
     assert line.size_rpm == pytest.approx(2.0, rel=0.02)
 

@@ -97,8 +97,7 @@ def test_the_ranges_are_those_that_table_2_prints() -> None:
 def test_whether_a_search_found_the_pulses_of_an_optimum(
     moved: dict[str, float], same: bool
 ) -> None:
-    found = table_2.BoxSearch({**OWN, **moved}, 1.0)
-    assert found.has_pulses_of(OWN, 5.0 * OWN[ROTATION]) is same
+    assert table_2.same_pulses({**OWN, **moved}, OWN, 5.0 * OWN[ROTATION]) is same
 
 
 @pytest.mark.long

@@ -42,7 +42,7 @@ def recorded(
     curve = eccentric * np.sin(at + 1.0) + oval * np.sin(2.0 * at + 0.3)
     read = step * np.round((at + curve) / step)
     motor = ratio * np.interp(stamps, time, path)
-    return Channels.unwrapped(stamps, motor + offset, read - offset)
+    return Channels(stamps, motor + offset, read - offset)
 
 
 def fitted(channels, ratio=RATIO):
@@ -98,7 +98,7 @@ def test_at_the_corners_of_a_fast_motion_a_skew_of_some_samples_is_no_falling_lo
     stamps += 3e-3 * generator.uniform(-1.0, 1.0, stamps.size)
     load = np.interp(stamps - 4e-3, time, dragged(path, 0.5 * PLAY))
     load += 2e-5 * generator.standard_normal(load.size)
-    found = fitted(Channels.unwrapped(stamps, RATIO * np.interp(stamps, time, path), load))
+    found = fitted(Channels(stamps, RATIO * np.interp(stamps, time, path), load))
     for name, truth in (("play_rad", PLAY), ("channel_skew_s", 4e-3), ("gear_ratio", RATIO)):
         low, high = bounds(found.draws[name], 0.99)
         assert low <= truth <= high, name
@@ -172,7 +172,7 @@ def test_the_published_backlash_of_two_actuators_is_not_confirmed():
         time, motor, load = (
             columns[c][once] for c in ("time_s", "odrive_pos_rad", "output_pos_rad")
         )
-        found = fitted(Channels.unwrapped(time, motor, load), ratio)
+        found = fitted(Channels(time, motor, load), ratio)
         # The branches are 0.06 and 0.08 degrees apart: play is at most that.
         assert np.quantile(found.draws["play_rad"], 0.95) < np.deg2rad(0.08)
         assert np.quantile(found.draws["lost_motion_rad"], 0.95) < 0.2 * np.deg2rad(published)
@@ -181,7 +181,7 @@ def test_the_published_backlash_of_two_actuators_is_not_confirmed():
 @needs_data
 def test_a_skew_of_3_ms_of_a_large_robot_is_no_play():
     columns = np.genfromtxt(DATA / "kuka_kr300_axis1_B.csv", delimiter=",", names=True)
-    channels = Channels.unwrapped(
+    channels = Channels(
         columns["time_s"],
         columns["motor_position_rad"],
         columns["load_position_rad"],
@@ -209,7 +209,7 @@ def test_a_load_that_its_weight_moves_shows_its_play():
         load.append(at)
     read = np.array(load)[::8] + 3e-3 * np.sin(np.array(load)[::8])
     read += 2e-5 * generator.standard_normal(read.size)
-    found = fitted(Channels.unwrapped(time[::8], RATIO * motor[::8], read))
+    found = fitted(Channels(time[::8], RATIO * motor[::8], read))
     low, high = bounds(found.draws["delta_rad"], 0.99)
     assert low <= half <= high
     assert np.median(found.draws["delta_rad"]) == pytest.approx(half, rel=0.05)
@@ -231,7 +231,7 @@ def test_the_torque_on_the_way_tells_wind_up_from_play(wound, is_play):
     torque = friction * handed + 0.5 * friction * np.sign(np.gradient(path))
     torque += 0.05 * friction * generator.standard_normal(time.size)
     read = load + 2e-6 * generator.standard_normal(time.size)
-    found = fitted(Channels.unwrapped(time, RATIO * path, read, torque / RATIO))
+    found = fitted(Channels(time, RATIO * path, read, torque / RATIO))
     assert (found.probability_of_play > 0.95) == is_play
     low, high = bounds(found.draws["lost_motion_rad"], 0.99)
     assert low <= 2.0 * half <= high
@@ -255,18 +255,9 @@ def test_of_a_load_without_friction_that_bounces_the_play_is_not_told_wrong(rest
                 speed = taken - restitution * (speed - taken)
         load.append(at)
     read = np.array(load)[::8] + 1e-4 * generator.standard_normal(time[::8].size)
-    found = fitted(Channels.unwrapped(time[::8], RATIO * motor[::8], read))
+    found = fitted(Channels(time[::8], RATIO * motor[::8], read))
     low, high = bounds(found.draws["delta_rad"], 0.99)
     assert low <= half <= high
-
-
-@pytest.mark.parametrize("period", [2.0 * np.pi])
-def test_positions_that_wrap_are_unwrapped(period):
-    plain = recorded()
-    wrapped = Channels.unwrapped(
-        plain.time_s, plain.motor_rad, np.mod(plain.load_rad + 3.0, period)
-    )
-    np.testing.assert_allclose(np.diff(wrapped.load_rad), np.diff(plain.load_rad), atol=1e-9)
 
 
 def test_a_standstill_is_seen_once_however_long_it_lasts():

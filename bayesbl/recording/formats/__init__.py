@@ -36,8 +36,6 @@ class Format:
     signatures
         What its files have at which byte, any of them; a file without is not parsed, and nothing
         of it is quoted. Empty for text.
-    otherwise
-        What to do where a file cannot be read, for the message.
     beside
         Suffix of a file of the same name whose bytes follow the file's own, if it is there.
     """
@@ -47,7 +45,6 @@ class Format:
     read: Callable[[Path, bytes], ArrayTable]
     library: str = ""
     signatures: tuple[tuple[int, bytes], ...] = ()
-    otherwise: str = ""
     beside: str = ""
 
     def is_begun_by(self, data: bytes) -> bool:

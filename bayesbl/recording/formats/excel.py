@@ -105,11 +105,4 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
         yield row
 
 
-FORMAT = Format(
-    "Excel",
-    (".xlsx", ".xlsm"),
-    read_excel,
-    "openpyxl",
-    ((0, b"PK\x03\x04"),),
-    "save the sheet as CSV",
-)
+FORMAT = Format("Excel", (".xlsx", ".xlsm"), read_excel, "openpyxl", ((0, b"PK\x03\x04"),))

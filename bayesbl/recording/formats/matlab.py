@@ -25,7 +25,6 @@ _DEEPEST = 5
 _NUMERIC = frozenset(
     {"double", "single", "logical", *(f"{s}int{b}" for s in ("", "u") for b in (8, 16, 32, 64))}
 )
-_OTHERWISE = "save the columns of tables and timetables as plain vectors"
 
 
 def read_matlab(file: Path, data: bytes) -> ArrayTable:
@@ -50,7 +49,7 @@ def read_matlab(file: Path, data: bytes) -> ArrayTable:
             "The file holds no vector of numbers.",
             file=file,
             found=", ".join(f'"{name}"' for name in variables) or "nothing",
-            expected=f"a vector for each channel, or {_OTHERWISE}",
+            expected="a vector for each channel; save the columns of tables and timetables as such",
         )
     return ArrayTable(str(file), arrays)
 
@@ -139,5 +138,4 @@ FORMAT = Format(
     (".mat",),
     read_matlab,
     signatures=((126, b"IM"), (126, b"MI"), *SIGNATURES, *_V4, (0, b"\x00\x00\x03\xe8")),
-    otherwise=_OTHERWISE,
 )
