@@ -181,13 +181,7 @@ def fit_seconds() -> tuple[float, float]:
         return find_optimum(point.objective, "guess", np.random.default_rng(1))
 
     def sample() -> object:
-        return sample_posterior(
-            point.objective,
-            point.optimum,
-            point.spread,
-            SamplerSettings(),
-            np.random.SeedSequence(1),
-        )
+        return sample_posterior(point, SamplerSettings(), np.random.SeedSequence(1))
 
     return best_seconds(search, 3), best_seconds(sample, 3)
 
@@ -206,9 +200,7 @@ def warm_seconds() -> tuple[float, float]:
     point = Estimator().around(measured, objective, search())
 
     def sample() -> object:
-        return sample_posterior(
-            objective, point.optimum, point.spread, SamplerSettings(), np.random.SeedSequence(1)
-        )
+        return sample_posterior(point, SamplerSettings(), np.random.SeedSequence(1))
 
     return best_seconds(search), best_seconds(sample, 3)
 

@@ -311,14 +311,7 @@ def _ringing(
         sd = math.sqrt(covariance[0, 0])
         draws = np.random.default_rng(seed).normal(centre[0], sd, (4, 1000))
         return MeasuredRinging(draws, centre, covariance), centre[0] < WEAKEST_SIGNAL_TO_NOISE * sd
-    posterior = sample_posterior(
-        point.objective,
-        point.optimum,
-        point.spread,
-        SAMPLERS[kind],
-        seed,
-        contenders=point.contenders,
-    )
+    posterior = sample_posterior(point, SAMPLERS[kind], seed)
     withheld = posterior.diagnostics.outcome == "withheld"
     return MeasuredRinging(posterior.draws[AMPLITUDE], centre, covariance), withheld
 

@@ -20,7 +20,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from bayesbl.errors import RecordingError
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, Recording
-from bayesbl.ringing.covariance import signal_to_noise
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
@@ -58,7 +57,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
         point = Estimator().estimate(recording, search_seed)
     except RecordingError:
         return {"signal_to_noise": math.nan, "answered": 0.0}
-    ratio = signal_to_noise(point.optimum, point.spread)
+    ratio = point.signal_to_noise
     return {"signal_to_noise": ratio, "answered": ratio >= WEAKEST_SIGNAL_TO_NOISE}
 
 

@@ -57,14 +57,14 @@ class Column:
         return -size if self.reversed else size
 
 
-def choose_columns(path: Path, table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[Column]:
+def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[Column]:
     """Time first, then the mapped columns, then those that already have a channel's name.
 
     Where the file ties columns to clocks, time is that of the mapped columns unless it is mapped.
     """
     names = table.columns
     channels = {
-        channel: replace(_mapped(path, table, channel, spec), reversed=spec.reversed)
+        channel: replace(_mapped(table, channel, spec), reversed=spec.reversed)
         for channel, spec in specs.items()
     }
     taken = {column.index for column in channels.values()}
@@ -73,13 +73,13 @@ def choose_columns(path: Path, table: ArrayTable, specs: Mapping[str, ColumnSpec
         if channel in channels or channel not in names or names.index(channel) in taken:
             continue
         if not mapped or table.clock(names.index(channel)) in mapped:
-            channels[channel] = _mapped(path, table, channel, ColumnSpec(channel))
+            channels[channel] = _mapped(table, channel, ColumnSpec(channel))
     clocks = {column.index: table.clock(column.index) for column in channels.values()}
     tied = {clock for clock in clocks.values() if clock is not None}
     if len(tied) > 1:
         raise RecordingError(
             "These columns were not sampled together.",
-            file=path,
+            file=table.file,
             where=", ".join(f'"{names[index]}"' for index in clocks),
             found=_listed(tuple(names[clock] for clock in sorted(tied))) + " as their times",
             expected="columns of one joint, topic or group",
@@ -87,11 +87,11 @@ def choose_columns(path: Path, table: ArrayTable, specs: Mapping[str, ColumnSpec
     if TIME not in channels and tied:
         channels[TIME] = Column(tied.pop(), TIME, "s")
     if TIME not in channels:
-        raise _missing_column(path, names, TIME)
+        raise _missing_column(table, TIME)
     if len(channels) == 1:
         raise RecordingError(
             "No column but time has a known name.",
-            file=path,
+            file=table.file,
             where="header",
             found=_listed(names),
             expected=f"at least one of {', '.join(CHANNELS)}; map others under [columns]",
@@ -217,23 +217,23 @@ def _ending(name: str) -> StatedUnit:
     return StatedUnit(name, None, last if last in _QUESTIONS else None)
 
 
-def _mapped(path: Path, table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
+def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
     if not is_mappable(channel):
         raise RecordingError(
             "A column is mapped to a channel that does not exist."
             + did_you_mean(channel, (TIME, *CHANNELS)),
-            file=path,
+            file=table.file,
             where=f"[columns] {channel}",
             found=f'"{channel}"',
             expected=f"one of {', '.join((TIME, *CHANNELS))}, or a torque's name ending in _nm",
         )
     if spec.name not in table.columns:
-        raise _missing_column(path, table.columns, spec.name)
+        raise _missing_column(table, spec.name)
     index = table.columns.index(spec.name)
     if spec.unit is not None and not is_accepted(channel, spec.unit):
         raise RecordingError(
             "The unit is not known for this channel.",
-            file=path,
+            file=table.file,
             where=f"[columns] {channel}",
             found=f'"{spec.unit}"',
             expected=choice_of_units(channel),
@@ -246,7 +246,7 @@ def _mapped(path: Path, table: ArrayTable, channel: str, spec: ColumnSpec) -> Co
     if stated.unknown and not is_of_dates:
         raise RecordingError(
             "The file states a unit that is not known for this channel.",
-            file=path,
+            file=table.file,
             where=f'column "{spec.name}"',
             found=f'"{shortened(stated.unknown)}"',
             expected=choice_of_units(channel) + "; state the right one under [columns]",
@@ -258,14 +258,15 @@ def _mapped(path: Path, table: ArrayTable, channel: str, spec: ColumnSpec) -> Co
     return replace(column, note=note)
 
 
-def _missing_column(path: Path, names: tuple[str, ...], wanted: str) -> RecordingError:
+def _missing_column(table: ArrayTable, wanted: str) -> RecordingError:
+    names = table.columns
     return RecordingError(
         f'The column "{wanted}" is missing.{did_you_mean(wanted, names)}',
-        file=path,
+        file=table.file,
         where="header",
         found=_listed(names),
         expected=f'a column "{wanted}", or another name for it under [columns] '
-        f"(`bayesbl init {path.name}` writes them)",
+        f"(`bayesbl init {Path(table.file).name}` writes them)",
     )
 
 

@@ -12,7 +12,6 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -168,7 +167,7 @@ class _Named:
         return there.size > 2 and bool(np.all(np.diff(there) > 0.0))
 
 
-def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None) -> Guess:
+def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
 
     Raises
@@ -177,7 +176,7 @@ def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None)
         If no column can be time, or none the motor's speed or position, or these do not hold
         numbers; if there is no such joint, or several and none was chosen.
     """
-    named = _of_joint(path, table, joint)
+    named = _of_joint(table, joint)
     chosen = _by_name(named)
     tied = {table.clock(column.index) for column in chosen.values()} - {None}
     if len(tied) == 1:
@@ -191,7 +190,7 @@ def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None)
         rest = [column for column in named if column not in chosen.values()]
         found = next((column for column in rest if column.increases), None)
         if found is None:
-            raise _missing(path, table, TIME, "time")
+            raise _missing(table, TIME, "time")
         chosen[TIME] = found
     if MOTOR_SPEED not in chosen:
         chosen |= _pair_of_positions(named, chosen)
@@ -199,9 +198,9 @@ def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None)
     ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(chosen)
     bare = MOTOR_SPEED not in chosen
     if bare and not ramps and not both and MOTOR_POSITION not in chosen:
-        raise _missing(path, table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
+        raise _missing(table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
-        channel: _series(path, column) if channel in (TIME, MOTOR_SPEED) else column.values
+        channel: _series(column) if channel in (TIME, MOTOR_SPEED) else column.values
         for channel, column in chosen.items()
     }
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
@@ -226,7 +225,7 @@ def guess_columns(path: str | Path, table: ArrayTable, joint: str | None = None)
     )
 
 
-def _of_joint(path: str | Path, table: ArrayTable, joint: str | None) -> list[_Named]:
+def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     """The columns of the chosen joint, or of the only one; all of them where no name has a joint.
 
     What stands before the last slash is the joint, and does not tell what a column holds.
@@ -245,7 +244,7 @@ def _of_joint(path: str | Path, table: ArrayTable, joint: str | None) -> list[_N
     if joint is not None and joint not in joints:
         raise RecordingError(
             "There is no such joint.",
-            file=path,
+            file=table.file,
             where="--joint",
             found=shortened(joint),
             expected=known or "a joint with a column like joint_2/velocity",
@@ -253,7 +252,7 @@ def _of_joint(path: str | Path, table: ArrayTable, joint: str | None) -> list[_N
     if joint is None and len(joints) > 1:
         raise RecordingError(
             "The file holds several joints.",
-            file=path,
+            file=table.file,
             found=known,
             expected=f"one of them, e.g. --joint {shlex.quote(next(iter(joints)))}",
         )
@@ -543,7 +542,7 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
     return next(((unit, f"a sampling rate of {rate:.4g} Hz") for unit, rate in usual.items()), None)
 
 
-def _series(path: str | Path, column: _Named) -> FloatArray:
+def _series(column: _Named) -> FloatArray:
     """Values of a column that every recording needs, shape (n,).
 
     Raises
@@ -558,7 +557,7 @@ def _series(path: str | Path, column: _Named) -> FloatArray:
             stamps_and_values(column.table, column.index)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
-            file=path,
+            file=column.table.file,
             where=f'column "{column.name}"',
             found=f"{count} finite numbers in {values.size} samples",
             expected="a finite number in every sample",
@@ -566,10 +565,10 @@ def _series(path: str | Path, column: _Named) -> FloatArray:
     return values
 
 
-def _missing(path: str | Path, table: ArrayTable, channel: str, what: str) -> RecordingError:
+def _missing(table: ArrayTable, channel: str, what: str) -> RecordingError:
     return RecordingError(
         f"No column looks like {what}.",
-        file=path,
+        file=table.file,
         where="header",
         found=", ".join(f'"{name}"' for name in table.columns),
         expected=f'a column "{channel}", or another name for it under [columns]',

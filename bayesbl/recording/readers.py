@@ -89,19 +89,19 @@ def read_recording(
     """
     path = Path(path)
     table, sha256 = _parsed(path)
-    time_column, *others = choose_columns(path, table, columns or {})
+    time_column, *others = choose_columns(table, columns or {})
     repairs = Counter(table.repairs)
-    stamps, values = _values(path, table, time_column, others)
+    stamps, values = _values(table, time_column, others)
     table = table.without_values()
     rows = np.flatnonzero(np.isfinite(stamps))
-    _check_length(path, table, time_column, rows.size)
+    _check_length(table, time_column, rows.size)
     values = held(values, repairs)
-    _check_finite(path, table, others, values)
+    _check_finite(table, others, values)
     stamped = (stamps, values) if rows.size == len(values) else (stamps[rows], values[rows])
     order, stamps = mended_clock(*stamped, time_column.factor, repairs, even=even)
     rows = rows[order]
-    _check_length(path, table, time_column, rows.size)
-    time_s = _seconds(path, table, time_column, stamps, rows)
+    _check_length(table, time_column, rows.size)
+    time_s = _seconds(table, time_column, stamps, rows)
     if rows.size < len(values) or np.any(np.diff(rows) < 0):
         values = values[rows]
     del stamped
@@ -160,7 +160,7 @@ def read_table(path: str | Path) -> ArrayTable:
 
 
 def _values(
-    path: Path, table: ArrayTable, time_column: Column, others: Sequence[Column]
+    table: ArrayTable, time_column: Column, others: Sequence[Column]
 ) -> tuple[FloatArray, FloatArray]:
     """Time in the file's own unit, shape (n,), and channels in theirs, shape (n, c).
 
@@ -171,11 +171,11 @@ def _values(
     stamps = table.timestamps(time_column.index)
     if stamps is None:
         if time_column.unit == "datetime":
-            raise _wrong_time_unit(path, table, time_column, "numbers", "dates")
+            raise _wrong_time_unit(table, time_column, "numbers", "dates")
         stamps, values = stamps_and_values(table, time_column.index, indices)
     else:
         if time_column.unit not in (None, "s", "datetime"):
-            raise _wrong_time_unit(path, table, time_column, "dates", "numbers")
+            raise _wrong_time_unit(table, time_column, "dates", "numbers")
         values = table.numbers(indices)
     # In place and by column: a long recording is a good part of the memory.
     stamps[~np.isfinite(stamps)] = np.nan
@@ -187,11 +187,11 @@ def _values(
 
 
 def _wrong_time_unit(
-    path: Path, table: ArrayTable, column: Column, found: str, expected: str
+    table: ArrayTable, column: Column, found: str, expected: str
 ) -> RecordingError:
     return RecordingError(
         "Time is not in the unit that was stated for it.",
-        file=path,
+        file=table.file,
         where=f'column "{table.columns[column.index]}"',
         found=found,
         expected=f'{expected}, as unit = "{column.unit}" says',
@@ -199,7 +199,7 @@ def _wrong_time_unit(
 
 
 def _seconds(
-    path: Path, table: ArrayTable, column: Column, time: FloatArray, rows: NDArray[np.int64]
+    table: ArrayTable, column: Column, time: FloatArray, rows: NDArray[np.int64]
 ) -> FloatArray:
     """Time of the rows, in seconds; a late start is taken off."""
     backward = np.flatnonzero(time[1:] <= time[:-1])
@@ -209,7 +209,7 @@ def _seconds(
         problem = "Time does not advance" if after == before else "Time runs backwards"
         raise RecordingError(
             f"{problem} ({backward.size} times in all; this is the first).",
-            file=path,
+            file=table.file,
             where=table.place(int(rows[row]), column.index),
             found=f"{after:.12g} after {before:.12g}",
             expected="time that increases from each line to the next",
@@ -221,7 +221,7 @@ def _seconds(
     if not (np.isfinite(seconds[-1] - seconds[0]) and np.all(np.diff(seconds) > 0.0)):
         raise RecordingError(
             "Time cannot be counted in seconds.",
-            file=path,
+            file=table.file,
             where=f'column "{table.columns[column.index]}"',
             found=f"from {time[0]:.6g} to {time[-1]:.6g}",
             expected="the time of a recording",
@@ -291,26 +291,24 @@ def _format_of(path: Path) -> Format:
     return known[suffix]
 
 
-def _check_length(path: Path, table: ArrayTable, column: Column, stamps: int) -> None:
+def _check_length(table: ArrayTable, column: Column, stamps: int) -> None:
     if stamps < MINIMUM_SAMPLES:
         raise RecordingError(
             "The recording is too short.",
-            file=path,
+            file=table.file,
             where=f'column "{table.columns[column.index]}"',
             found=f"{stamps} samples with a time",
             expected=f"at least {MINIMUM_SAMPLES}",
         )
 
 
-def _check_finite(
-    path: Path, table: ArrayTable, others: Sequence[Column], values: FloatArray
-) -> None:
+def _check_finite(table: ArrayTable, others: Sequence[Column], values: FloatArray) -> None:
     """Refuse a column without a number; single missing values are bridged later."""
     for column, series in zip(others, values.T, strict=True):
         if np.isnan(series).all():
             raise RecordingError(
                 "This column holds no number.",
-                file=path,
+                file=table.file,
                 where=f'column "{table.columns[column.index]}"',
                 found=f"NaN, infinite or empty in all {len(values)} samples",
                 expected="a finite number in every sample",

@@ -1,4 +1,4 @@
-"""How far the RMSE optimum scatters under the recording's noise: the sandwich covariance.
+"""The estimate of one recording: its optimum, its noise, and how far the one scatters by the other.
 
 The optimum is least squares whatever the noise, so its covariance is not the inverse curvature but
 V = H⁻¹ JᵀΣJ H⁻¹ with Σ the covariance of the noise, J = ∂h/∂θ and H half the second derivative of
@@ -11,18 +11,32 @@ of ω 25 to 40 %. Where impacts scatter by more than that noise, V is larger by 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from bayesbl.errors import RecordingError
-from bayesbl.noise.impact_scatter import Scatter, early_and_late
+from bayesbl.noise.impact_scatter import Scatter, early_and_late, normal_quantiles
+from bayesbl.noise.outside_lines import OutsideLine
 from bayesbl.noise.rotation_noise import Noise
-from bayesbl.recording.types import BoolArray, FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray, Recording
+from bayesbl.ringing.cleaning import MotorLine
+from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum
-from bayesbl.ringing.symbols import FREQUENCY, ROTATION, START, WINDOW_END, WINDOW_START
+from bayesbl.ringing.symbols import (
+    AMPLITUDE,
+    DECAY,
+    FREQUENCY,
+    ROTATION,
+    START,
+    WINDOW_END,
+    WINDOW_START,
+    DisturbanceModel,
+)
 from bayesbl.ringing.waveform import impacts, jacobian, jacobian_columns, misfit_curvature
+from bayesbl.sampling.convergence import Contender
 
 FACTORS = 400
 """Likely values of the variance's factor that are kept."""
@@ -185,11 +199,177 @@ def _inverse_curvature(gram: FloatArray, bent: FloatArray) -> FloatArray:
     return np.asarray(cho_solve(factor, np.eye(len(gram))))
 
 
-def signal_to_noise(optimum: Optimum, spread: Covariance) -> float:
-    """A / √V_AA: how many standard deviations the amplitude is above zero."""
-    amplitude = optimum.symbols[spread.names[0]]
-    return float(amplitude / math.sqrt(spread.sandwich[0, 0]))
-
-
 def _symmetric(matrix: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (matrix + matrix.T))
+
+
+LEAST_LEFT = 0.05
+"""Share of A that shaking leaves at least."""
+
+
+NO_RECORDING = Recording("", np.zeros(0), {})
+
+
+@dataclass(frozen=True)  # without slots, for what is made of it once
+class PointEstimate:
+    """Optimum, noise and covariance of one recording: all but the sampling.
+
+    Attributes
+    ----------
+    recording
+        As it was fitted. It is not kept with a finished fit: what was read is there already.
+    notes
+        What the reader should know about how the optimum was found.
+    start
+        What the search started from, in a sentence; empty for the full search alone.
+    contenders
+        Other optima weighed against this one; by their likelihood alone where ``None``.
+    mended
+        The recording that was fitted, where it is not the one given: lines or drift were removed.
+    lines
+        Of the motor that were removed.
+    shaking
+        Lines in time that were removed.
+    """
+
+    optimum: Optimum
+    noise: Noise
+    spread: Covariance
+    recording: Recording = field(default=NO_RECORDING, compare=False)
+    notes: tuple[str, ...] = ()
+    start: str = ""
+    contenders: tuple[Contender, ...] | None = None
+    mended: Recording | None = None
+    lines: tuple[MotorLine, ...] = ()
+    shaking: tuple[OutsideLine, ...] = ()
+
+    @cached_property
+    def objective(self) -> Objective:
+        """Sum of squares between the recording and the optimum's model."""
+        return objective_of(self.optimum.model, self.recording)
+
+    @cached_property
+    def residual_rpm(self) -> FloatArray:
+        """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
+        return residual_of(self.objective, self.optimum)
+
+    def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
+        """Beside lines that were removed: A may be another by their RMS in the speed."""
+        if not by:
+            return self
+        rms_rpm = math.sqrt(0.5 * sum(line.size_rpm**2 for line in by))
+        size = rms_rpm / self.optimum.symbols[AMPLITUDE]
+        losses = self.spread.losses
+        moved = size * np.random.default_rng(0).permutation(normal_quantiles(losses.size))
+        losses = np.maximum(losses + moved, LEAST_LEFT - 1.0)
+        return replace(self, spread=replace(self.spread, losses=losses), shaking=by)
+
+    @property
+    def signal_to_noise(self) -> float:
+        """A / √V_AA: how many standard deviations the amplitude is above zero."""
+        return float(self.optimum.symbols[AMPLITUDE] / math.sqrt(self.spread.sandwich[0, 0]))
+
+    @property
+    def misfit(self) -> RepeatingMisfit:
+        """The part of the residual that repeats every load rotation."""
+        return repeating_misfit(
+            self.objective.time_s, self.residual_rpm, self.optimum.symbols[ROTATION]
+        )
+
+    @property
+    def ringing(self) -> tuple[FloatArray, FloatArray]:
+        """Optimum of (A, ln ω, ln τ), shape (3,), and its covariance, shape (3, 3).
+
+        With what impacts lose that come early and late given back to A.
+
+        A fixed frequency or decay has zero variance.
+        """
+        symbols, spread = self.optimum.symbols, self.spread
+        values = (symbols[AMPLITUDE], symbols[FREQUENCY], symbols[DECAY])
+        centre = np.array([values[0], np.log(values[1]), np.log(values[2])])
+        scale = np.array([1.0, 1.0 / values[1], 1.0 / values[2]])
+        covariance = np.zeros((3, 3))
+        names = (AMPLITUDE, FREQUENCY, DECAY)
+        free = [i for i, name in enumerate(names) if name in spread.names]
+        places = [spread.names.index(names[i]) for i in free]
+        covariance[np.ix_(free, free)] = spread.sandwich[np.ix_(places, places)]
+        covariance *= np.outer(scale, scale)
+        covariance[0, 0] += float(np.var(centre[0] * spread.losses))
+        centre[0] *= 1.0 + float(spread.losses.mean())
+        return centre, covariance
+
+
+def objective_of(model: DisturbanceModel, recording: Recording) -> Objective:
+    """Sum of squares between a recording and a model, without excluded samples."""
+    return Objective(
+        model, recording.time_s, recording.motor_speed_rpm, excluded=recording.excluded
+    )
+
+
+def residual_of(objective: Objective, optimum: Optimum) -> FloatArray:
+    """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
+    residual = objective.speed_rpm - optimum.predict(objective.time_s)
+    return np.where(objective.used, residual, np.nan)
+
+
+PHASE_BINS = 360
+
+
+@dataclass(frozen=True, slots=True)
+class RepeatingMisfit:
+    """Rotation-averaged residual.
+
+    Attributes
+    ----------
+    phase_rad
+        Load phase from the start of the recording, bin centres, shape (b,), in [0, 2π).
+    mean_rpm, standard_error_rpm
+        Average of the residual over rotations and its standard error from their scatter,
+        shape (b,), rpm.
+    """
+
+    phase_rad: FloatArray
+    mean_rpm: FloatArray
+    standard_error_rpm: FloatArray
+
+    @property
+    def rms_rpm(self) -> float:
+        """RMS of what repeats, without the noise that survives averaging, rpm."""
+        excess = float(np.mean(self.mean_rpm**2 - self.standard_error_rpm**2))
+        return math.sqrt(max(excess, 0.0))
+
+    def at(
+        self, since_begin_s: FloatArray, rotation_period_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Average and standard error at times since the recording's start, shape (n,) each, rpm."""
+        phase = 2.0 * np.pi / rotation_period_s * since_begin_s
+        turn = 2.0 * np.pi
+        mean = np.interp(phase, self.phase_rad, self.mean_rpm, period=turn)
+        return mean, np.interp(phase, self.phase_rad, self.standard_error_rpm, period=turn)
+
+
+def repeating_misfit(
+    time_s: FloatArray, residual_rpm: FloatArray, rotation_period_s: float
+) -> RepeatingMisfit:
+    """Average the residual, NaN where left out, at equal load phase over the rotations.
+
+    Within a rotation each bin is averaged first; the scatter between rotations, which are
+    independent but for noise slower than a rotation, gives the standard error.
+    """
+    known = np.isfinite(residual_rpm)
+    turns = (time_s[known] - time_s[0]) / rotation_period_s
+    residual_rpm = residual_rpm[known]
+    rotation = np.floor(turns).astype(int)
+    bins = np.minimum((PHASE_BINS * (turns - rotation)).astype(int), PHASE_BINS - 1)
+    cell = rotation * PHASE_BINS + bins
+    cells = (rotation[-1] + 1) * PHASE_BINS
+    count = np.bincount(cell, minlength=cells).reshape(-1, PHASE_BINS)
+    total = np.bincount(cell, residual_rpm, minlength=cells).reshape(-1, PHASE_BINS)
+    filled = count > 0
+    mean_by_rotation = np.where(filled, total / np.maximum(count, 1), np.nan)
+    rotations = filled.sum(axis=0)
+    mean = np.nansum(mean_by_rotation, axis=0) / np.maximum(rotations, 1)
+    scatter = np.nansum((mean_by_rotation - mean) ** 2, axis=0)
+    error = np.sqrt(scatter / np.maximum(rotations - 1, 1) / np.maximum(rotations, 1))
+    phase = 2.0 * np.pi * (np.arange(PHASE_BINS) + 0.5) / PHASE_BINS
+    return RepeatingMisfit(phase, mean, error)

@@ -11,23 +11,22 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from bayesbl.errors import RecordingError
 from bayesbl.noise import outside_lines
-from bayesbl.noise.impact_scatter import normal_quantiles
-from bayesbl.noise.outside_lines import OutsideLine, without_outside_lines
+from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.noise.quantisation import speed_steps
-from bayesbl.noise.rotation_noise import Noise, NoiseKind, estimate_noise
+from bayesbl.noise.rotation_noise import NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import ready_for_fit, require_no_drift, require_rotations
 from bayesbl.recording.lost_samples import UNEVEN_STAMPS, even
-from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
-from bayesbl.ringing.cleaning import MotorLine, in_words, without_drift, without_motor_lines
-from bayesbl.ringing.covariance import Covariance, covariance, signal_to_noise
+from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
+from bayesbl.ringing.cleaning import in_words, without_drift, without_motor_lines
+from bayesbl.ringing.covariance import PointEstimate as PointEstimate
+from bayesbl.ringing.covariance import covariance, objective_of, residual_of
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import (
     EarlierOptimum,
@@ -40,9 +39,9 @@ from bayesbl.ringing.optimum import (
     warm_optimum,
 )
 from bayesbl.ringing.posterior import Posterior, SamplerCheck, check_sampler, sample_posterior
-from bayesbl.ringing.symbols import AMPLITUDE, DECAY, FREQUENCY, ROTATION, DisturbanceModel
+from bayesbl.ringing.symbols import ROTATION, DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE, Contender
+from bayesbl.sampling.convergence import WEAKEST_SIGNAL_TO_NOISE
 
 EVEN_TOLERANCE = 0.1
 """Largest distance of a time stamp from an even grid, in sampling periods, that counts as even.
@@ -56,96 +55,6 @@ HARMLESS_JITTER_S = 5e-4
 
 It averages out as noise does; what stays is a ringing that is smaller by (ωσ)²/2, 0.05 % at 10 Hz.
 """
-
-LEAST_LEFT = 0.05
-"""Share of A that shaking leaves at least."""
-
-
-NO_RECORDING = Recording("", np.zeros(0), {})
-
-
-@dataclass(frozen=True)  # without slots, for what is made of it once
-class PointEstimate:
-    """Optimum, noise and covariance of one recording: all but the sampling.
-
-    Attributes
-    ----------
-    recording
-        As it was fitted. It is not kept with a finished fit: what was read is there already.
-    notes
-        What the reader should know about how the optimum was found.
-    start
-        What the search started from, in a sentence; empty for the full search alone.
-    contenders
-        Other optima weighed against this one; by their likelihood alone where ``None``.
-    mended
-        The recording that was fitted, where it is not the one given: lines or drift were removed.
-    lines
-        Of the motor that were removed.
-    shaking
-        Lines in time that were removed.
-    """
-
-    optimum: Optimum
-    noise: Noise
-    spread: Covariance
-    recording: Recording = field(default=NO_RECORDING, compare=False)
-    notes: tuple[str, ...] = ()
-    start: str = ""
-    contenders: tuple[Contender, ...] | None = None
-    mended: Recording | None = None
-    lines: tuple[MotorLine, ...] = ()
-    shaking: tuple[OutsideLine, ...] = ()
-
-    @cached_property
-    def objective(self) -> Objective:
-        """Sum of squares between the recording and the optimum's model."""
-        return objective_of(self.optimum.model, self.recording)
-
-    @cached_property
-    def residual_rpm(self) -> FloatArray:
-        """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
-        return residual_of(self.objective, self.optimum)
-
-    def shaken(self, by: tuple[OutsideLine, ...]) -> PointEstimate:
-        """Beside lines that were removed: A may be another by their RMS in the speed."""
-        if not by:
-            return self
-        rms_rpm = math.sqrt(0.5 * sum(line.size_rpm**2 for line in by))
-        size = rms_rpm / self.optimum.symbols[AMPLITUDE]
-        losses = self.spread.losses
-        moved = size * np.random.default_rng(0).permutation(normal_quantiles(losses.size))
-        losses = np.maximum(losses + moved, LEAST_LEFT - 1.0)
-        return replace(self, spread=replace(self.spread, losses=losses), shaking=by)
-
-    @property
-    def misfit(self) -> RepeatingMisfit:
-        """The part of the residual that repeats every load rotation."""
-        return repeating_misfit(
-            self.objective.time_s, self.residual_rpm, self.optimum.symbols[ROTATION]
-        )
-
-    @property
-    def ringing(self) -> tuple[FloatArray, FloatArray]:
-        """Optimum of (A, ln ω, ln τ), shape (3,), and its covariance, shape (3, 3).
-
-        With what impacts lose that come early and late given back to A.
-
-        A fixed frequency or decay has zero variance.
-        """
-        symbols, spread = self.optimum.symbols, self.spread
-        values = (symbols[AMPLITUDE], symbols[FREQUENCY], symbols[DECAY])
-        centre = np.array([values[0], np.log(values[1]), np.log(values[2])])
-        scale = np.array([1.0, 1.0 / values[1], 1.0 / values[2]])
-        covariance = np.zeros((3, 3))
-        names = (AMPLITUDE, FREQUENCY, DECAY)
-        free = [i for i, name in enumerate(names) if name in spread.names]
-        places = [spread.names.index(names[i]) for i in free]
-        covariance[np.ix_(free, free)] = spread.sandwich[np.ix_(places, places)]
-        covariance *= np.outer(scale, scale)
-        covariance[0, 0] += float(np.var(centre[0] * spread.losses))
-        centre[0] *= 1.0 + float(spread.losses.mean())
-        return centre, covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,9 +194,9 @@ class Estimator:
             point = self.around(recording, objective, warm_optimum(objective, earlier))
         except RecordingError as error:
             raise NoLongerFits(error.problem) from None
-        ratio = signal_to_noise(point.optimum, point.spread)
-        if not ratio >= WEAKEST_SIGNAL_TO_NOISE:
-            raise NoLongerFits(f"the ringing is only {ratio:.1f} standard deviations strong")
+        if not point.signal_to_noise >= WEAKEST_SIGNAL_TO_NOISE:
+            strength = f"{point.signal_to_noise:.1f} standard deviations strong"
+            raise NoLongerFits(f"the ringing is only {strength}")
         return point
 
     def around(self, recording: Recording, objective: Objective, optimum: Optimum) -> PointEstimate:
@@ -342,97 +251,11 @@ class Estimator:
         point = self.estimate(recording, search_seed, gear_ratio, earlier)
         if choose is not None:
             point = choose(point)
-        posterior = sample_posterior(
-            point.objective,
-            point.optimum,
-            point.spread,
-            self.sampler,
-            sample_seed,
-            progress,
-            contenders=point.contenders,
-        )
-        if not check:
-            return Fit(point, posterior)
-        second = check_sampler(point.objective, point.optimum, point.spread, posterior, check_seed)
+        posterior = sample_posterior(point, self.sampler, sample_seed, progress)
+        second = check_sampler(point, posterior, check_seed) if check else None
         return Fit(point, posterior, second)
-
-
-def objective_of(model: DisturbanceModel, recording: Recording) -> Objective:
-    """Sum of squares between a recording and a model, without excluded samples."""
-    return Objective(
-        model, recording.time_s, recording.motor_speed_rpm, excluded=recording.excluded
-    )
-
-
-def residual_of(objective: Objective, optimum: Optimum) -> FloatArray:
-    """Recording minus optimum, shape (n,), rpm; NaN at samples left out."""
-    residual = objective.speed_rpm - optimum.predict(objective.time_s)
-    return np.where(objective.used, residual, np.nan)
 
 
 def nominal_speed_rpm(recording: Recording) -> float:
     """Mean motor speed without its sign, rpm."""
     return abs(float(recording.motor_speed_rpm.mean()))
-
-
-PHASE_BINS = 360
-
-
-@dataclass(frozen=True, slots=True)
-class RepeatingMisfit:
-    """Rotation-averaged residual.
-
-    Attributes
-    ----------
-    phase_rad
-        Load phase from the start of the recording, bin centres, shape (b,), in [0, 2π).
-    mean_rpm, standard_error_rpm
-        Average of the residual over rotations and its standard error from their scatter,
-        shape (b,), rpm.
-    """
-
-    phase_rad: FloatArray
-    mean_rpm: FloatArray
-    standard_error_rpm: FloatArray
-
-    @property
-    def rms_rpm(self) -> float:
-        """RMS of what repeats, without the noise that survives averaging, rpm."""
-        excess = float(np.mean(self.mean_rpm**2 - self.standard_error_rpm**2))
-        return math.sqrt(max(excess, 0.0))
-
-    def at(
-        self, since_begin_s: FloatArray, rotation_period_s: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Average and standard error at times since the recording's start, shape (n,) each, rpm."""
-        phase = 2.0 * np.pi / rotation_period_s * since_begin_s
-        turn = 2.0 * np.pi
-        mean = np.interp(phase, self.phase_rad, self.mean_rpm, period=turn)
-        return mean, np.interp(phase, self.phase_rad, self.standard_error_rpm, period=turn)
-
-
-def repeating_misfit(
-    time_s: FloatArray, residual_rpm: FloatArray, rotation_period_s: float
-) -> RepeatingMisfit:
-    """Average the residual, NaN where left out, at equal load phase over the rotations.
-
-    Within a rotation each bin is averaged first; the scatter between rotations, which are
-    independent but for noise slower than a rotation, gives the standard error.
-    """
-    known = np.isfinite(residual_rpm)
-    turns = (time_s[known] - time_s[0]) / rotation_period_s
-    residual_rpm = residual_rpm[known]
-    rotation = np.floor(turns).astype(int)
-    bins = np.minimum((PHASE_BINS * (turns - rotation)).astype(int), PHASE_BINS - 1)
-    cell = rotation * PHASE_BINS + bins
-    cells = (rotation[-1] + 1) * PHASE_BINS
-    count = np.bincount(cell, minlength=cells).reshape(-1, PHASE_BINS)
-    total = np.bincount(cell, residual_rpm, minlength=cells).reshape(-1, PHASE_BINS)
-    filled = count > 0
-    mean_by_rotation = np.where(filled, total / np.maximum(count, 1), np.nan)
-    rotations = filled.sum(axis=0)
-    mean = np.nansum(mean_by_rotation, axis=0) / np.maximum(rotations, 1)
-    scatter = np.nansum((mean_by_rotation - mean) ** 2, axis=0)
-    error = np.sqrt(scatter / np.maximum(rotations - 1, 1) / np.maximum(rotations, 1))
-    phase = 2.0 * np.pi * (np.arange(PHASE_BINS) + 0.5) / PHASE_BINS
-    return RepeatingMisfit(phase, mean, error)

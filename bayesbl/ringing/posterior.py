@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ import numpy as np
 from bayesbl.errors import ConfigError
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.covariance import Covariance, signal_to_noise
+from bayesbl.ringing.covariance import PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, bounds
 from bayesbl.ringing.search import scatter_root
@@ -76,14 +76,10 @@ class LogPosterior:
 
 
 def sample_posterior(
-    objective: Objective,
-    optimum: Optimum,
-    spread: Covariance,
+    point: PointEstimate,
     settings: SamplerSettings,
     seed: np.random.SeedSequence,
     progress: Progress | None = None,
-    *,
-    contenders: Sequence[Contender] | None = None,
 ) -> Posterior:
     """Sample until converged or ``settings.max_steps`` is reached.
 
@@ -93,10 +89,8 @@ def sample_posterior(
         One child is spawned for the ensembles and one for the linear symbols.
     progress
         Called with (steps made, steps allowed) at every check.
-    contenders
-        Other optima to weigh against this one; if ``None``, the optimum's rivals by their
-        likelihood.
     """
+    objective, optimum, spread = point.objective, point.optimum, point.spread
     walk_seed, linear_seed = seed.spawn(2)
     target = LogPosterior(objective, optimum, spread.scale)
     searched = np.array([spread.names.index(n) for n in objective.searched])
@@ -114,14 +108,9 @@ def sample_posterior(
     )
     generator = np.random.default_rng(linear_seed)
     points = np.stack([thinned(chain) for chain in walked.chains])
-    draws, baseline, log_likelihood = complete(objective, optimum, spread, points, generator)
-    if contenders is None:
-        contenders = weighed_by_likelihood(target, optimum)
+    draws, baseline, log_likelihood = complete(point, points, generator)
     diagnostics = walked.judged(
-        draws,
-        signal_to_noise(optimum, spread),
-        _at_bound(objective, points),
-        _other_answer(contenders, optimum, spread),
+        draws, point.signal_to_noise, _at_bound(objective, points), _other_answer(point, target)
     )
     return Posterior(draws, baseline, log_likelihood, diagnostics)
 
@@ -141,12 +130,13 @@ def weighed_by_likelihood(target: LogPosterior, optimum: Optimum) -> tuple[Conte
     )
 
 
-def _other_answer(
-    contenders: Sequence[Contender], optimum: Optimum, spread: Covariance
-) -> Contender | None:
+def _other_answer(point: PointEstimate, target: LogPosterior) -> Contender | None:
     """The likeliest contender whose amplitude differs from the optimum's."""
-    sd = math.sqrt(spread.sandwich[0, 0])
-    others = [c for c in contenders if abs(c.amplitude_rpm - optimum.symbols[AMPLITUDE]) > sd]
+    own, sd = point.optimum.symbols[AMPLITUDE], math.sqrt(point.spread.sandwich[0, 0])
+    contenders = point.contenders
+    if contenders is None:
+        contenders = weighed_by_likelihood(target, point.optimum)
+    others = [c for c in contenders if abs(c.amplitude_rpm - own) > sd]
     return max(others, key=lambda c: c.log_odds, default=None)
 
 
@@ -158,11 +148,7 @@ def _interval_edges(objective: Objective, chains: FloatArray, level: float) -> F
 
 
 def complete(
-    objective: Objective,
-    optimum: Optimum,
-    spread: Covariance,
-    points: FloatArray,
-    generator: np.random.Generator,
+    point: PointEstimate, points: FloatArray, generator: np.random.Generator
 ) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
     """Draw the linear symbols given the searched ones, then calibrate every width to the noise.
 
@@ -178,6 +164,7 @@ def complete(
     -------
     Draws by name, baseline and log likelihood, as :class:`Posterior` holds them.
     """
+    objective, optimum, spread = point.objective, point.optimum, point.spread
     chains, count, d = points.shape
     flat = points.reshape(-1, d)
     solution = objective.solve(flat)
@@ -284,21 +271,15 @@ def require_second_sampler() -> None:
 
 
 def check_sampler(
-    objective: Objective,
-    optimum: Optimum,
-    spread: Covariance,
-    posterior: Posterior,
-    seed: np.random.SeedSequence,
+    point: PointEstimate, posterior: Posterior, seed: np.random.SeedSequence
 ) -> SamplerCheck:
     """Sample the posterior again by nested sampling, and compare.
 
     Both sets of points go through the same drawing of the linear symbols and the same calibration.
     """
     nested_seed, linear_seed = seed.spawn(2)
-    target = LogPosterior(objective, optimum, spread.scale)
-    points, evaluations = _nested_over_modes(objective, optimum, target, spread, nested_seed)
-    generator = np.random.default_rng(linear_seed)
-    nested, _, _ = complete(objective, optimum, spread, points[None], generator)
+    points, evaluations = _nested_over_modes(point, nested_seed)
+    nested, _, _ = complete(point, points[None], np.random.default_rng(linear_seed))
     difference, ratio = {}, {}
     for name, draws in posterior.draws.items():
         sd = float(draws.std())
@@ -308,13 +289,11 @@ def check_sampler(
 
 
 def _nested_over_modes(
-    objective: Objective,
-    optimum: Optimum,
-    target: LogPosterior,
-    spread: Covariance,
-    seed: np.random.SeedSequence,
+    point: PointEstimate, seed: np.random.SeedSequence
 ) -> tuple[FloatArray, int]:
     """Equally weighted points over all modes, shape (n, d), and the number of evaluations."""
+    objective, optimum, scale = point.objective, point.optimum, point.spread.scale
+    target = LogPosterior(objective, optimum, scale)
     weighed = zip(weighed_by_likelihood(target, optimum), optimum.rivals, strict=True)
     rivals = [rival for contender, rival in weighed if contender.log_odds > FAINTEST_LOG_ODDS]
     centres = [
@@ -323,7 +302,7 @@ def _nested_over_modes(
     ]
     *seeds, mix_seed = seed.spawn(len(centres) + 1)
     runs = [
-        _nested(target, *_box(objective, target, centre, spread.scale), s)
+        _nested(target, *_box(objective, target, centre, scale), s)
         for centre, s in zip(centres, seeds, strict=True)
     ]
     points, log_evidence, evaluations = zip(*runs, strict=True)

@@ -86,7 +86,7 @@ def start_config(
     path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
     require_writable(path, [Path(file) for file in recordings], force)
     table, *_ = [read_table(file) for file in recordings]
-    guess = guess_columns(first, table, joint)
+    guess = guess_columns(table, joint)
     write_text(config_text([Path(file) for file in recordings], path, guess), path)
     return path, guess
 

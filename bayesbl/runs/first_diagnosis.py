@@ -370,7 +370,7 @@ def start_diagnosis(
     bench = bench / RESULT_FILE if bench.is_dir() else bench
     require_writable(path, [*recordings, bench], force)
     table = read_table(recordings[0])
-    columns = guess_columns(recordings[0], table, joint)
+    columns = guess_columns(table, joint)
     specs = {c.channel: ColumnSpec(c.name, c.unit) for c in columns.columns}
     names = names_of(recordings)
     read = [

@@ -438,7 +438,7 @@ def test_turns_that_the_file_states_win_over_every_guess(tmp_path: Path) -> None
     turns = np.cumsum(SPEED / 60.0) * 1e-3
     lines = [f"{t:.3f},{n / 60.0:.9f},{p:.9f}" for (t, n), p in zip(PAIRS, turns, strict=True)]
     path.write_text(text(lines, "time [s],vel_estimate [turns/s],pos_estimate [turns]"))
-    guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    guess = {c.channel: c for c in guess_columns(read_table(path)).columns}
     assert guess["motor_speed_rpm"].unit == "rev/s"
     assert guess["motor_position_rad"].unit == "rev"
     columns = {
@@ -484,7 +484,7 @@ def test_a_stated_unit_wins_wherever_it_stands(channel: str, place: str, tmp_pat
             ";".join(map(repr, map(float, row))) for row in zip(*values.values(), strict=True)
         ]
         path.write_text(text(lines, ";".join(columns.values())), encoding="utf-8")
-        guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}[channel]
+        guess = {c.channel: c for c in guess_columns(read_table(path)).columns}[channel]
         assert guess.sure
         assert conversion_factor(channel, guess.unit) == pytest.approx(factor, rel=1e-10), unit
         specs = {c: ColumnSpec(name) for c, name in columns.items()}
@@ -514,7 +514,7 @@ def test_names_of_drives_tell_channel_and_unit(
     form = "{t:.3f};{n:.3f};{n:.3f}" if speed else "{t:.3f};{n:.3f}"
     file = tmp_path / "drive.csv"
     file.write_text(text(rows(form), f"time [s]{speed};{name}"), encoding="utf-8")
-    guess = guess_columns(file, read_table(file))
+    guess = guess_columns(read_table(file))
     (own,) = [column for column in guess.columns if column.name == name]
     assert (own.channel, own.unit, own.sure) == (channel, unit, True)
 
@@ -526,16 +526,16 @@ def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
     lines = [f"{t:.3f},{q:.8f},{v:.8f}" for t, q, v in zip(TIME, angle, speed, strict=True)]
     file = tmp_path / "joint.csv"
     file.write_text(text(lines, "time,position,velocity"), encoding="utf-8")
-    columns = {c.channel: c for c in guess_columns(file, read_table(file)).columns}
+    columns = {c.channel: c for c in guess_columns(read_table(file)).columns}
     assert columns["motor_position_rad"].unit == "rad"
     assert columns["motor_speed_rpm"].unit == "rad/s"
     assert columns["motor_speed_rpm"].doubted
     assert "check it" in columns["motor_position_rad"].reason
     # The position alone: its unit is asked for, and stated it is slow for a motor.
     file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position"))
-    assert guess_columns(file, read_table(file)).columns[1].unit == UNKNOWN
+    assert guess_columns(read_table(file)).columns[1].unit == UNKNOWN
     file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position [rad]"))
-    assert guess_columns(file, read_table(file)).columns[1].doubted
+    assert guess_columns(read_table(file)).columns[1].doubted
 
 
 def test_a_labview_file_is_a_table(tmp_path: Path) -> None:
@@ -575,7 +575,7 @@ def test_a_unit_that_is_not_known_is_a_question(name: str, tmp_path: Path) -> No
     path.write_text(text(rows("{t:.3f};{n:.3f}"), f"time_s;{name}"))
     with pytest.raises(RecordingError, match=r"states a unit that is not known.*state the right"):
         read_recording(path, columns={"motor_speed_rpm": ColumnSpec(name)})
-    speed = guess_columns(path, read_table(path)).columns[1]
+    speed = guess_columns(read_table(path)).columns[1]
     assert speed.unit == UNKNOWN
     assert "the file says" in speed.reason
     stated = {"motor_speed_rpm": ColumnSpec(name, "rpm/7")}
@@ -606,7 +606,7 @@ def test_numbers_of_rows_errors_and_filtered_signals_are_not_the_channel(
     path = tmp_path / "a.csv"
     lines = [f"{i};{t:.3f};{n:.3f}" for i, (t, n) in enumerate(PAIRS)]
     path.write_text(text(lines, names))
-    found = {c.channel: c.name for c in guess_columns(path, read_table(path)).columns}
+    found = {c.channel: c.name for c in guess_columns(read_table(path)).columns}
     assert found.get(channel) == name
 
 
@@ -615,7 +615,7 @@ def test_a_position_beside_a_speed_of_unknown_size_is_asked_for_too(tmp_path: Pa
     path = tmp_path / "a.csv"
     lines = [f"{t:.3f};{7 * n:.1f};{6 * n * t % 360:.2f}" for t, n in PAIRS]
     path.write_text(text(lines, "t;erpm;encoder_position"))
-    columns = guess_columns(path, read_table(path)).columns
+    columns = guess_columns(read_table(path)).columns
     assert [column.unit for column in columns[1:]] == [UNKNOWN, UNKNOWN]
 
 
@@ -625,7 +625,7 @@ def test_a_demand_is_the_reference_and_a_unit_below_goes_before_one_of_the_name(
     path = tmp_path / "a.csv"
     lines = [f"{t:.3f};2000;{n:.3f}" for t, n in PAIRS]
     path.write_text(text(["s;rad/s;rad/s", *lines], "t;SpeedDemand;motor_speed_rpm"))
-    guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    guess = {c.channel: c for c in guess_columns(read_table(path)).columns}
     assert guess["reference_speed_rpm"].name == "SpeedDemand"
     assert guess["motor_speed_rpm"].unit == "rad/s"
 
@@ -777,14 +777,14 @@ def test_the_form_of_a_date_is_no_unit_and_a_count_of_samples_is_asked_for(tmp_p
     path = tmp_path / "a.csv"
     lines = [f"{i},{clock(t, '%H:%M:%S.%f')},{n}" for i, (t, n) in enumerate(PAIRS)]
     path.write_text(text(lines, "sample,Time [hh:mm:ss],speed [rpm]"))
-    guess = {c.channel: c for c in guess_columns(path, read_table(path)).columns}
+    guess = {c.channel: c for c in guess_columns(read_table(path)).columns}
     assert (guess["time_s"].name, guess["time_s"].unit) == ("Time [hh:mm:ss]", "datetime")
     speed = {"motor_speed_rpm": ColumnSpec("speed [rpm]")}
     for name, unit in (("Time [hh:mm:ss]", None), ("sample", "1 ms")):
         read = read_recording(path, columns=speed | {"time_s": ColumnSpec(name, unit)})
         np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
     path.write_text(text([f"{i},{n}" for i, n in enumerate(SPEED)], "sample,speed [rpm]"))
-    time = guess_columns(path, read_table(path)).columns[0]
+    time = guess_columns(read_table(path)).columns[0]
     assert (time.name, time.unit) == ("sample", UNKNOWN)
     assert '"4 ms"' in time.reason
 
@@ -893,7 +893,7 @@ def test_positions_of_motor_and_load_are_told_apart(names: str, tmp_path: Path) 
     path = tmp_path / "a.csv"
     rows_ = [f"{t},{50.0 * x},{x}" for t, x in zip(TIME, load, strict=True)]
     path.write_text(text(rows_, names))
-    guess = guess_columns(path, read_table(path))
+    guess = guess_columns(read_table(path))
     assert guess.two_encoders
     told = {column.channel: column.name for column in guess.columns}
     assert list(told.values()) == names.split(",")
@@ -923,5 +923,5 @@ def test_slow_samples_of_a_minute_are_in_seconds_and_not_a_moment_in_millisecond
 ) -> None:
     path, stamps = tmp_path / "a.csv", np.arange(0.0, 60.0, 1.0 / rate_hz)
     path.write_text(text([f"{t:.6g},1500" for t in stamps], "time,motor_speed_rpm"))
-    guess = {c.channel: c.unit for c in guess_columns(path, read_table(path)).columns}
+    guess = {c.channel: c.unit for c in guess_columns(read_table(path)).columns}
     assert guess["time_s"] == "s"

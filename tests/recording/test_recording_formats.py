@@ -234,10 +234,10 @@ def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_a
 ) -> None:
     path = write_bag(tmp_path / "bag.mcap", JOINTS, TIME)
     with pytest.raises(RecordingError, match=r"several joints.*joint_1, joint_2.*--joint joint_1"):
-        guess_columns(path, read_table(path))
+        guess_columns(read_table(path))
     with pytest.raises(RecordingError, match=r"no such joint.*joint_3.*joint_1, joint_2"):
-        guess_columns(path, read_table(path), "joint_3")
-    guess = guess_columns(path, read_table(path), "joint_2")
+        guess_columns(read_table(path), "joint_3")
+    guess = guess_columns(read_table(path), "joint_2")
     assert {column.channel: (column.name, column.unit) for column in guess.columns} == {
         "time_s": ("joint_2/time_s", "s"),
         "motor_speed_rpm": ("joint_2/velocity", "rad/s"),
@@ -246,15 +246,15 @@ def test_columns_of_a_file_with_several_joints_are_guessed_for_the_one_that_is_a
     }
     slow = {"axis": {"position": TIME, "velocity": SPEED / 1e4, "effort": TIME}}
     path = write_bag(tmp_path / "slow.mcap", slow, TIME)
-    speed = guess_columns(path, read_table(path)).columns[1]
+    speed = guess_columns(read_table(path)).columns[1]
     assert "behind the gearbox" in speed.reason
     assert speed.doubted
     sides = {"t": TIME, "motor/speed": SPEED, "ref/speed": SPEED, "load/angle": TIME}
     path = write_csv(tmp_path / "sides.csv", sides)
-    found = {column.channel for column in guess_columns(path, read_table(path)).columns}
+    found = {column.channel for column in guess_columns(read_table(path)).columns}
     assert found == {"time_s", "motor_speed_rpm", "reference_speed_rpm", "load_position_rad"}
     plain = write_csv(tmp_path / "log.csv", {"t": TIME, "axis 1/speed [rad/s]": SPEED})
-    assert guess_columns(plain, read_table(plain)).columns[1].name == "axis 1/speed [rad/s]"
+    assert guess_columns(read_table(plain)).columns[1].name == "axis 1/speed [rad/s]"
 
 
 def test_a_bag_without_stamps_is_read_by_the_time_of_recording_only_if_that_is_asked_for(
@@ -469,7 +469,7 @@ def test_lines_that_a_drive_writes_above_the_header_are_passed_over(tmp_path: Pa
     path = tmp_path / "trace.csv"
     body = "".join(f"{i},0;{n:.3f};{0.5 * i}\n".replace(".", ",") for i, n in enumerate(SPEED))
     path.write_bytes((ABOVE + GERMAN + body).encode("latin-1"))
-    guess = guess_columns(path, read_table(path))
+    guess = guess_columns(read_table(path))
     assert [c.channel for c in guess.columns] == ["time_s", "motor_speed_rpm", "motor_position_rad"]
     columns = {c.channel: ColumnSpec(c.name, c.unit) for c in guess.columns}
     recording = read_recording(path, columns=columns)
@@ -481,7 +481,7 @@ def test_a_japanese_trace_is_read_in_its_own_encoding(tmp_path: Path, encoding: 
     path = tmp_path / "trace.csv"
     body = "".join(f"{t:.3f},{n:.3f},2000.0\n" for t, n in zip(TIME, SPEED, strict=True))
     path.write_bytes((JAPANESE + body).encode(encoding))
-    guess = guess_columns(path, read_table(path))
+    guess = guess_columns(read_table(path))
     assert {c.channel: c.name for c in guess.columns} == {
         "time_s": "時間(s)",
         "motor_speed_rpm": "モータ速度(r/min)",

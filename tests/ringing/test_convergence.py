@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,7 @@ def test_a_bimodal_posterior_is_withheld_though_every_ensemble_mixes(
 
 def test_a_chain_too_short_is_said(point: PointEstimate) -> None:
     settings, seed = SamplerSettings(ensembles=2, max_steps=100), np.random.SeedSequence(2)
-    found = sample_posterior(point.objective, point.optimum, point.spread, settings, seed)
+    found = sample_posterior(point, settings, seed)
     assert found.diagnostics.outcome == "usable"
     assert "The chain is short" in found.diagnostics.reasons[0]
 
@@ -99,9 +100,8 @@ def test_a_stuck_ensemble_is_withheld(point: PointEstimate) -> None:
     spread = point.spread
     far = Covariance(spread.names, 1e8 * spread.sandwich, 1e8 * spread.inverse_curvature)
     assert far.scale == pytest.approx(spread.scale)
-    found = sample_posterior(
-        point.objective, point.optimum, far, SHORT, np.random.SeedSequence(1)
-    ).diagnostics
+    point = replace(point, spread=far)
+    found = sample_posterior(point, SHORT, np.random.SeedSequence(1)).diagnostics
     assert found.outcome == "withheld"
     assert any("stuck" in reason for reason in found.reasons)
 

@@ -28,8 +28,8 @@ from bayesbl.noise.rotation_noise import (
 )
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 from bayesbl.ringing import optimum as optimum_module
-from bayesbl.ringing.covariance import Covariance, covariance
-from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate, repeating_misfit
+from bayesbl.ringing.covariance import Covariance, covariance, repeating_misfit
+from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.guess import guesses
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import Optimum, find_optimum, local_search
@@ -443,9 +443,7 @@ def test_the_same_seed_gives_the_same_draws_and_leaves_numpys_random_state_alone
     before = np.random.get_state()  # noqa: NPY002
 
     def draws(seed: int) -> dict[str, np.ndarray]:
-        return sample_posterior(
-            point.objective, point.optimum, point.spread, settings, np.random.SeedSequence(seed)
-        ).draws
+        return sample_posterior(point, settings, np.random.SeedSequence(seed)).draws
 
     first = draws(5)
     np.testing.assert_array_equal(before[1], np.random.get_state()[1])  # noqa: NPY002
@@ -514,13 +512,8 @@ def test_linear_symbols_are_integrated_out_as_a_grid_over_all_symbols_does() -> 
     point = Estimator(DisturbanceModel(0, fixed), noise_kind="white").estimate(
         measured, np.random.SeedSequence(1)
     )
-    posterior = sample_posterior(
-        point.objective,
-        point.optimum,
-        point.spread,
-        SamplerSettings(max_steps=3000),
-        np.random.SeedSequence(2),
-    )
+    settings = SamplerSettings(max_steps=3000)
+    posterior = sample_posterior(point, settings, np.random.SeedSequence(2))
     y = measured.motor_speed_rpm - 2000.0
     axes = {
         DECAY: np.linspace(2.0, 32.0, 61),

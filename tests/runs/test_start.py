@@ -28,7 +28,7 @@ def measured():
 
 
 def guessed(path: Path) -> dict[str, tuple[str, str]]:
-    found = guess_columns(path, read_table(path))
+    found = guess_columns(read_table(path))
     return {column.channel: (column.name, column.unit) for column in found.columns}
 
 
@@ -122,7 +122,7 @@ def test_reference_and_load_are_not_taken_for_the_motor(measured, tmp_path):
         "comment": ["ok"] * speed.size,
     }
     path = write_csv(tmp_path / "joint.csv", values)
-    found = guess_columns(path, read_table(path))
+    found = guess_columns(read_table(path))
     assert {column.channel: column.name for column in found.columns} == {
         "time_s": "time",
         "motor_speed_rpm": "speed",
@@ -135,7 +135,7 @@ def test_reference_and_load_are_not_taken_for_the_motor(measured, tmp_path):
 def test_a_file_without_speed_is_refused(measured, tmp_path, capsys):
     path = write_csv(tmp_path / "joint.csv", {"time": measured.time_s, "x": measured.time_s})
     with pytest.raises(RecordingError, match="motor speed"):
-        guess_columns(path, read_table(path))
+        guess_columns(read_table(path))
     assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
     assert not (tmp_path / "a.toml").exists()
 
