@@ -18,7 +18,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.lost_samples import bridge
-from bayesbl.recording.types import MOTOR_SPEED, Recording
+from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.symbols import (
     AMPLITUDE,
     DECAY,
@@ -30,6 +30,7 @@ from bayesbl.ringing.symbols import (
     WINDOW_END,
     WINDOW_START,
 )
+from bayesbl.ringing.table_2 import REPETITIONS
 from bayesbl.ringing.waveform import model_speed
 
 FINER = 10
@@ -65,6 +66,24 @@ def synthetic_recording(
     time_s = np.arange(round(rotations * symbols[ROTATION] * sampling_hz)) / sampling_hz
     speed = model_speed(time_s, symbols, baseline_rpm) + noise.draw(time_s.size, generator)
     return Recording("synthetic", time_s, {MOTOR_SPEED: speed})
+
+
+def speed_as_printed(time_s: FloatArray, symbols: Mapping[str, float]) -> FloatArray:
+    """h(t) of eq. 6, shape (n,), rpm: hard edges, four repetitions, nothing before or after.
+
+    sin ω(t) is read as sin(ω (t − t1)). Where t2 is not later than t1 there is no pulse.
+    """
+    train = np.zeros_like(time_s)
+    for repetition in range(1, REPETITIONS + 1):
+        first = symbols[START] + repetition * symbols[ROTATION]
+        for sign, moved in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
+            since = time_s - moved
+            u = since - symbols[WINDOW_START]
+            decaying = np.exp(-symbols[DECAY] * np.maximum(u, 0.0))
+            ringing = decaying * np.sin(symbols[FREQUENCY] * u)
+            inside = (u >= 0.0) & (since <= symbols[WINDOW_END])
+            train += sign * np.where(inside, ringing, 0.0)
+    return np.asarray(symbols[MEAN] + symbols[AMPLITUDE] * train)
 
 
 def with_samples_lost(

@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 sys.path.append(str(Path(__file__).parent))
 
-from made_recordings import draw_symbols, synthetic_recording
+from made_recordings import draw_symbols, speed_as_printed, synthetic_recording
 
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
@@ -38,7 +38,7 @@ from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import find_optimum, local_search
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import ROTATION, WINDOW_END, WINDOW_START, DisturbanceModel
-from bayesbl.ringing.table_2 import same_pulses, search_as_printed, speed_as_printed
+from bayesbl.ringing.table_2 import same_pulses, search_as_printed
 
 AMPLITUDE_RPM = 20.0
 SAME_RMSE = 1e-6

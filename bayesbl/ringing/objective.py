@@ -204,7 +204,7 @@ class Objective:
             self._table_length,
             self._left_out,
             self._left_out_table,
-            self.model.mean_is_free,
+            MEAN not in self.model.fixed,
             *output,
         )
         return output

@@ -108,8 +108,3 @@ class DisturbanceModel:
         """The model with these symbols fixed as well and without ranges."""
         ranges = {name: r for name, r in self.ranges.items() if name not in values}
         return replace(self, fixed={**self.fixed, **values}, ranges=ranges)
-
-    @property
-    def mean_is_free(self) -> bool:
-        """Whether v_t is solved for."""
-        return MEAN not in self.fixed

@@ -86,27 +86,13 @@ def ranges_as_printed(time_s: FloatArray, speed_rpm: FloatArray) -> dict[str, tu
     }
 
 
-def speed_as_printed(time_s: FloatArray, symbols: Mapping[str, float]) -> FloatArray:
-    """h(t) of eq. 6, shape (n,), rpm: hard edges, four repetitions, nothing before or after.
-
-    sin ω(t) is read as sin(ω (t − t1)). Where t2 is not later than t1 there is no pulse.
-    """
-    train = np.zeros_like(time_s)
-    for repetition in range(1, REPETITIONS + 1):
-        first = symbols[START] + repetition * symbols[ROTATION]
-        for sign, moved in ((1.0, first), (-1.0, first - symbols[SEPARATION])):
-            since = time_s - moved
-            u = since - symbols[WINDOW_START]
-            decaying = np.exp(-symbols[DECAY] * np.maximum(u, 0.0))
-            ringing = decaying * np.sin(symbols[FREQUENCY] * u)
-            inside = (u >= 0.0) & (since <= symbols[WINDOW_END])
-            train += sign * np.where(inside, ringing, 0.0)
-    return np.asarray(symbols[MEAN] + symbols[AMPLITUDE] * train)
-
-
 @compiled()
 def squares_as_printed(points, time_s, speed_rpm):  # type: ignore[no-untyped-def]
-    """Sum of squares of eq. 6, :func:`speed_as_printed`, at points (m, 9), rpm², shape (m,)."""
+    """Sum of squares of eq. 6 at points (m, 9), rpm², shape (m,).
+
+    Hard edges, four repetitions, nothing before or after; sin ω(t) is read as sin(ω (t − t1)).
+    Where t2 is not later than t1 there is no pulse.
+    """
     n = time_s.size
     centre = speed_rpm.mean()
     square = ((speed_rpm - centre) ** 2).sum()

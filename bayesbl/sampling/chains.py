@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -270,9 +269,6 @@ BOUND_TOLERANCE_SD = 0.05
 """Interval bounds count as stable when they move less than this many standard deviations."""
 
 
-NOTHING_AT_BOUND: Mapping[str, float] = MappingProxyType({})
-
-
 @dataclass(frozen=True, slots=True)
 class SamplerSettings:
     """How the posterior is sampled; never part of what A means.
@@ -320,7 +316,7 @@ class Walk:
         self,
         draws: Mapping[str, FloatArray],
         signal_to_noise: float = math.inf,
-        at_bound: Mapping[str, float] = NOTHING_AT_BOUND,
+        at_bound: Mapping[str, float] | None = None,
         other_answer: Contender | None = None,
     ) -> Diagnostics:
         """Whether draws by name, (chain, draw), that were made of it can be trusted."""
@@ -331,7 +327,7 @@ class Walk:
             self.acceptance,
             self.stable,
             signal_to_noise,
-            at_bound,
+            at_bound or {},
             other_answer,
         )
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from made_recordings import synthetic_recording
+from made_recordings import speed_as_printed, synthetic_recording
 from synthetic_ringing import TRUTH
 
 from bayesbl.noise.process import NoiseModel
@@ -39,7 +39,7 @@ def objective() -> Objective:
 def test_eq_6_has_four_repetitions_and_nothing_beside() -> None:
     symbols = {**OWN, START: 0.1, SEPARATION: 0.5, ROTATION: 2.0, WINDOW_END: 0.05}
     time_s = np.arange(14_000) / 1000.0
-    rings = np.abs(table_2.speed_as_printed(time_s, symbols) - symbols[MEAN]) > 1e-9
+    rings = np.abs(speed_as_printed(time_s, symbols) - symbols[MEAN]) > 1e-9
     starts = time_s[1:][rings[1:] & ~rings[:-1]]
     expected = sorted(0.1 + 2.0 * i - apart for i in range(1, 5) for apart in (0.0, 0.5))
     np.testing.assert_allclose(starts, expected, atol=0.0021)
@@ -53,7 +53,7 @@ def test_the_squares_of_eq_6_are_those_of_its_speed(objective: Objective) -> Non
     points[::2, list(SYMBOLS).index(WINDOW_START)] *= 0.1
     points[::3, list(SYMBOLS).index(ROTATION)] *= 0.01  # pulses over one another
     points[0, list(SYMBOLS).index(ROTATION)] = 0.0
-    made = [table_2.speed_as_printed(time_s, dict(zip(SYMBOLS, p, strict=True))) for p in points]
+    made = [speed_as_printed(time_s, dict(zip(SYMBOLS, p, strict=True))) for p in points]
     expected = np.sum((speed_rpm - np.array(made)) ** 2, axis=1)
     found = table_2.squares_as_printed(points, time_s, speed_rpm)
     np.testing.assert_allclose(found, expected, rtol=1e-10)
