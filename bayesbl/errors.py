@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -57,8 +58,8 @@ class UserError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions that cross process boundaries are rebuilt from args and would lose keywords.
-        parts = (self.problem, self.file, self.where, self.found, self.expected)
-        return _rebuild, (type(self), *parts)
+        told = {key: getattr(self, key) for key in ("file", "where", "found", "expected")}
+        return partial(type(self), self.problem, **told), ()
 
     def _message(self) -> str:
         place = ", ".join(part for part in (self.file, self.where) if part)
@@ -77,17 +78,6 @@ def shortened(text: str, length: int = 40) -> str:
 
 def _ended(text: str) -> str:
     return text if text.endswith((".", "?", "!")) else f"{text}."
-
-
-def _rebuild(
-    kind: type[UserError],
-    problem: str,
-    file: str | None,
-    where: str | None,
-    found: str | None,
-    expected: str | None,
-) -> UserError:
-    return kind(problem, file=file, where=where, found=found, expected=expected)
 
 
 class ConfigError(UserError):

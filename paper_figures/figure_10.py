@@ -8,13 +8,9 @@ import xarray as xr
 from common import PaperFigure, Stored, main, picked
 
 from bayesbl.presentation.figures.gap import gap
-from bayesbl.presentation.figures.stored_figure import (
-    credible_interval,
-    gap_interval,
-    interval_in_words,
-    snapshots,
-)
+from bayesbl.presentation.figures.stored_figure import credible_interval, gap_interval, snapshots
 from bayesbl.presentation.figures.style import GAP
+from bayesbl.presentation.words import with_bounds
 from bayesbl.ringing.symbols import AMPLITUDE
 
 
@@ -32,14 +28,14 @@ def data(stored: Stored) -> xr.DataTree:
 def caption(tree: xr.DataTree) -> str:
     """What is seen, with gaps and change."""
     gaps = "; ".join(
-        f"{s.name} {interval_in_words(gap_interval(tree, s))}" for s in snapshots(tree)
+        f"{s.name} {with_bounds(gap_interval(tree, s), 'mrad')}" for s in snapshots(tree)
     )
     draws = 1e3 * tree["change"].to_dataset()["change_rad"].values
     return (
         "(a) Gap δ of both recordings, by the amplitude of their ringing and the curve that was "
         f"swept on the bench: {gaps}. (b) The change of the gap, both recordings through the same "
         "draws of the curve: "
-        f"{interval_in_words(credible_interval(tree, draws))}."
+        f"{with_bounds(credible_interval(tree, draws), 'mrad')}."
     )
 
 

@@ -81,7 +81,7 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
     from bayesbl.runs.workflow import Options
 
     console, volume = notes_console(), VOLUME.get()
-    with progress(console, of_cases=config.kind in ("study", "fleet")) as tell:
+    with progress(console) as tell:
         options = Options(draw, force, tell, console.print, FIGURES.get())
         summary = run(config, options, file)
     if json:

@@ -10,11 +10,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import tomli_w
 from pydantic import AfterValidator, Field, field_validator, model_validator
@@ -22,7 +21,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque, Side, Variable
+from bayesbl.bench.learned import EncoderError, LearnedTorque, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.diagnose import bench_parameter, effect_name
@@ -107,30 +106,6 @@ def spelled(unit: str) -> str:
     return text.replace("Nm", "N m")
 
 
-def converted(printed: Mapping[str, float], units: Mapping[str, str]) -> dict[str, float]:
-    """Values in the bench's own units.
-
-    Parameters
-    ----------
-    printed
-        Every parameter's number as given.
-    units
-        Of those given in another unit than the bench's own; each one of :func:`accepted`.
-
-    Raises
-    ------
-    KeyError
-        Naming the parameter that a conversion needs and that is not given.
-    ZeroDivisionError
-        If a number that is divided by is zero.
-    """
-    found = {name: value for name, value in printed.items() if name not in units}
-    for name, conversions in CONVERSIONS.items():
-        if name in units:
-            found[name] = conversions[units[name]](printed[name], found)
-    return found
-
-
 def reduced_inertia_kg_m2(bench: Values) -> float:
     """Of motor and load on the shaft, seen at the load: 1/(1/J_l + 1/(N² J_m))."""
     motor = bench["gear_ratio"] ** 2 * bench["motor_inertia_kg_m2"]
@@ -183,10 +158,8 @@ class ParameterEntry(_Uncertain):
         """As the bench takes it; ``value`` in the bench's own unit."""
         if self.relative_tolerance is not None:
             return BenchParameter(value, self.relative_tolerance * abs(value))
-        tolerance = self.tolerance or 0.0
-        if value != self.value and self.value:
-            tolerance *= abs(value / self.value)
-        return BenchParameter(value, tolerance)
+        unit = abs(value / self.value) if value != self.value and self.value else 1.0
+        return BenchParameter(value, (self.tolerance or 0.0) * unit)
 
 
 class _NoiseEntry(Section):
@@ -302,27 +275,29 @@ def _above_zero(entry: EffectValue) -> EffectValue:
 AboveZero = Annotated[EffectValue, AfterValidator(_above_zero)]
 
 
-class _Spring(Section, ABC):
-    """A part of the joint behind a spring, as a data sheet states it.
+class _Spring(Section):
+    """A part of the joint behind a spring, as a data sheet states it."""
 
-    ``inertia_of``: the bench parameter that counts its inertia too; ``share``: the effect's
-    parameter for its part of that, or for the inertia itself.
-    """
+    # The effect, the key of the inertia, the effect's parameter for it, and the bench parameter
+    # that counts it too, of which it is then a share.
+    as_effect: ClassVar[tuple[str, str, str, str | None]]
 
     stiffness_nm_per_rad: AboveZero
     damping_nm_s_per_rad: EffectValue = EffectValue(value=0.0)
 
-    @abstractmethod
-    def effect(self, values: Mapping[str, float]) -> BenchEffect:
+    def effect(self, values: Values) -> BenchEffect:
         """As the bench takes it; ``values``: the bench's parameters."""
-
-    def _spring(self) -> dict[str, EffectParameterValue]:
-        """Compliance, and damping over stiffness."""
+        name, key, parameter, whole = self.as_effect
+        inertia: EffectValue = getattr(self, key)
+        own = inertia.parameter()
+        if whole is not None:
+            own = _divided(inertia, EffectValue(value=values[whole]))
         stiffness, damping = self.stiffness_nm_per_rad, self.damping_nm_s_per_rad
         k, sd = stiffness.value, damping.parameter().sd
         time = EffectParameterValue(damping.value / k, None if sd is None else sd / k)
-        one = EffectValue(value=1.0)
-        return {"compliance_rad_per_nm": _divided(one, stiffness), "damping_time_s": time}
+        compliance = _divided(EffectValue(value=1.0), stiffness)
+        spring = {"compliance_rad_per_nm": compliance, "damping_time_s": time}
+        return BenchEffect(name, {**spring, parameter: own})
 
 
 def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
@@ -340,6 +315,8 @@ class BeltSection(_Spring):
     ``reducer_inertia_kg_m2`` is the part of it behind the belt.
     """
 
+    as_effect = ("belt", "reducer_inertia_kg_m2", "reducer_share", "motor_inertia_kg_m2")
+
     reducer_inertia_kg_m2: AboveZero
     play_rad: EffectValue = EffectValue(value=0.0)
 
@@ -354,12 +331,6 @@ class BeltSection(_Spring):
             )
         return entry
 
-    def effect(self, values: Mapping[str, float]) -> BenchEffect:
-        """See :class:`_Spring`."""
-        whole = EffectValue(value=values["motor_inertia_kg_m2"])
-        share = _divided(self.reducer_inertia_kg_m2, whole)
-        return BenchEffect("belt", {**self._spring(), "reducer_share": share})
-
 
 class ArmSection(_Spring):
     """``[arm]``: an elastic arm or payload behind the load, all at the load.
@@ -368,27 +339,24 @@ class ArmSection(_Spring):
     load; ``inertia_kg_m2`` and ``gravity_share`` are what of them is behind the spring.
     """
 
+    as_effect = ("arm", "inertia_kg_m2", "inertia_share", "load_inertia_kg_m2")
+
     inertia_kg_m2: AboveZero
     gravity_share: EffectValue = EffectValue(value=0.5)
 
-    def effect(self, values: Mapping[str, float]) -> BenchEffect:
+    def effect(self, values: Values) -> BenchEffect:
         """See :class:`_Spring`."""
-        whole = EffectValue(value=values["load_inertia_kg_m2"])
-        share = _divided(self.inertia_kg_m2, whole)
-        gravity = self.gravity_share.parameter()
-        parts = {**self._spring(), "inertia_share": share, "gravity_share": gravity}
-        return BenchEffect("arm", parts)
+        spring = super().effect(values)
+        parts = {**spring.parameters, "gravity_share": self.gravity_share.parameter()}
+        return BenchEffect(spring.name, parts)
 
 
 class BaseSection(_Spring):
     """``[base]``: what the joint is mounted on, about the joint's axis."""
 
-    inertia_kg_m2: AboveZero
+    as_effect = ("base", "inertia_kg_m2", "inertia_kg_m2", None)
 
-    def effect(self, values: Mapping[str, float]) -> BenchEffect:
-        """See :class:`_Spring`."""
-        inertia = self.inertia_kg_m2.parameter()
-        return BenchEffect("base", {**self._spring(), "inertia_kg_m2": inertia})
+    inertia_kg_m2: AboveZero
 
 
 class GapSection(Section):
@@ -440,8 +408,10 @@ class EffectEntry(Section):
         return self
 
 
-class _LearnedSection(Section, ABC):
+class _LearnedSection(Section):
     """A term of no known law; what makes no sense is refused as the term itself refuses it."""
+
+    term: ClassVar[type[LearnedTorque | EncoderError]]
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
@@ -451,9 +421,9 @@ class _LearnedSection(Section, ABC):
             refuse(error.problem, found=error.found, expected=error.expected)
         return self
 
-    @abstractmethod
-    def learned(self) -> LearnedTerm:
+    def learned(self) -> Any:
         """As the bench takes it."""
+        return self.term(**dict(self))
 
 
 class LearnedTorqueSection(_LearnedSection):
@@ -464,6 +434,8 @@ class LearnedTorqueSection(_LearnedSection):
     ``reverses``. ``period`` in rad, rad/s or s; ``sd_nm`` of constant, cosines and sines.
     """
 
+    term = LearnedTorque
+
     side: Side
     variable: Variable
     period: float = Field(gt=0.0)
@@ -473,10 +445,6 @@ class LearnedTorqueSection(_LearnedSection):
     reverses: bool = False
     sd_nm: Items[float] = ()
 
-    def learned(self) -> LearnedTorque:
-        """As the bench takes it."""
-        return LearnedTorque(**dict(self))
-
 
 class EncoderErrorSection(_LearnedSection):
     """``[encoder_error]``: the angle that the motor's encoder shows less the true one.
@@ -485,14 +453,12 @@ class EncoderErrorSection(_LearnedSection):
     θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad); ``sd_rad`` of cosines and sines.
     """
 
+    term = EncoderError
+
     period_rad: float = Field(gt=0.0)
     cosine_rad: Items[float]
     sine_rad: Items[float]
     sd_rad: Items[float] = ()
-
-    def learned(self) -> EncoderError:
-        """As the bench takes it."""
-        return EncoderError(**dict(self))
 
 
 class BenchFile(Section):
@@ -571,8 +537,11 @@ class BenchFile(Section):
             if entry.unit is not None and name in CONVERSIONS
         }
         printed = {name: entry.value for name, entry in self.parameters.items()}
+        found = {name: value for name, value in printed.items() if name not in units}
         try:
-            return converted(printed, units)
+            for name in filter(units.__contains__, CONVERSIONS):  # in the order of their needs
+                found[name] = CONVERSIONS[name][units[name]](printed[name], found)
+            return found
         except KeyError as missing:
             raise BenchError(
                 "A unit is converted with another parameter, which is missing.",

@@ -58,25 +58,22 @@ def problems_of(
     text: str = "",
     origins: Mapping[Location, str] = MappingProxyType({}),
 ) -> list[ConfigError]:
-    """The problems that pydantic found in tables of this model, in the order of ``text``.
-
-    ``origins`` names what did not come from the text, such as an option: the place of its problems.
-    """
+    """The problems that pydantic found in tables of this model, in the order of ``text``."""
     lines = line_numbers(text)
     found = []
-    for item in items_of(error):
-        location = location_of(item)
-        where, line = origin_of(location, origins), 0
+    for item in _items_of(error):
+        location = _location_of(item)
+        where, line = _origin_of(location, origins), 0
         if where is None:
             known = (lines.get(location[:n]) for n in range(len(location), 0, -1))
             line = next(filter(None, known), 0)
-            where = field_name(model, location)
+            where = _field_name(model, location)
             where = f"line {line}, {where}".removesuffix(", ") if line else where
         found.append((line, ConfigError(where=where or None, **_problem(item, model, location))))
     return [problem for _, problem in sorted(found, key=lambda pair: pair[0])]
 
 
-def origin_of(location: Location, origins: Mapping[Location, str]) -> str | None:
+def _origin_of(location: Location, origins: Mapping[Location, str]) -> str | None:
     """What a value came from in place of the text: an option, or one of the recordings."""
     known = (origins.get(location[:n]) for n in range(len(location), 0, -1))
     origin = next(filter(None, known), None)
@@ -85,7 +82,7 @@ def origin_of(location: Location, origins: Mapping[Location, str]) -> str | None
     return f"recording {int(location[1]) + 1}" if len(location) > 1 else origin
 
 
-def items_of(error: ValidationError) -> list[dict[str, Any]]:
+def _items_of(error: ValidationError) -> list[dict[str, Any]]:
     """What pydantic found, except a list called too short only because its items are wrong."""
     items: list[dict[str, Any]] = [dict(item) for item in error.errors(include_url=False)]
     places: list[Location] = [item["loc"] for item in items]
@@ -96,7 +93,7 @@ def items_of(error: ValidationError) -> list[dict[str, Any]]:
     return [i for i in items if i["type"] != "too_short" or not has_wrong_items(i["loc"])]
 
 
-def location_of(item: Mapping[str, Any]) -> Location:
+def _location_of(item: Mapping[str, Any]) -> Location:
     """Where an error is: where pydantic found it, and on to the part that was refused.
 
     pydantic's mark for a mapping's key is left out.
@@ -105,7 +102,7 @@ def location_of(item: Mapping[str, Any]) -> Location:
     return (*(part for part in item["loc"] if part != "[key]"), *refused)
 
 
-def field_name(model: type[BaseModel], location: Location) -> str:
+def _field_name(model: type[BaseModel], location: Location) -> str:
     """A location as users write it: ``[estimator.model] fixed.window_end_s``."""
     tables: list[str] = []
     rest = list(location)
@@ -231,10 +228,32 @@ def load_file(path: Path, model: type[_Model]) -> _Model:
     (kind,) = get_args(model.model_fields["kind"].annotation)
     text, tables = read_toml(path, f"a file of kind {_told(kind)} in TOML")
     require_kind(tables, [kind], path, text)
+    return validated(model, tables, path.absolute().parent, path, text)
+
+
+def validated(
+    model: type[_Model],
+    tables: Mapping[str, Any],
+    directory: Path,
+    file: Path | None,
+    text: str,
+    origins: Mapping[Location, str] = MappingProxyType({}),
+) -> _Model:
+    """Tables as a configuration; its paths start from ``directory``.
+
+    ``origins`` names what did not come from the text, such as an option: the place of its problems.
+
+    Raises
+    ------
+    ConfigError
+        With everything that is wrong; it names the file where all of it is in the text.
+    """
     try:
-        return model.model_validate(tables, context={BASE_DIRECTORY: path.absolute().parent})
+        return model.model_validate(tables, context={BASE_DIRECTORY: directory})
     except ValidationError as error:
-        raise config_error(problems_of(error, model, text), path) from None
+        problems = problems_of(error, model, text, origins)
+        places = [_origin_of(_location_of(item), origins) for item in _items_of(error)]
+        raise config_error(problems, file if None in places else None) from None
 
 
 def require_text_names(paths: Iterable[Path]) -> None:

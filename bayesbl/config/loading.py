@@ -15,23 +15,12 @@ from types import MappingProxyType
 from typing import Any
 
 import tomli_w
-from pydantic import ValidationError
 
 from bayesbl.arguments import File, checked
-from bayesbl.config.files import (
-    Location,
-    config_error,
-    items_of,
-    location_of,
-    origin_of,
-    place_of_kind,
-    problems_of,
-    read_toml,
-    require_kind,
-)
+from bayesbl.config.files import Location, place_of_kind, read_toml, require_kind, validated
 from bayesbl.config.kinds import KINDS, RUNNABLE
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED, RunConfig, name_of, names_of
+from bayesbl.config.sections import PUBLISHED, RunConfig, name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import stem_of
@@ -220,13 +209,8 @@ def _validate(document: _Document) -> RunConfig:
     model = KINDS.get(_kind_of(document))
     if model is None:
         raise _wrong_kind(document)
-    try:
-        config = model.model_validate(document.tables, context={BASE_DIRECTORY: document.directory})
-    except ValidationError as error:
-        problems = problems_of(error, model, document.text, document.origins)
-        origins = [origin_of(location_of(item), document.origins) for item in items_of(error)]
-        raise config_error(problems, document.file if None in origins else None) from None
-    return config
+    found = document
+    return validated(model, found.tables, found.directory, found.file, found.text, found.origins)
 
 
 def _kind_of(document: _Document) -> str:

@@ -367,56 +367,46 @@ class CompareConfig(SnapshotConfig):
             )
         dates = _dates(recordings)
         if dates is None:
-            repaired = [f'"{recording.name}"' for recording in recordings if recording.repaired]
-            if repaired:
-                refuse(
-                    "repaired = true marks the recording from which the rate of wear is "
-                    "counted, and a rate needs dates.",
-                    found=f"{', '.join(repaired)}, and no dates",
-                    expected="date = 2026-03-01 in every [[recordings]], or no repaired = true",
-                )
             return recordings
         order = sorted(range(len(dates)), key=dates.__getitem__)
         return tuple(recordings[number] for number in order)
 
     @model_validator(mode="after")
-    def _wears_over_dates(self) -> Self:
-        if self.wear != WearOverDates() and self.dates is None:
-            refuse(
-                "[wear] needs dated recordings.",
-                found="a recording without a date",
-                expected="date = 2026-03-01 in every [[recordings]], or no [wear]",
-                at=("wear",),
-            )
-        start = self.wear.in_service_since
-        if start is not None and self.dates is not None:
-            repairs = [d for d, r in zip(self.dates, self.recordings, strict=True) if r.repaired]
-            first = repairs[-1] if repairs else self.dates[0]
-            if start > first:
-                refuse(
-                    "The joint cannot have begun to work after its first recording.",
-                    found=f"in_service_since = {start}, first recording {first}",
-                    expected="an earlier date, or none where it is not known",
-                    at=("wear", "in_service_since"),
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _decides_on_the_future(self) -> Self:
-        before = self.joint.decide_before
-        if before is None:
+    def _what_needs_dates(self) -> Self:
+        before, start, dates = self.joint.decide_before, self.wear.in_service_since, self.dates
+        repairs = [recording for recording in self.recordings if recording.repaired]
+        if dates is None:
+            marked = ", ".join(f'"{recording.name}"' for recording in repairs)
+            for asked, problem, found, at in (
+                (repairs, "A rate of wear since a repair needs dates.", marked, ("recordings",)),
+                (self.wear != WearOverDates(), "[wear] needs dated recordings.", "", ("wear",)),
+                (
+                    before,
+                    "A decision date needs dated recordings.",
+                    f"decide_before = {before}",
+                    ("joint", "decide_before"),
+                ),
+            ):
+                if asked:
+                    refuse(
+                        problem,
+                        found=f"{found} and no dates".removeprefix(" and "),
+                        expected="date = 2026-03-01 in every [[recordings]], or --date for each",
+                        at=at,
+                    )
             return self
-        if self.dates is None:
+        first = repairs[-1].date if repairs else dates[0]
+        if start is not None and first is not None and start > first:
             refuse(
-                "A decision date needs dated recordings.",
-                found="a recording without a date",
-                expected="date = 2026-03-01 in every [[recordings]], or --date for each",
-                at=("joint", "decide_before"),
+                "The joint cannot have begun to work after its first recording.",
+                found=f"in_service_since = {start}, first recording {first}",
+                expected="an earlier date, or none where it is not known",
+                at=("wear", "in_service_since"),
             )
-        if before <= self.dates[-1]:
+        if before is not None and before <= dates[-1]:
             refuse(
                 "The decision date is not after the last recording.",
-                found=f"decide_before = {before}, last recording {self.dates[-1]}",
+                found=f"decide_before = {before}, last recording {dates[-1]}",
                 expected="a later date",
                 at=("joint", "decide_before"),
             )

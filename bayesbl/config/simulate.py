@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from bayesbl.config.files import load_file
 from bayesbl.config.sections import (
     SHORTEST_WAY_RAD,
     BenchSource,
@@ -157,14 +155,3 @@ class SimulateFile(Section):
             values = [getattr(recording, kind) for recording in recordings]
             require_different(values, f"Two recordings have the same {kind}.")
         return recordings
-
-
-def load_simulation(path: str | Path) -> SimulateFile:
-    """A simulate file, validated.
-
-    Raises
-    ------
-    ConfigError
-        Naming file and field: no such file, not TOML, unknown keys, values out of range.
-    """
-    return load_file(Path(path), SimulateFile)

@@ -108,7 +108,7 @@ class MotionSummary(TypedDict):
 class _FromSimulation(TypedDict, total=False):
     """Of the simulated bench."""
 
-    cramer_rao_sd: dict[str, float]
+    cramer_rao_sd: dict[str, float | None]
     posterior_sd: dict[str, float]
     predictive_check: list[PredictiveCheckEntry]
     motion: MotionSummary

@@ -14,16 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
 from bayesbl.presentation import play, wear, words
-from bayesbl.presentation.blocks import (
-    Advice,
-    AdviceTone,
-    Block,
-    Sentence,
-    Table,
-    numbers,
-    table,
-    text,
-)
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
 from bayesbl.presentation.words import SURE, interval_kind, route_in_words
 from bayesbl.units import number
 
@@ -37,7 +28,6 @@ if TYPE_CHECKING:
         SnapshotSummary,
         WearSummary,
     )
-    from bayesbl.results.intervals import Interval
     from bayesbl.runs.kinds import Summary
 
 
@@ -102,9 +92,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     parts = snapshots(summary)
     _, *others = lead(summary)
     limits = above_limit(summary), in_unit_of_limit(summary)
-    for sentence in (*others, which(summary), *steps(summary), *limits):
-        if sentence:
-            yield Sentence(sentence)
+    told = (*others, which(summary), *steps(summary), *limits)
+    yield from map(Sentence, filter(None, told))
     if has_shrunk(summary):
         yield Sentence(SHRANK, "warning")
     if not is_ringing_alone(summary):
@@ -116,12 +105,9 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
             yield Sentence(sampler_check(part["sampler_check"]), "aside", name)
     if summary["kind"] == "compare" and summary["wear"] is not None:
         yield from wear.blocks(summary, summary["wear"])
-    yield Sentence(RINGING_EXPLAINED if is_ringing_alone(summary) else GAP_EXPLAINED, "aside")
-    if play.is_by_ramps(summary):
-        for sentence in play.of_positions(parts):
-            yield Sentence(sentence, "aside")
-    for sentence in (*budget(summary), *not_answering(parts)):
-        yield Sentence(sentence, "aside")
+    yield aside(RINGING_EXPLAINED if is_ringing_alone(summary) else GAP_EXPLAINED)
+    positions = play.of_positions(parts) if "ramps" in parts[0][1] else ()
+    yield from map(aside, (*positions, *budget(summary), *not_answering(parts)))
     for label, sentence in reasons(summary):
         yield Sentence(sentence, "warning", label)
     reason = summary["reason"]
@@ -148,13 +134,18 @@ def lead(summary: MeasuredSummary) -> Iterator[str]:
 def headline(summary: MeasuredSummary) -> str:
     """The gap, or the change of compared ones."""
     if is_ringing_alone(summary):
-        return ringing_headline(summary)
+        return _ringing_headline(summary)
     by = f"{OTHER_MACHINE}: " if is_by_other_machine(summary) else ""
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
         if change is not None and growth is not None:
             if (cause := wear.other_cause(summary)) is not None:
-                return f"{by}{if_nothing_else(change, growth, cause)}"
+                told = words.change_of("it", change, "mrad", 1e3)
+                return (
+                    f"{by}The gap is not shown to have changed: {told} if nothing else in the "
+                    f"joint changed ({grew(growth)}), but a change of {cause} could explain as "
+                    "much."
+                )
             told = words.change_of("The gap", change, "mrad", 1e3)
             return f"{by}{told}; {grew(growth)}{wear.unless(summary)}."
     elif (none := play.no_play_by_ramps(summary)) is not None:
@@ -168,7 +159,7 @@ def headline(summary: MeasuredSummary) -> str:
     return f"The {what} is withheld: these data do not give an answer that can be trusted."
 
 
-def ringing_headline(summary: MeasuredSummary) -> str:
+def _ringing_headline(summary: MeasuredSummary) -> str:
     """The amplitude, or its change from first to last, where there is no gap."""
     if summary["outcome"] == "withheld":
         what = "change of the ringing" if summary["kind"] == "compare" else "ringing"
@@ -231,15 +222,6 @@ def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]
         yield f"No answer by {route_in_words(route)}{words.of(*names)}: {why}"
 
 
-def if_nothing_else(change: Interval, growth: float, cause: str) -> str:
-    """A change of the gap that another one, unseen, could make: never told as shown."""
-    told = words.change_of("it", change, "mrad", 1e3)
-    return (
-        f"The gap is not shown to have changed: {told} if nothing else in the joint changed "
-        f"({grew(growth)}), but a change of {cause} could explain as much."
-    )
-
-
 def grew(value: float) -> str:
     """The probability of growth as part of a sentence."""
     return f"probability that it grew: {words.probability(value)}"
@@ -249,9 +231,8 @@ def has_shrunk(summary: MeasuredSummary) -> bool:
     """Whether a comparison without dates, which cannot show a repair, has less gap than before."""
     if summary["kind"] != "compare" or summary["wear"] is not None:
         return False
-    if wear.other_cause(summary) is not None:
-        return False
-    return summary["change_rad"] is not None and summary["change_rad"]["high"] < 0.0
+    change = summary["change_rad"]
+    return change is not None and change["high"] < 0.0 and wear.other_cause(summary) is None
 
 
 def steps(summary: MeasuredSummary) -> Iterator[str]:
@@ -295,7 +276,7 @@ def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
     """Each gap in the unit and of the kind that the limit was stated in; ``None`` without one."""
     stated = [(n, p["limit"]) for n, p in snapshots(summary) if "limit" in p]
     values = ", ".join(
-        f"{number(one['median'], words.decimals(one))} ({words.bounds(one)}){words.of(name)}"
+        f"{words.middle(one)} ({words.bounds(one)}){words.of(name)}"
         for name, limit in stated
         if (one := limit["measured"]) is not None
     )
@@ -304,13 +285,12 @@ def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
 
 def budget(summary: MeasuredSummary) -> Iterator[str]:
     """Where the width of each interval given comes from, in one line."""
-    answered = [(n, p) for n, p in snapshots(summary) if p["delta_rad"] is not None]
-    for name, part in answered:
+    for name, part in snapshots(summary):
         shares = sorted(part["budget"].items(), key=lambda item: -item[1])
         each = [
             f"{words.source_in_words(source)} {words.probability(share)}"
             for source, share in shares
-            if share >= words.RAREST
+            if share >= words.RAREST and part["delta_rad"] is not None
         ]
         if each:
             yield f"Variance of the gap{words.of(name)}, by source: {', '.join(each)}."
@@ -344,12 +324,11 @@ def _gap_table(summary: MeasuredSummary) -> Table:
     """A row a snapshot, and one of the change; columns for each route."""
     parts = snapshots(summary)
     compared = summary["kind"] == "compare"
-    places = words.common_decimals(part["delta_rad"] for _, part in parts)
-    if play.is_by_ramps(summary) or play.is_by_two_encoders(summary):
-        return play.gap_table(parts, places)
+    if "lost_motion_rad" in parts[0][1]:
+        return play.gap_table(parts)
     routes = [name for name, found in parts[0][1]["routes"].items() if "diagnostics" in found]
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
-    kind = words.short_kind(first or next(iter(parts[0][1]["parameters"].values())))
+    kind = words.interval_kind(first or next(iter(parts[0][1]["parameters"].values())))
     columns = [text("Snapshot")] if compared else []
     for route in routes:
         by = (
@@ -363,15 +342,13 @@ def _gap_table(summary: MeasuredSummary) -> Table:
     for name, part in parts:
         cells = [name] if compared else []
         for own in (part["routes"][route] for route in routes):
-            gap, upper_rad = own["delta_rad"], own["delta_upper_bound_rad"]
-            cells += words.gap_cells(gap, words.common_decimals([gap]), upper_rad)
+            cells += words.gap_cells(own["delta_rad"], own["delta_upper_bound_rad"])
         rows.append([*cells, part["diagnostics"]["outcome"]])
     if summary["kind"] == "compare":
         cells = ["change"]
         for route in routes:
             by_route = summary["routes"][route]["change_rad"]
-            given = summary["change_rad"] if route == routes[0] else by_route
-            cells += words.gap_cells(given, words.common_decimals([given]))
+            cells += words.gap_cells(summary["change_rad"] if route == routes[0] else by_route)
         rows.append([*cells, summary["outcome"]])
     return table(columns, rows)
 
@@ -381,15 +358,8 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
     compared = summary["kind"] == "compare"
-    columns = (
-        *([text("Ringing")] if compared else []),
-        numbers("A\n(rpm)"),
-        numbers("τ\n(1/s)"),
-        numbers("1/τ\n(ms)"),
-        numbers("ω/2π\n(Hz)"),
-        numbers("RMSE\n(rpm)"),
-        numbers("Noise sd\n(rpm)"),
-    )
+    titles = ("A\n(rpm)", "τ\n(1/s)", "1/τ\n(ms)", "ω/2π\n(Hz)", "RMSE\n(rpm)", "Noise sd\n(rpm)")
+    columns = (*([text("Ringing")] if compared else []), *map(numbers, titles))
     rows = []
     for name, part in snapshots(summary):
         found = with_ringing(part)
@@ -412,6 +382,14 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     return table(columns, rows)
 
 
+_AGAIN = {
+    "motion": "the motion two times or more in a row",
+    "ramps": "with the ramps that are asked for",
+    "reversals": "with more reversals, slow and fast",
+}
+_LONGER = "longer and at one constant speed"
+"""How to record again, by a key of what the route tells; of the others."""
+
 NOT_SHOWN = "No wear is shown: something other than the gap may have changed."
 
 
@@ -421,13 +399,7 @@ def advice(summary: MeasuredSummary) -> Advice:
     if summary["outcome"] == "no_curve":
         return _of_ringing(summary)
     if last["delta_rad"] is None:
-        again = "longer and at one constant speed"
-        if "motion" in last:
-            again = "the motion two times or more in a row"
-        if play.is_by_ramps(summary):
-            again = "with the ramps that are asked for"
-        elif play.is_by_two_encoders(summary):
-            again = "with more reversals, slow and fast"
+        again = next((how for key, how in _AGAIN.items() if key in last), _LONGER)
         return Advice(
             "withheld",
             "Do not decide from these recordings.",
@@ -486,8 +458,10 @@ def _by_forecast(found: WearSummary, last: SnapshotSummary, unless: str) -> Advi
     if earliest is None:
         return Advice("fine", "No repair is due for years.", sentences)
     asked = found["probability_before"]
-    tone: AdviceTone = "fine" if asked is None or asked["probability"] <= 1.0 - SURE else "watch"
-    return Advice(tone, f"Plan the repair for {earliest} or before.", sentences)
+    is_soon = asked is not None and asked["probability"] > 1.0 - SURE
+    return Advice(
+        "watch" if is_soon else "fine", f"Plan the repair for {earliest} or before.", sentences
+    )
 
 
 def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
@@ -525,7 +499,12 @@ def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None)
 
 def _caveats(summary: MeasuredSummary) -> Iterator[str]:
     if summary["kind"] == "compare":
-        yield from _caveats_of_change(summary)
+        change, found = summary["change_rad"], summary["wear"]
+        if found is not None and found["reason"] is not None:
+            yield found["reason"]["text"]
+        grown = change is not None and change["low"] > 0.0 and wear.other_cause(summary) is None
+        if found is None and grown:
+            yield "Give the recordings their dates (--date) for a forecast of further wear."
     if has_shrunk(summary):
         yield SHRANK
     if is_by_other_machine(summary):
@@ -536,30 +515,34 @@ def _caveats(summary: MeasuredSummary) -> Iterator[str]:
         )
 
 
-def _caveats_of_change(summary: ComparisonSummary) -> Iterator[str]:
-    change, found = summary["change_rad"], summary["wear"]
-    if found is None:
-        shown = wear.other_cause(summary) is None
-        if shown and change is not None and change["low"] > 0.0:
-            yield "Give the recordings their dates (--date) for a forecast of further wear."
-        return
-    if found["reason"] is not None:
-        yield found["reason"]["text"]
-    if len(found["snapshots"]) == 2:
-        yield "Two snapshots cannot show whether the wear is steady: take a third."
-
-
 def assumptions(summary: MeasuredSummary) -> Iterator[str]:
     """Assumptions of a measured gap."""
     last = snapshots(summary)[-1][1]
-    if play.is_by_ramps(summary):
-        yield from _of_ramps(summary)
-        yield from _of_interval(last)
-        return
-    if play.is_by_two_encoders(summary):
-        yield from play.encoder_assumptions(summary)
-        yield from _of_interval(last)
-        return
+    if "ramps" in last:
+        yield from play.RAMPS_ASSUME
+    elif "reversals" in last:
+        yield from play.ENCODERS_ASSUME
+    else:
+        yield from _of_ringing_joint(summary, last)
+    if summary["kind"] == "compare":
+        if is_simulated(summary):
+            yield (
+                "Between the snapshots damping, friction, stiffness and the motor's torque drift "
+                "by no more than usual ([joint.drift]); controller and load are the same, unless "
+                "a change of them is reported."
+            )
+        else:
+            same = "same joint, controller and load"
+            yield f"Nothing but the gap changed between the snapshots: {same}."
+    found = last["delta_rad"] or last["amplitude_rpm"]
+    if found is not None:
+        yield (
+            f"The {interval_kind(found)} is a credible interval: on these assumptions, it contains "
+            f"the value with probability {100.0 * found['level']:g} %."
+        )
+
+
+def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterator[str]:
     if "motion" in last:
         yield "The reference channel is the motion that the joint was commanded to make."
     else:
@@ -579,37 +562,3 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
     yield f"Noise is what does not repeat from one {again} to the next, and is steady."
     if not is_ringing_alone(summary):
         yield "Before the recording, every gap is equally likely on a logarithmic scale."
-    if summary["kind"] == "compare":
-        if is_simulated(summary):
-            yield (
-                "Between the snapshots damping, friction, stiffness and the motor's torque drift "
-                "by no more than usual ([joint.drift]); controller and load are the same, unless "
-                "a change of them is reported."
-            )
-        else:
-            yield (
-                "Nothing but the gap changed between the snapshots: same joint, controller and "
-                "load."
-            )
-    yield from _of_interval(last)
-
-
-def _of_ramps(summary: MeasuredSummary) -> Iterator[str]:
-    yield "The output was held and does not give way; position and torque are those of the output."
-    yield "The ramps are slow: friction and inertia do not depend on how fast the joint moves."
-    yield "The measured positions represent the whole turn."
-    yield (
-        "Play is the width of the loop at zero torque. Where the joint is soft, part of that is "
-        "compliance held by friction."
-    )
-    if summary["kind"] == "compare":
-        yield "Nothing but the gap changed between the snapshots: same joint, torque and stand."
-
-
-def _of_interval(last: SnapshotSummary) -> Iterator[str]:
-    found = last["delta_rad"] or last["amplitude_rpm"]
-    if found is not None:
-        yield (
-            f"The {interval_kind(found)} is a credible interval: on these assumptions, it contains "
-            f"the value with probability {100.0 * found['level']:g} %."
-        )

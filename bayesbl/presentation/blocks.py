@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -45,6 +45,18 @@ class Table:
 
 
 Block = Heading | Sentence | Table
+
+
+def labelled(lines: Mapping[str, object]) -> Iterator[Sentence]:
+    """Sentences by their labels; those that say nothing are left out."""
+    yield from (
+        Sentence(str(said), label=label) for label, said in lines.items() if said not in (None, "")
+    )
+
+
+def aside(sentence: str) -> Sentence:
+    """What need not be read."""
+    return Sentence(sentence, "aside")
 
 
 def text(title: str) -> Column:

@@ -10,7 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import answer
-from bayesbl.presentation.blocks import Block, Heading, Sentence, numbers, table, text
+from bayesbl.presentation.blocks import (
+    Block,
+    Heading,
+    Sentence,
+    aside,
+    labelled,
+    numbers,
+    table,
+    text,
+)
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.words import significant
@@ -67,17 +76,13 @@ def _origin(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
         "Gap curve": dict(summary).get("curve"),  # that a sweep made, or gaps were read from
     }
     inputs = json.loads(tree.attrs.get("input_sha256", "{}"))
-    lines |= {f"SHA-256 of {file}": digest for file, digest in inputs.items()}
-    for label, content in lines.items():
-        if content is not None:
-            yield Sentence(str(content), label=label)
+    yield from labelled(lines | {f"SHA-256 of {file}": sha for file, sha in inputs.items()})
 
 
 def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:
     """Each effect with where it enters and what it is."""
-    for effect in effects:
-        yield Sentence(effect.sentence, label=f"{effect.name} ({effect.enters})")
-    yield Sentence("bayesbl effects NAME shows one in full.", "aside")
+    yield from labelled({f"{one.name} ({one.enters})": one.sentence for one in effects})
+    yield aside("bayesbl effects NAME shows one in full.")
 
 
 def entry(effect: Effect) -> Iterator[Block]:
@@ -92,9 +97,7 @@ def entry(effect: Effect) -> Iterator[Block]:
         "In the data": effect.data,
         "Reference": effect.reference,
     }
-    for label, content in lines.items():
-        if content:
-            yield Sentence(content, label=label)
+    yield from labelled(lines)
     rows = [
         (item.name, item.unit or "1", *map(_plain, (item.low, item.high, item.neutral)))
         for item in effect.parameters
@@ -152,8 +155,7 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
 
 def choice_blocks(guess: Iterable[Choice]) -> Iterator[Block]:
     """How recordings and bench would be compared, with the reasons."""
-    for choice in guess:
-        yield Sentence(choice.told)
+    yield from (Sentence(choice.told) for choice in guess)
 
 
 def what_next(
@@ -162,21 +164,18 @@ def what_next(
     """Where the configuration is, and what to do with it."""
     if not sound:
         return f"Written to {path}. It cannot run yet:"
-    if torque_ramps:
-        return (
-            f"Written to {path}, for ramps of torque with the output held. Correct units and "
-            f"gear_ratio there, then: bayesbl run {shlex.quote(str(path))}"
-        )
-    if two_encoders:
-        return (
-            f"Written to {path}, for encoders of motor and load. Correct units there, fill in "
-            f"gear_ratio if it is known, then: bayesbl run {shlex.quote(str(path))}"
-        )
-    return (
-        f"Written to {path}. Correct columns there, and fill in gear_ratio, limit (when to repair) "
-        f"and bench (a file that describes the joint; bayesbl init --bench writes one), then: "
-        f"bayesbl run {shlex.quote(str(path))}"
+    correct = (
+        ". Correct columns there, and fill in gear_ratio, limit (when to repair) and bench (a file "
+        "that describes the joint; bayesbl init --bench writes one)"
     )
+    if torque_ramps:
+        correct = ", for ramps of torque with the output held. Correct units and gear_ratio there"
+    if two_encoders:
+        correct = (
+            ", for encoders of motor and load. Correct units there, fill in gear_ratio if it is "
+            "known"
+        )
+    return f"Written to {path}{correct}, then: bayesbl run {shlex.quote(str(path))}"
 
 
 def recording_line(row: Mapping[str, Any]) -> str:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
+from itertools import starmap
 from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import (
     Advice,
-    AdviceTone,
     Block,
     Heading,
     Sentence,
     Table,
+    aside,
     numbers,
     table,
     text,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from bayesbl.diagnosis.disagreement import Use
     from bayesbl.diagnosis.summary import (
+        Answer,
         DiagnosisSummary,
         DisagreementSummary,
         DisagreementTableSummary,
@@ -38,11 +40,9 @@ if TYPE_CHECKING:
         LearnedSummary,
         RemainingSummary,
     )
+    from bayesbl.identification.summary import EffectFound
     from bayesbl.results.intervals import Interval
 
-
-FAR_BEYOND_NOISE = 10.0
-"""Standard deviations from zero above which their number is of no use to a reader."""
 
 MOST_RIVALS = 2
 """That a headline lists by name."""
@@ -54,13 +54,12 @@ _USES = {"used": "fitted on", "held_out": "held out"}
 
 def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     """One sentence per effect and parameter, the disagreement, what still repeats."""
-    for sentence in (*effects(summary), *parameter_errors(summary), *learned(summary)):
-        yield Sentence(sentence)
+    effects = map(effect_in_words, summary["effects"])
+    yield from map(Sentence, (*effects, *parameter_errors(summary), *learned(summary)))
     yield disagreement_table(summary["disagreement"])
     if any(row["closed_fraction"] is None for *_, row in _rows(summary["disagreement"])):
-        yield Sentence(UNTOLD_SHARE, "aside")
-    for sentence in (*remaining(summary), *wear(summary), *suggestion(summary)):
-        yield Sentence(sentence)
+        yield aside(UNTOLD_SHARE)
+    yield from map(Sentence, (*remaining(summary), *wear(summary), *suggestion(summary)))
 
 
 def residual_blocks(tree: xr.DataTree, _: DiagnosisSummary) -> Iterator[Block]:
@@ -79,14 +78,13 @@ def headline(summary: DiagnosisSummary) -> str:
     match summary["verdict"]:
         case "named":
             names = [_size_in_short(effect) for effect in summary["effects"]]
-            if any(effect["indistinguishable_from"] for effect in summary["effects"]):
-                listed = "; ".join(names)
-            else:
-                listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-            missing = (
-                "is missing from the bench" if len(names) == 1 else "are missing from the bench"
-            )
-            return words.capitalised(f"{listed} {missing}{_effect_of_naming(summary)}.")
+            are, them = ("is", "it") if len(names) == 1 else ("are", "them")
+            found = summary["disagreement"]["over_all"].get("held_out")
+            gone = ""
+            if found is not None and found["closed_fraction"] is not None:
+                share = removed(found["closed_fraction"])
+                gone = f": with {them}, {share} of the disagreement on held-out data is gone"
+            return capitalised(f"{'; '.join(names)} {are} missing from the bench{gone}.")
         case "parameter_error" if "gap_withheld" in summary:
             return (
                 "The bench is wrong by more than was searched, or lacks an effect that is not in "
@@ -96,8 +94,8 @@ def headline(summary: DiagnosisSummary) -> str:
             return "No effect is missing, but the bench is wrong: " + next(
                 parameter_errors(summary)
             )
-        case "unexplained" if (found := learned_of(summary)) is not None:
-            return f"No known effect explains the disagreement. It follows {dependence(found)}."
+        case "unexplained" if (known := learned_of(summary)) is not None:
+            return f"No known effect explains the disagreement. It follows {dependence(known)}."
         case "unexplained" if summary["remaining"]:
             what = next(remaining(summary)).partition(": ")[2]
             return f"Something repeats that no known effect explains: {what}"
@@ -133,30 +131,13 @@ def _size_in_short(effect: EffectSummary) -> str:
     return f"{sized_name}, or {alike}" if alike else sized_name
 
 
-def _effect_of_naming(summary: DiagnosisSummary) -> str:
-    """``: with it, 99.8 % of the disagreement on held-out data is gone``."""
-    found = summary["disagreement"]["over_all"].get("held_out")
-    if found is None or found["closed_fraction"] is None:
-        return ""
-    them = "it" if len(summary["effects"]) == 1 else "them"
-    share = removed(found["closed_fraction"])
-    return f": with {them}, {share} of the disagreement on held-out data is gone"
-
-
-def effects(summary: DiagnosisSummary) -> Iterator[str]:
-    """Each named effect with its parameters and what it cannot be distinguished from."""
-    for effect in summary["effects"]:
-        parameters = ", ".join(
-            sized(name, interval) for name, interval in effect["parameters"].items()
-        )
-        far = "far beyond noise"
-        if effect["z"] <= FAR_BEYOND_NOISE:
-            far = f"{effect['z']:.0f} standard deviations from zero"
-        text = f"{in_words(effect['name'])}: {parameters}; {far}."
-        alike = effect["indistinguishable_from"]
-        if alike:
-            text += f" Cannot be distinguished from {', '.join(in_words(name) for name in alike)}."
-        yield words.capitalised(text)
+def effect_in_words(effect: EffectSummary | EffectFound) -> str:
+    """A named effect with its parameters and what it cannot be distinguished from."""
+    parameters = ", ".join(starmap(sized, effect["parameters"].items()))
+    text = f"{in_words(effect['name'])}: {parameters}."
+    if alike := effect["indistinguishable_from"]:
+        text += f" Cannot be distinguished from {', '.join(map(in_words, alike))}."
+    return capitalised(text)
 
 
 def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
@@ -166,10 +147,10 @@ def parameter_errors(summary: DiagnosisSummary) -> Iterator[str]:
         tolerance = f" ± {_digits(error['tolerance'])}" if error["tolerance"] else ""
         believed = _with_unit(f"{_digits(error['believed'])}{tolerance}", unit)
         text = f"{in_words(name)} is {_value(error['fitted'], unit)}, not {believed}."
-        yield words.capitalised(text)
+        yield capitalised(text)
 
 
-def learned_of(summary: DiagnosisSummary) -> LearnedSummary | None:
+def learned_of(summary: Answer) -> LearnedSummary | None:
     """What was learned, if anything was."""
     return summary.get("learned_torque") or summary.get("encoder_error")
 
@@ -180,9 +161,9 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
     if found is None:
         return
     if "amplitude_rad" in found:
-        size = f"{words.significant(1e3 * found['amplitude_rad'])} mrad"
+        size = f"{significant(1e3 * found['amplitude_rad'])} mrad"
     else:
-        size = f"{words.significant(found['amplitude_nm'])} N m"
+        size = f"{significant(found['amplitude_nm'])} N m"
     text = f"Learned, because no known effect explains it: {dependence(found)}, {size}."
     if found["alike"]:
         others = "; ".join(dependence(other) for other in found["alike"])
@@ -193,7 +174,7 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         yield found["gap_withheld"]
     elif share is not None and share < 0.5:
         yield (
-            f"It hides all but {words.significant(100.0 * share)} % of the information on the gap; "
+            f"It hides all but {significant(100.0 * share)} % of the information on the gap; "
             "the gap's interval includes that."
         )
 
@@ -212,7 +193,7 @@ def dependence(found: LearnedDependence | LearnedSummary) -> str:
     if found["variable"] == "time":
         listed = f"{orders[0]} Hz" if found["orders"] == 1 else f"{orders[0]} to {orders[1]} Hz"
     if found["variable"] == "motor_speed":
-        listed = f"{found['orders']} waves over {words.significant(found['period'])} rad/s"
+        listed = f"{found['orders']} waves over {significant(found['period'])} rad/s"
     reverses = " that reverses with the direction" if found["reverses"] else ""
     if found["side"] == "encoder":
         return f"an error of the motor's encoder over {over}, {listed}"
@@ -221,7 +202,6 @@ def dependence(found: LearnedDependence | LearnedSummary) -> str:
 
 def remaining(summary: DiagnosisSummary) -> Iterator[str]:
     """What still repeats after naming."""
-
     for line in summary["remaining"]:
         yield f"Still there: {unexplained_phrase(line)}."
 
@@ -240,7 +220,7 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
         yield (f"A fit that ignores the disagreement gives a gap of {gap}: do not rely on it.")
     elif summary["effects"] or summary["parameter_errors"]:
         away = 100.0 * (before["median"] / after["median"] - 1.0)
-        size = f"{words.significant(abs(away))} % too {'small' if away < 0.0 else 'large'}"
+        size = f"{significant(abs(away))} % too {'small' if away < 0.0 else 'large'}"
         yield (
             f"The gap is {gap}; the bench as given yields {1e3 * before['median']:.4g} mrad, "
             f"{size}."
@@ -279,7 +259,7 @@ def _value(interval: Interval | HeldValue, unit: str) -> str:
 
 
 def _digits(value: float) -> str:
-    return words.significant(value, 4) if value % 1.0 else number(value, 0)
+    return significant(value, 4) if value % 1.0 else number(value, 0)
 
 
 def _with_unit(value: str, unit: str) -> str:
@@ -344,8 +324,9 @@ def advice(summary: DiagnosisSummary) -> Advice:
     verdict = summary["verdict"]
     wrong = tuple(parameter_errors(summary)) if verdict == "parameter_error" else ()
     if "augmented_bench" in summary:
-        tone: AdviceTone = "watch" if verdict == "unexplained" else "note"
-        return Advice(tone, f"Continue with {AUGMENTED_BENCH}.", (*wrong, *_go_on(summary)))
+        title = f"Continue with {AUGMENTED_BENCH}."
+        sentences = (*wrong, *_go_on(summary))
+        return Advice("watch" if verdict == "unexplained" else "note", title, sentences)
     match verdict:
         case "named":
             names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import answer, play, words
-from bayesbl.presentation.blocks import Block, Heading, Sentence, Table, numbers, table, text
+from bayesbl.presentation.blocks import Block, Heading, Table, aside, labelled, numbers, table, text
 from bayesbl.units import number
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary
-    from bayesbl.results.intervals import Interval
 
 
 BOUND_EXPLAINED = (
@@ -79,7 +78,7 @@ def _of_amplitude(part: RouteSummary, rivals: str) -> Iterator[Block]:
         "Sampling": words.sampling(part),
         "Rival optima": rivals,
     }
-    yield from (Sentence(said, label=label) for label, said in lines.items() if said)
+    yield from labelled(lines)
 
 
 def _impacts(part: RouteSummary) -> str:
@@ -97,32 +96,21 @@ def _box_search(part: RouteSummary) -> str:
 
 
 def _parameter_table(part: RouteSummary) -> Table:
-    """All nine symbols and the time constant, with intervals or as fixed."""
-    from bayesbl.ringing.symbols import DECAY, SYMBOLS
+    """All nine symbols, with intervals or as fixed."""
+    from bayesbl.ringing.symbols import SYMBOLS
 
-    kind = words.short_kind(next(iter(part["parameters"].values())))
+    kind = words.interval_kind(next(iter(part["parameters"].values())))
     columns = (text("Parameter"), *map(numbers, ("Optimum", "Median", kind)), text("Unit"))
     rows = []
     for name, symbol in SYMBOLS.items():
         best, found = part["optimum"][name], part["parameters"].get(name)
-        rows.append(_row(name, best, found, symbol.unit))
-        if name == DECAY:  # which its symbol τ is often taken for a time constant
-            inverse = None if found is None else _inverse(found, 1e3)
-            rows.append(_row("  as a time constant", 1e3 / best, inverse, "ms"))
+        cells = [f"{best:g}", "", "fixed"]
+        if found is not None:
+            places = words.decimals(found, units=20.0)
+            cells = [number(value, places) for value in (best, found["median"])]
+            cells.append(words.bounds(found, places=places))
+        rows.append([name, *cells, symbol.unit])
     return table(columns, rows)
-
-
-def _inverse(found: Interval, scale: float) -> Interval:
-    low, middle, high = (scale / found[key] for key in ("high", "median", "low"))
-    return {**found, "median": middle, "low": low, "high": high}
-
-
-def _row(name: str, best: float, found: Interval | None, unit: str) -> tuple[str, ...]:
-    if found is None:
-        return name, f"{best:.3g}" if unit == "ms" else f"{best:g}", "", "fixed", unit
-    places = words.decimals(found, units=20.0)
-    shown = (number(value, places) for value in (best, found["median"]))
-    return name, *shown, words.bounds(found, places=places), unit
 
 
 def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
@@ -141,30 +129,22 @@ def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
 def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     """Every unknown with its interval and its bound, the predictive check, noise and sampling."""
     yield _unknown_table(part)
-    yield Sentence(BOUND_EXPLAINED, "aside")
+    yield aside(BOUND_EXPLAINED)
     yield _check_table(part)
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
-    yield Sentence(CHECK_EXPLAINED.format(turn), "aside")
-    lines = {
-        "Noise": noise(part),
-        "Sampling": words.sampling(part),
-        "Full simulation": simulated(part),
-    }
-    for label, sentence in lines.items():
-        yield Sentence(sentence, label=label)
-
-
-def simulated(part: RouteSummary) -> str:
-    """What full simulations say of the draws of the surrogate."""
+    yield aside(CHECK_EXPLAINED.format(turn))
     found = part["diagnostics"]
-    return (
+    simulated = (
         f"{found['effective_after_simulation']:.0f} effective draws by {found['simulated_draws']} "
         f"simulations, surrogate fitted again {found['surrogate_refits']} times"
     )
+    sampling = words.sampling(part)
+    lines = {"Noise": noise(part), "Sampling": sampling, "Full simulation": simulated}
+    yield from labelled(lines)
 
 
 def _unknown_table(part: RouteSummary) -> Table:
-    kind = words.short_kind(next(iter(part["parameters"].values())))
+    kind = words.interval_kind(next(iter(part["parameters"].values())))
     titles = ("Optimum", "Posterior sd", "Cramér-Rao", kind)
     rows = [_unknown_row(part, name) for name in part["optimum"]]
     return table((text("Parameter"), *map(numbers, titles)), rows)
@@ -172,7 +152,11 @@ def _unknown_table(part: RouteSummary) -> Table:
 
 def _unknown_row(part: RouteSummary, name: str) -> tuple[str, ...]:
     found = part["delta_rad"] if name == "delta_rad" else part["parameters"][name]
-    errors = (words.significant(part[key][name], 3) for key in ("posterior_sd", "cramer_rao_sd"))
+    # Without a bound, what these recordings say nothing of has no finite one.
+    errors = (
+        "–" if (sd := part[key][name]) is None else words.significant(sd, 3)
+        for key in ("posterior_sd", "cramer_rao_sd")
+    )
     if found is None:
         return name, "withheld", *errors, "withheld"
     best = f"{part['optimum'][name]:.6g}"

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Advice, Block, Sentence, numbers, table, text
-from bayesbl.presentation.wear import LAWS, median_in_mrad, month
+from bayesbl.presentation.wear import LAWS, month
 
 if TYPE_CHECKING:
+    from bayesbl.results.intervals import Interval
     from bayesbl.runs.fleet import FleetSummary
+
+Row = Mapping[str, Any]
+"""Of a table of the fleet; or its summary."""
 
 _SHOWN = 10
 
 _MEASURED = ("converged", "usable")
 
 
-def headline(summary: Mapping[str, Any]) -> str:
+def headline(summary: Row) -> str:
     """How many joints and recordings, and how many joints are over their limit."""
     counted = summary["recordings"]
     measured = sum(counted.get(outcome, 0) for outcome in _MEASURED)
@@ -30,7 +35,7 @@ def headline(summary: Mapping[str, Any]) -> str:
     )
 
 
-def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
+def types_in_words(summary: Row) -> Iterator[str]:
     """How the joints of each type wear."""
     for name, found in summary["types"].items():
         rate = found["median_rad_per_year"]
@@ -38,7 +43,7 @@ def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
         factor = words.significant(math.exp(spread))
         law = max(found["law"], key=lambda name: found["law"][name])
         yield (
-            f"{name}: the median joint wears by {median_in_mrad(rate)} mrad a year "
+            f"{name}: the median joint wears by {words.middle(rate, 1e3)} mrad a year "
             f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)}); two joints in three are "
             f"within a factor of {factor} of that ({found['joints']} joints). "
             f"Most likely law: {LAWS[law]} ({words.probability(found['law'][law])}). "
@@ -47,7 +52,7 @@ def types_in_words(summary: Mapping[str, Any]) -> Iterator[str]:
         )
 
 
-def _factor(covariate: tuple[str, Mapping[str, Any]]) -> str:
+def _factor(covariate: tuple[str, Row]) -> str:
     name, found = covariate
     factor = found["factor"]
     more, times = words.significant(found["sd"]), words.significant(factor["median"])
@@ -56,34 +61,36 @@ def _factor(covariate: tuple[str, Mapping[str, Any]]) -> str:
     )
 
 
-def unlike_type(row: Mapping[str, Any], summary: Mapping[str, Any]) -> str | None:
+def unlike_type(row: Row, summary: Row) -> str | None:
     """How a joint wears whose recordings speak against its type; ``None`` where they do not."""
-    probability = row["probability_unlike_type"]
-    if probability is None or probability < 0.5:
+    if (row["probability_unlike_type"] or 0.0) < 0.5:
         return None
     of_type = summary["types"].get(str(row.get(summary["pool_by"])))
-    middle = None if of_type is None else of_type["median_rad_per_year"]["median"]
-    if middle is not None and row["rate_alone_rad_per_year_low"] > middle:
+    middle = math.nan if of_type is None else of_type["median_rad_per_year"]["median"]
+    if row["rate_alone_rad_per_year_low"] > middle:
         return "faster than its type"
-    if middle is not None and row["rate_alone_rad_per_year_high"] < middle:
+    if row["rate_alone_rad_per_year_high"] < middle:
         return "more slowly than its type"
     return "unlike its type"
 
 
 def blocks(summary: FleetSummary) -> Iterator[Block]:
     """The most urgent joints, and what was left out."""
-    rows = summary["most_urgent"][:_SHOWN]
-    columns = (
-        text("Joint"),
-        text("Gearbox"),
-        numbers("Gap (mrad)"),
-        numbers("Rate (mrad/year)"),
-        text("Reaches limit"),
-        text("State"),
-    )
-    yield table(columns, [_row(row, summary) for row in rows])
-    for sentence in types_in_words(summary):
-        yield Sentence(sentence)
+    gap, rate = numbers("Gap (mrad)"), numbers("Rate (mrad/year)")
+    columns = (text("Joint"), text("Gearbox"), gap, rate, text("Reaches limit"), text("State"))
+    rows = [
+        (
+            row["joint"],
+            row["gearbox"] or "",
+            in_mrad(row, "delta_rad", summary).text,
+            in_mrad(row, "rate_rad_per_year", summary).text,
+            limit_reached(row).text,
+            "over its limit" if row["alarm"] else state(row, summary),
+        )
+        for row in summary["most_urgent"][:_SHOWN]
+    ]
+    yield table(columns, rows)
+    yield from map(Sentence, types_in_words(summary))
     counted = summary["recordings"]
     left = {k: n for k, n in counted.items() if k not in _MEASURED}
     if left:
@@ -108,27 +115,58 @@ _LEFT = {
 }
 
 
-def _row(row: Mapping[str, Any], summary: FleetSummary) -> list[str]:
-    def middle(name: str) -> str:
-        value = row[f"{name}_median"]
-        return "–" if value is None else words.significant(1e3 * value, 3)
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Text, what is said below it, and what its column is sorted by."""
 
-    dated = row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None
-    date = month(row["limit_date_median"]) if row["limit_date_median"] else "not in sight"
-    unlike = unlike_type(row, summary)
-    state = "no rate" if row["reason"] else f"wears {unlike}" if unlike else "measured"
-    if not row["reason"] and row["probability_wear"] < words.SURE:
-        state = "not shown to grow"
-    if row["alarm"]:
-        state = "over its limit"
-    return [
-        str(row["joint"]),
-        row["gearbox"] or "",
-        middle("delta_rad"),
-        middle("rate_rad_per_year"),
-        date if dated else "–",
-        state,
-    ]
+    text: str
+    below: str = ""
+    key: str | float = ""
+
+
+def interval_of(row: Row, name: str, summary: Row) -> Interval | None:
+    """A quantity of a row of the tables, if the row has it."""
+    if row[f"{name}_median"] is None:
+        return None
+    return {
+        "median": row[f"{name}_median"],
+        "low": row[f"{name}_low"],
+        "high": row[f"{name}_high"],
+        "level": summary["level"],
+        "kind": summary["interval_kind"],
+    }
+
+
+def in_mrad(row: Row, name: str, summary: Row) -> Cell:
+    """A quantity in rad with its interval in mrad."""
+    found = interval_of(row, name, summary)
+    if found is None:
+        return Cell("–", key=-1.0)
+    return Cell(words.middle(found, 1e3), words.bounds(found, 1e3), found["median"])
+
+
+def limit_reached(row: Row) -> Cell:
+    """When the limit is reached; sorted as the table is ranked."""
+    if row["rate_rad_per_year_median"] is None or row["limit_rad"] is None:
+        return Cell("–", key="9999-99")
+    middle = row["limit_date_median"]
+    if middle is not None and middle <= row["last_date"]:
+        return Cell("passed", f"by {month(row['last_date'])}", "0000")
+    low, high = (row[f"limit_date_{end}"] for end in ("low", "high"))
+    later = "later" if high is None else month(high)
+    text = "not in sight" if middle is None else month(middle)
+    return Cell(text, f"{month(low)} to {later}", middle or "9999-98")
+
+
+def state(row: Row, summary: Row) -> str:
+    """How far a joint's wear is known."""
+    if row["rate_rad_per_year_median"] is None:
+        return "no gap" if row["delta_rad_median"] is None else "no rate"
+    left, unlike = row["withheld"] + row["broken"], unlike_type(row, summary)
+    notes = ["measured"]
+    notes += ["not shown to grow"] * (row["probability_wear"] < words.SURE)
+    notes += [f"wears {unlike}"] * bool(unlike) + [f"{left} left out"] * bool(left)
+    return ", ".join(notes)
 
 
 def advice(summary: FleetSummary) -> Advice:

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, numbers, table, text
-from bayesbl.presentation.diagnosis import disagreement_table, sized
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.diagnosis import disagreement_table, effect_in_words
 from bayesbl.units import in_words
 
 if TYPE_CHECKING:
@@ -37,14 +37,9 @@ def headline(summary: IdentificationSummary) -> str:
 
 def blocks(summary: IdentificationSummary) -> Iterator[Block]:
     """Gaps, parameters, what is known together only, what disagrees, what to record next."""
-    for sentence in gaps(summary):
-        yield Sentence(sentence)
+    yield from map(Sentence, gaps(summary))
     yield _parameters(summary)
-    for effect in summary["effects"]:
-        found = ", ".join(sized(name, value) for name, value in effect["parameters"].items())
-        alike = effect["indistinguishable_from"]
-        told = f" Cannot be distinguished from {', '.join(map(in_words, alike))}." if alike else ""
-        yield Sentence(words.capitalised(f"{in_words(effect['name'])}: {found}.{told}"))
+    yield from map(Sentence, map(effect_in_words, summary["effects"]))
     is_found = summary["outcome"] != "withheld"
     for together in summary["not_told_apart"] if is_found else []:
         yield Sentence(_together(together))
@@ -53,7 +48,7 @@ def blocks(summary: IdentificationSummary) -> Iterator[Block]:
         names = ", ".join(map(in_words, unlearned))
         yield Sentence(f"These recordings add nothing to the data sheet for: {names}.")
     yield disagreement_table(summary["disagreement"])
-    yield Sentence(compared(summary), "aside")
+    yield aside(compared(summary))
     if summary["suggested_recording"] is not None and is_found:
         yield Sentence(suggestion(summary["suggested_recording"]))
 

@@ -234,9 +234,7 @@ class MeasuredResult(Result):
     ``result.curve``, ``result.noise``.
     """
 
-    def to_datatree(self) -> xr.DataTree:
-        """Everything, each route in a group of its own."""
-        return self._tree
+    to_datatree = Result.to_xarray
 
     def __getattr__(self, name: str) -> Any:
         from bayesbl.measurement.stored import routes_of

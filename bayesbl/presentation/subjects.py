@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bayesbl.presentation import answer, diagnosis, estimates, fleet, identification
 from bayesbl.presentation.answer import GAP_EXPLAINED
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, numbers, table, text
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
 from bayesbl.presentation.words import percent, significant, source_in_words
 from bayesbl.units import number
 
@@ -49,13 +49,16 @@ def sweep_headline(summary: SweepSummary) -> str:
 
 def sweep_blocks(summary: SweepSummary) -> Iterator[Block]:
     """The curve in words, its polynomial, and other degrees beside it."""
-    for sentence in curve_quality(summary):
-        yield Sentence(sentence)
+    yield from map(Sentence, curve_quality(summary))
     yield _coefficient_table(summary)
-    yield Sentence(GAP_EXPLAINED, "aside")
-    yield Sentence(polynomial(summary), "aside")
+    yield aside(GAP_EXPLAINED)
+    yield aside(
+        "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
+        f"{percent(summary['largest_correction'])}. The stored curve includes the correction; the "
+        "coefficients alone are off by as much."
+    )
     yield _degree_table(summary)
-    yield Sentence(DEGREES_EXPLAINED, "aside")
+    yield aside(DEGREES_EXPLAINED)
 
 
 def curve_quality(summary: SweepSummary) -> Iterator[str]:
@@ -74,15 +77,6 @@ def curve_quality(summary: SweepSummary) -> Iterator[str]:
     yield (
         "At a given gap, A differs from that of the paper's eq. 4 by at most "
         f"{percent(summary['largest_departure_from_published'])}."
-    )
-
-
-def polynomial(summary: SweepSummary) -> str:
-    """What the coefficients are, and what they lack."""
-    return (
-        "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
-        f"{percent(summary['largest_correction'])}. The stored curve includes the correction; the "
-        "coefficients alone are off by as much."
     )
 
 
@@ -143,15 +137,11 @@ def plan_headline(summary: PlanSummary) -> str:
     if summary["reason"]:
         return "No motion within these limits shows the gap."
     best, *_ = summary["plan"]["motions"]
-    return f"Record {strokes_in_words(best)}: δ to {_sd(best)}."
-
-
-def strokes_in_words(motion: PlannedEntry) -> str:
-    """``strokes from −30° to 30°, up to 1500 rpm at 6000 rpm/s, for 20 s``."""
-    low, high = (number(math.degrees(angle), 0) for angle in motion["range_rad"])
+    low, high = (number(math.degrees(angle), 0) for angle in best["range_rad"])
     return (
-        f"strokes of the load from {low}° to {high}°, up to {motion['speed_rpm']:g} rpm of the "
-        f"motor at {motion['acceleration_rpm_per_s']:g} rpm/s, for {motion['duration_s']:g} s"
+        f"Record strokes of the load from {low}° to {high}°, up to {best['speed_rpm']:g} rpm of "
+        f"the motor at {best['acceleration_rpm_per_s']:g} rpm/s, for {best['duration_s']:g} s: δ "
+        f"to {percent(best['expected_relative_sd'] or 0.0)}."
     )
 
 
@@ -163,42 +153,30 @@ def plan_blocks(summary: PlanSummary) -> Iterator[Block]:
         yield Sentence(summary["reason"], "warning", "Withheld")
     if shown:
         yield _plan_table(shown[:MOST_ROWS])
-        yield Sentence(EXPLAINED, "aside")
+        yield aside(EXPLAINED)
     blind = len(plan["motions"]) - len(shown)
     if blind and shown:
-        yield Sentence(
+        yield aside(
             f"{blind} of {len(plan['motions'])} motions would show nothing, because the load "
-            "hardly reaches the other tooth flank.",
-            "aside",
+            "hardly reaches the other tooth flank."
         )
-    yield Sentence(f"Calculated for δ = {1e3 * plan['gap_rad']:g} mrad.", "aside")
+    yield aside(f"Calculated for δ = {1e3 * plan['gap_rad']:g} mrad.")
 
 
 def _plan_table(motions: list[PlannedEntry]) -> Table:
-    titles = (
-        "From\n(°)",
-        "To\n(°)",
-        "Speed\n(rpm)",
-        "Acceleration\n(rpm/s)",
-        "Flank\nchanges",
-        "Expected sd\nof δ",
-    )
+    titles = ["From\n(°)", "To\n(°)", "Speed\n(rpm)", "Acceleration\n(rpm/s)"]
+    titles += ["Flank\nchanges", "Expected sd\nof δ"]
     rows = [
         (
             *(number(math.degrees(angle), 1) for angle in motion["range_rad"]),
             f"{motion['speed_rpm']:g}",
             f"{motion['acceleration_rpm_per_s']:g}",
             motion["flank_changes"],
-            _sd(motion),
+            percent(motion["expected_relative_sd"] or 0.0),
         )
         for motion in motions
     ]
     return table(map(numbers, titles), rows)
-
-
-def _sd(motion: PlannedEntry) -> str:
-    sd = motion["expected_relative_sd"]
-    return "–" if sd is None else percent(sd)
 
 
 PLAN_ASSUMES = (

@@ -27,7 +27,6 @@ from bayesbl.progress import StageProgress
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress, TaskID
 
 
 _STYLES = {
@@ -186,82 +185,45 @@ longer, so that the log of a day has a hundred lines."""
 
 
 @contextmanager
-def progress(console: Console, *, of_cases: bool = False) -> Iterator[StageProgress]:
+def progress(console: Console) -> Iterator[StageProgress]:
     """Shown on ``console`` (standard error's) until the block ends.
 
     Yields what a run calls with what it does and how many steps are done of how many: a stage,
-    which may end before the last one, or a row's cases.
+    which may end before the last one, or a row's cases. On a terminal it is a bar. In a log, what
+    is being done and since when is said again before a silence becomes long: from a thread, as
+    imports, compilation and a single long step report nothing themselves.
     """
     # Rich takes a pipe for a terminal where FORCE_COLOR asks for colours, as notebooks do.
-    if not console.file.isatty():
-        with _Lines(console) as lines:
-            yield lines
+    if console.file.isatty():
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeElapsedColumn as Elapsed
+
+        name = TextColumn("{task.description}", markup=False)
+        columns = (name, BarColumn(bar_width=24), MofNCompleteColumn(), Elapsed())
+        with Progress(*columns, console=console, transient=True) as bars:
+            task = bars.add_task("Starting", total=None)
+
+            def show(stage: str, done: int, count: int, /) -> None:
+                bars.update(task, description=stage, completed=done, total=count)
+
+            yield show
         return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    begin_s, ended, state = time.monotonic(), threading.Event(), ["Starting"]
 
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=24),
-        TextColumn("{task.fields[state]}", markup=False),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as bars:
-        yield _Bars(bars, at_once=of_cases)
+    def tell(stage: str, done: int, count: int, /) -> None:
+        state[0] = f"{stage}: {done} of {count}"
 
-
-class _Lines:
-    """For logs: what is being done and since when, said again before a silence becomes long.
-
-    From a thread, as imports, compilation and a single long step report nothing themselves.
-    """
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._begin_s = time.monotonic()
-        self._state = "Starting"
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._speak, name="progress", daemon=True)
-
-    def __enter__(self) -> _Lines:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def __call__(self, stage: str, done: int, count: int, /) -> None:
-        self._state = f"{stage}: {done} of {count}"
-
-    def _speak(self) -> None:
+    def speak() -> None:
         lasting_s = 0.0
-        while not self._ended.wait(max(SILENT_S, SILENT_SHARE * lasting_s)):
-            lasting_s = time.monotonic() - self._begin_s
-            line = f"{self._state}, after {lasting_s:.0f} s"
-            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        while not ended.wait(max(SILENT_S, SILENT_SHARE * lasting_s)):
+            lasting_s = time.monotonic() - begin_s
+            line = f"{state[0]}, after {lasting_s:.0f} s"
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
 
-
-class _Bars:
-    """One bar per row of a study, or per stage, which ends where the next one begins."""
-
-    def __init__(self, bars: Progress, *, at_once: bool) -> None:
-        self._bars = bars
-        self._at_once = at_once
-        self._tasks: dict[str, TaskID] = {}
-        self._first = None if at_once else bars.add_task("Searching", total=None, state="")
-
-    def __call__(self, name: str, done: int, count: int, /) -> None:
-        if name not in self._tasks:
-            if not self._at_once:
-                self._end_others()
-            self._tasks[name] = self._bars.add_task(name, total=None, state="")
-        state = f"{done} of {count}" if self._at_once else f"{done}, at most {count}"
-        self._bars.update(self._tasks[name], completed=done, total=count, state=state)
-
-    def _end_others(self) -> None:
-        if self._first is not None:
-            self._bars.remove_task(self._first)
-            self._first = None
-        for task in self._bars.tasks:
-            self._bars.update(task.id, total=task.completed, state=f"{task.completed:.0f}")
-            self._bars.stop_task(task.id)
+    thread = threading.Thread(target=speak, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield tell
+    finally:
+        ended.set()
+        thread.join()

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from datetime import date
 from typing import TYPE_CHECKING, Literal
 
-from bayesbl.presentation import play, words
-from bayesbl.presentation.blocks import Block, Sentence, Table, numbers, table, text
+from bayesbl.presentation import words
+from bayesbl.presentation.blocks import Block, Sentence, Table, aside, numbers, table, text
 from bayesbl.presentation.words import capitalised
 from bayesbl.units import number
 
@@ -50,7 +50,7 @@ def unless(summary: ComparisonSummary) -> str:
         return f", if {unseen} did not change"
     # By any size, and no ramp tells it from play.
     softer = ", if no flank became softer at small torque"
-    return softer if play.is_by_ramps(summary) else ""
+    return softer if "ramps" in summary["snapshots"][0] else ""
 
 
 def unseen_without_current(summary: ComparisonSummary) -> str | None:
@@ -90,21 +90,17 @@ def check_blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Blo
         # What the change is withheld for has been said.
         for sentence in () if "joint_changed" in codes and not name else check["sentences"]:
             yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
-    spots = [spot for _, check in checks[-1:] for spot in check["blind_spots"]]
-    for label, known in (
-        ("Undetectable changes that could look like wear", True),
-        ("Undetectable changes", False),
-    ):
-        own = [spot for spot in spots if (spot["delta_error_rad"] is not None) == known]
-        for reason in dict.fromkeys(spot["reason"] for spot in own):
-            told = []
-            for spot in (spot for spot in own if spot["reason"] == reason):
-                up_to = spot["delta_error_rad"]
-                size = "" if up_to is None else f", up to {number(1e3 * up_to, 3)} mrad"
-                told.append(spot["change"] + size)
-            if len(told) > MOST_TOLD:
-                told[MOST_TOLD:] = [f"{len(told) - MOST_TOLD} more in summary.json"]
-            yield Sentence(capitalised(f"{'; '.join(told)}."), "aside", f"{label} ({reason})")
+    unsized, sized = "Undetectable changes", "Undetectable changes that could look like wear"
+    found: dict[tuple[str, str], list[str]] = {}
+    for spot in checks[-1][1]["blind_spots"]:
+        label, size = unsized, ""
+        if (up_to := spot["delta_error_rad"]) is not None:
+            label, size = sized, f", up to {number(1e3 * up_to, 3)} mrad"
+        found.setdefault((label, spot["reason"]), []).append(spot["change"] + size)
+    for (label, reason), told in sorted(found.items(), key=lambda item: item[0][0] == unsized):
+        if len(told) > MOST_TOLD:
+            told[MOST_TOLD:] = [f"{len(told) - MOST_TOLD} more in summary.json"]
+        yield Sentence(capitalised(f"{'; '.join(told)}."), "aside", f"{label} ({reason})")
 
 
 MODEL = (
@@ -126,15 +122,16 @@ _ENDS: tuple[Literal["low", "median", "high"], ...] = ("low", "median", "high")
 def blocks(summary: ComparisonSummary, wear: WearSummary | WithheldWearSummary) -> Iterator[Block]:
     """Sentences and table of ``wear`` of a summary of a dated comparison."""
     if spans_repair(summary, wear):
-        yield Sentence(repaired(wear))
+        yield Sentence(
+            f'The joint was repaired before "{wear["snapshots"][0]}": the change from first to '
+            "last spans the repair, and only the snapshots since then show how the joint wears."
+        )
     if wear["reason"] is not None:
         yield Sentence(wear["reason"]["text"], "warning", "No rate of wear")
         return
-    for sentence in sentences(wear, unless=unless(summary)):
-        yield Sentence(sentence)
+    yield from map(Sentence, sentences(wear, unless=unless(summary)))
     yield _table(wear)
-    for sentence in notes(wear):
-        yield Sentence(sentence, "aside")
+    yield from map(aside, notes(wear))
 
 
 def with_rate(summary: ComparisonSummary) -> WearSummary | None:
@@ -152,7 +149,7 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     """How large the gap is now and how fast it grows: the answer of dated snapshots."""
     last = summary["snapshots"][-1]
     gap, upper_rad = last["delta_rad"], last["delta_upper_bound_rad"]
-    now = "" if gap is None else f"is {median_in_mrad(gap)} mrad now and "
+    now = "" if gap is None else f"is {words.middle(gap, 1e3)} mrad now and "
     if upper_rad is not None:
         now = f"is below {words.significant(1e3 * upper_rad)} mrad now and "
     if wear["probability_wear"] < words.SURE:
@@ -161,10 +158,9 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
             f"{words.probability(wear['probability_wear'])})."
         )
     rate = wear["rate"]
-    places = words.decimals(rate, 1e3)
     by = (
-        f"by {median_in_mrad(rate)} mrad a year since {wear['first_date']} "
-        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3, places)})"
+        f"by {words.middle(rate, 1e3)} mrad a year since {wear['first_date']} "
+        f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)})"
     )
     if (cause := other_cause(summary)) is not None:
         return (
@@ -174,22 +170,9 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     return f"The gap {now}has grown {by}."
 
 
-def median_in_mrad(interval: Interval) -> str:
-    """The median in mrad, with as many digits as its interval bears."""
-    return number(1e3 * interval["median"], words.decimals(interval, 1e3))
-
-
 def month(value: str | None) -> str:
     """``Nov 2026`` of an ISO date: a forecast is never known to the day."""
     return day(value) if value is None else date.fromisoformat(value).strftime("%b %Y")
-
-
-def repaired(wear: WearSummary | WithheldWearSummary) -> str:
-    """What a repair between the snapshots means for what they show."""
-    return (
-        f'The joint was repaired before "{wear["snapshots"][0]}": the change from first to last '
-        "spans the repair, and only the snapshots since then show how the joint wears."
-    )
 
 
 def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
@@ -206,28 +189,25 @@ def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
         f"{words.probability(wear['probability_wear'])}{unless}. With {share} probability it grew "
         f"by at most {words.significant(rate)} mrad a year."
     )
-    yield law(wear)
+    ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
+    first, second, third = (f"{LAWS[name]} ({words.probability(p)})" for name, p in ranked)
+    yield f"If the joint wears, its wear is now {first}, {second} or {third}."
     years = wear["years_to_limit"]
     if years is None or wear["limit_rad"] is None:
         return
     stated = "" if wear["limit"] is None else f" ({words.limit(wear['limit'])})"
     limit = f"the limit of {1e3 * wear['limit_rad']:.4g} mrad{stated}"
+    earliest = not_before(wear)
     if years["high"] == 0.0:
         yield f"The gap passed {limit} before {wear['last_date']}."
-    elif not_before(wear) == wear["last_date"]:
+    elif earliest == wear["last_date"]:
         yield (
             f"The gap may have passed {limit} before {wear['last_date']}: the probability that it "
             f"had not is below {share}."
         )
-    elif not_before(wear) is None:
-        yield (
-            f"With {share} probability the gap does not reach {limit} within "
-            f"{LONGEST_YEARS:g} years."
-        )
     else:
-        yield (
-            f"With {share} probability the gap does not reach {limit} before {not_before(wear)}."
-        )
+        when = f"within {LONGEST_YEARS:g} years" if earliest is None else f"before {earliest}"
+        yield f"With {share} probability the gap does not reach {limit} {when}."
     asked = wear["probability_before"]
     if asked is not None:
         yield (
@@ -240,13 +220,6 @@ def not_before(wear: WearSummary) -> str | None:
     """The date to plan by; ``None`` where it is too far ahead to be given, or without a limit."""
     found = wear["not_before"]
     return None if found is None else found["date"]
-
-
-def law(wear: WearSummary) -> str:
-    """How probable each law of wear is, the likeliest first."""
-    ranked = sorted(wear["law"].items(), key=lambda item: -item[1])
-    first, second, third = (f"{LAWS[name]} ({words.probability(share)})" for name, share in ranked)
-    return f"If the joint wears, its wear is now {first}, {second} or {third}."
 
 
 def notes(wear: WearSummary) -> Iterator[str]:
@@ -292,27 +265,18 @@ def _table(wear: WearSummary) -> Table:
     years = wear["years_to_limit"]
     if years is not None and years["high"] > 0.0:
         rows.append(_row("from last recording to limit", years, 1.0, "years"))
-    dates = _limit_dates(wear)
-    if dates is not None:
-        rows.append(("date of the limit", *dates, ""))
-    kind = words.short_kind(rate)
+    if years is not None and (dates := wear["date_of_limit"]) is not None:
+        low, middle, high = (  # a past date is given only as past
+            f"before {wear['last_date']}" if years[end] == 0.0 else day(dates[end]) for end in _ENDS
+        )
+        rows.append(("date of the limit", middle, low if low == high else f"{low} to {high}", ""))
+    kind = words.interval_kind(rate)
     return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
 
 
 def _row(name: str, found: Interval, scale: float, unit: str) -> tuple[str, ...]:
     low, middle, high = (_cell(scale * found[key]) for key in _ENDS)
     return name, middle, f"{low} to {high}", unit
-
-
-def _limit_dates(wear: WearSummary) -> tuple[str, str] | None:
-    """When the limit is reached, and between which dates; a past date is given only as past."""
-    years, dates = wear["years_to_limit"], wear["date_of_limit"]
-    if years is None or dates is None:
-        return None
-    low, middle, high = (
-        f"before {wear['last_date']}" if years[end] == 0.0 else day(dates[end]) for end in _ENDS
-    )
-    return middle, low if low == high else f"{low} to {high}"
 
 
 def _cell(value: float) -> str:

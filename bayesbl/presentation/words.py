@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from bayesbl.units import number
@@ -51,11 +50,6 @@ def decimals(interval: Interval, scale: float = 1.0, units: float = 5.0) -> int:
     return max(0, math.ceil(math.log10(units / width))) if width > 0.0 else 3
 
 
-def common_decimals(intervals: Iterable[Interval | None]) -> int:
-    """Decimals in mrad that show the narrowest of some gaps in rad; 3 if there is none."""
-    return max((decimals(found, 1e3) for found in intervals if found is not None), default=3)
-
-
 def bounds(interval: Interval, scale: float = 1.0, places: int | None = None) -> str:
     """``0.685 to 0.731``."""
     shown = decimals(interval, scale) if places is None else places
@@ -64,21 +58,20 @@ def bounds(interval: Interval, scale: float = 1.0, places: int | None = None) ->
 
 
 def interval_kind(interval: Interval) -> str:
-    """``90 % interval``: how much it holds, and of which kind."""
-    kind = "highest-density interval" if interval["kind"] == "hdi" else "interval"
-    return f"{100.0 * interval['level']:g} % {kind}"
-
-
-def short_kind(interval: Interval) -> str:
-    """As :func:`interval_kind`, for the head of a column."""
+    """``90 % interval``, or ``90 % HDI`` of the highest density."""
     kind = "HDI" if interval["kind"] == "hdi" else "interval"
     return f"{100.0 * interval['level']:g} % {kind}"
 
 
+def middle(interval: Interval, scale: float = 1.0) -> str:
+    """The median, with as many digits as the interval bears."""
+    return number(scale * interval["median"], decimals(interval, scale))
+
+
 def with_bounds(interval: Interval, unit: str, scale: float = 1.0) -> str:
     """``12.1 rpm (90 % interval 11.9 to 12.3 rpm)``."""
-    middle = number(scale * interval["median"], decimals(interval, scale))
-    return f"{middle} {unit} ({interval_kind(interval)} {bounds(interval, scale)} {unit})"
+    ends = f"{interval_kind(interval)} {bounds(interval, scale)}"
+    return f"{middle(interval, scale)} {unit} ({ends} {unit})"
 
 
 def in_mrad(interval: Interval) -> str:
@@ -95,13 +88,13 @@ def change_of(what: str, change: Interval, unit: str, scale: float) -> str:
     return f"{what} may not have changed: the change is {with_bounds(change, unit, scale)}"
 
 
-def gap_cells(gap: Interval | None, places: int, upper_rad: float | None = None) -> tuple[str, str]:
+def gap_cells(gap: Interval | None, upper_rad: float | None = None) -> tuple[str, str]:
     """A gap and its bounds in mrad, or its upper bound, as a table has them."""
     if upper_rad is not None:
         return f"below {significant(1e3 * upper_rad)}", "95 %"
     if gap is None:
         return "withheld", "withheld"
-    return number(1e3 * gap["median"], places), bounds(gap, 1e3, places)
+    return middle(gap, 1e3), bounds(gap, 1e3)
 
 
 def of(*names: str) -> str:

@@ -10,7 +10,7 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.bench import load_bench
-from bayesbl.config.identify import IdentifyConfig
+from bayesbl.config.kinds import IdentifyConfig
 from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, identify

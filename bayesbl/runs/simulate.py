@@ -16,7 +16,8 @@ from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, cycle, sine, strokes, torque_ramps
 from bayesbl.config.bench import dump_bench
-from bayesbl.config.simulate import MotionSection, SimulatedRecording, SimulateFile, load_simulation
+from bayesbl.config.files import load_file
+from bayesbl.config.simulate import MotionSection, SimulatedRecording, SimulateFile
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import TIME, Recording
@@ -68,7 +69,7 @@ def run_simulate(
         relative path.
     """
     config_path = Path(config_path)
-    config = load_simulation(config_path)
+    config = load_file(Path(config_path), SimulateFile)
     bench = bench_from(config.bench)
     targets = _targets(config, config_path, out)
     _require_possible(config, config_path, bench)
@@ -92,7 +93,7 @@ def run_simulate(
 
 def describe(path: Path, plan: Plan) -> None:
     """Which recordings would be made, and on which bench."""
-    config = load_simulation(path)
+    config = load_file(Path(path), SimulateFile)
     plan.add("bench", lambda: f"{config.bench}, gap form {bench_from(config.bench).gap_form}")
     plan.add("output", lambda: str(_targets(config, path)[0].parent))
     plan.add("size", lambda: _require_possible(config, path, bench_from(config.bench)))

@@ -14,8 +14,9 @@ from places import CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.bench import load_bench
+from bayesbl.config.files import load_file
 from bayesbl.config.loading import load_config
-from bayesbl.config.simulate import load_simulation
+from bayesbl.config.simulate import SimulateFile
 from bayesbl.errors import UserError
 
 BENCH = (CONFIGS / "bench.toml").read_text()
@@ -126,6 +127,12 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3),
     max_leaves=8,
 )
+
+
+def load_simulation(path: Path) -> SimulateFile:
+    return load_file(path, SimulateFile)
+
+
 LOADERS: dict[str, Callable[[Path], object]] = {
     "bench": load_bench,
     "simulate": load_simulation,

@@ -13,7 +13,7 @@ from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import answer_of
 from bayesbl.presentation.diagnosis import headline, learned
-from bayesbl.presentation.figures.diagnosis import encoder_course, learned_course
+from bayesbl.presentation.figures.diagnosis import learned_course
 
 TURN = 2.0 * math.pi
 TORQUE = LearnedTorque("motor", "motor_angle", TURN, 0.0, (0.02, 0.0), (0.01, 0.03))
@@ -41,20 +41,20 @@ def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:
 
 
 @pytest.mark.parametrize(
-    ("term", "figure", "told"),
+    ("term", "told"),
     [
-        (TORQUE, learned_course, "a torque at the motor over the motor angle, orders 1 to 2"),
-        (ERROR, encoder_course, "an error of the motor's encoder over the motor angle, orders 1"),
+        (TORQUE, "a torque at the motor over the motor angle, orders 1 to 2"),
+        (ERROR, "an error of the motor's encoder over the motor angle, orders 1"),
     ],
     ids=["torque", "encoder"],
 )
-def test_it_is_told_by_what_it_depends_on_and_drawn(term: LearnedTerm, figure, told: str) -> None:
+def test_it_is_told_by_what_it_depends_on_and_drawn(term: LearnedTerm, told: str) -> None:
     tree = diagnosis_tree(diagnosis(term), 0.9, "equal_tailed")
     summary = answer_of(diagnosis(term), 0.9, "equal_tailed")
     assert term.block in summary
     assert told in headline(summary)
-    assert figure.applies(tree)
-    (axes,) = figure(tree).axes
+    assert learned_course.applies(tree)
+    (axes,) = learned_course(tree).axes
     (line,) = [line for line in axes.lines if len(line.get_xdata()) > 2]
     assert np.asarray(line.get_xdata())[-1] == pytest.approx(1.0), "turns of the motor"
     scale = 1e3 if term is ERROR else 1.0

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
 from bayesbl.diagnosis.summary import summarise_diagnosis
-from bayesbl.presentation.diagnosis import headline
+from bayesbl.presentation.diagnosis import headline, learned_of
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
 from bayesbl.presentation.words import capitalised, significant
@@ -23,11 +23,11 @@ from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import in_words, unit_of
 
 if TYPE_CHECKING:
-    from bayesbl.diagnosis.summary import Answer, LearnedSummary
+    from bayesbl.diagnosis.summary import Answer
     from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
 
 
-BEFORE, AFTER = style.look(1), style.look(0)
+_LOOKS = (style.look(1), style.look(0))
 """Looks of the bench as given, and with what was named."""
 
 Rms = tuple[float, float, float]
@@ -94,7 +94,7 @@ def held_out(tree: xr.DataTree, recording: str, use: str) -> Figure:
     for row, (channel, sizes) in enumerate(rms.items()):
         course = _compared(tree["signals"].to_dataset(), recording, use, channel)
         window = window or _worst(course)
-        maps = _draw_residuals(figure, spec[row, 0], course, sizes, channel, window)
+        maps = _draw_residuals(spec[row, 0], course, sizes, channel, window)
         zoom = figure.add_subplot(spec[row, 1])
         _draw_zoom(zoom, course, channel, window)
         name = CHANNELS.get(channel, channel)
@@ -134,8 +134,13 @@ def _worst(course: dict[str, FloatArray]) -> tuple[float, float]:
     return begin, begin + width
 
 
+def _one_above_the_other(place: SubplotSpec, count: int) -> list[Axes]:
+    """Panels on one scale: where little was removed, one course would hide the other."""
+    spec = place.subgridspec(count, 1, hspace=0.12)
+    return list(spec.subplots(sharex=True, sharey=True, squeeze=False).ravel())
+
+
 def _draw_residuals(
-    figure: Figure,
     place: SubplotSpec,
     course: dict[str, FloatArray],
     rms: Rms,
@@ -145,12 +150,9 @@ def _draw_residuals(
     """Before above after on one scale; the noise floor as a band, the zoom tinted."""
     unit, (*sizes, floor) = unit_of(channel), rms
     unchanged = np.array_equal(course["before"], course["after"])
-    stages = [("before", BEFORE), ("after", AFTER)][: 1 if unchanged else 2]
-    spec = place.subgridspec(len(stages), 1, hspace=0.12)
-    panels: list[Axes] = []
-    for index, ((stage, look), size) in enumerate(zip(stages, sizes, strict=False)):
-        first = panels[0] if panels else None
-        panel = figure.add_subplot(spec[index, 0], sharex=first, sharey=first)
+    stages = list(zip(("before", "after"), _LOOKS, strict=True))[: 1 if unchanged else 2]
+    panels = _one_above_the_other(place, len(stages))
+    for panel, (stage, look), size in zip(panels, stages, sizes, strict=False):
         middle, low, high = style.envelope(
             course["time_s"], course["measured"] - course[stage], _OUTLINE_BINS
         )
@@ -160,8 +162,6 @@ def _draw_residuals(
         if stage == stages[-1][0]:
             text += f", noise floor {significant(floor, 3)} {unit}"
         panel.text(0.01, 0.98, text, transform=panel.transAxes, va="top")
-        panel.label_outer()
-        panels.append(panel)
     bottom, top = panels[0].get_ylim()
     panels[0].set_ylim(bottom, top + 0.25 * (top - bottom))  # the line of text is above the data
     panels[0].set_xlim(np.nanmin(course["time_s"]), np.nanmax(course["time_s"]))
@@ -180,7 +180,7 @@ def _draw_zoom(
         label="recorded",
     )  # fmt: skip
     labels = ("bench as given (before)", "with what was named (after)")
-    for stage, look, label in zip(("before", "after"), (BEFORE, AFTER), labels, strict=True):
+    for stage, look, label in zip(("before", "after"), _LOOKS, labels, strict=True):
         panel.plot(
             time[inside], course[stage][inside], color=look.colour, linestyle=look.dashes,
             linewidth=0.9, label=label,
@@ -200,7 +200,7 @@ def _draw_every(panel: Axes, pieces: Sequence[tuple[str, str, str, Rms]]) -> Non
         ends = (before / floor, after / floor)
         reach = max(reach, *ends)
         panel.plot(ends, (row, row), color=style.WITHHELD, linewidth=0.8, zorder=1.0)
-        for end, look in zip(ends, (BEFORE, AFTER), strict=True):
+        for end, look in zip(ends, _LOOKS, strict=True):
             panel.plot(end, row, look.marker, color=look.colour, zorder=2.0)
         of = f", {CHANNELS.get(channel, channel).removeprefix('motor ')}" * (len(channels) > 1)
         text = f"{name}{of}" + ", held out" * (use == "held_out")
@@ -214,16 +214,13 @@ def _draw_every(panel: Axes, pieces: Sequence[tuple[str, str, str, Rms]]) -> Non
     panel.set_xlabel("RMS / noise floor")
 
 
-_LOOKS = (BEFORE, AFTER)
 _ROW_IN = 2.0
 _BINS = 250
 _EXCEEDED = 0.01
 """Probability that noise alone shows any bin beyond the limit drawn."""
 
 
-def _each_recording(
-    tree: xr.DataTree,
-) -> Iterator[tuple[str, tuple[object, ...]]]:
+def _each_recording(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
     before, after = (tree[f"residuals_{stage}"].to_dataset() for stage in ("before", "after"))
     for name in map(str, before["recording"].values):
         yield file_ending(name), (before, name, after)
@@ -256,7 +253,7 @@ def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) ->
     axes: list[Axes] = []
     titles: list[str] = []
     for row, channel in enumerate(channels):
-        maps = _load_maps(figure, spec[row, 0], stages, channel)
+        maps = _load_maps(spec[row, 0], stages, channel)
         spectrum = figure.add_subplot(spec[row, 1])
         _spectrum(spectrum, stages, channel)
         axes += [maps[0], spectrum]
@@ -273,17 +270,11 @@ def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) ->
     return figure
 
 
-def _load_maps(
-    figure: Figure, place: SubplotSpec, stages: list[xr.Dataset], channel: str
-) -> list[Axes]:
-    """One above the other on one scale: where little was removed, one would hide the other."""
+def _load_maps(place: SubplotSpec, stages: list[xr.Dataset], channel: str) -> list[Axes]:
+    """Mean residual over the load's angle with its error."""
     angle = _values(stages[0], "load_angle_rad")
-    spec = place.subgridspec(len(stages), 1, hspace=0.12)
-    panels: list[Axes] = []
-    for index, stage in enumerate(stages):
-        first = panels[0] if panels else None
-        panel = figure.add_subplot(spec[index, 0], sharex=first, sharey=first)
-        look = _LOOKS[index]
+    panels = _one_above_the_other(place, len(stages))
+    for panel, stage, look in zip(panels, stages, _LOOKS, strict=True):
         mean = _values(stage, f"{channel}_load_map")
         error = float(stage[f"{channel}_map_error"])
         panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
@@ -291,47 +282,30 @@ def _load_maps(
             angle, mean - error, mean + error, color=look.colour, alpha=0.3, linewidth=0.0
         )
         panel.plot(angle, mean, color=look.colour, linewidth=0.7)
-        panel.set_xlim(0.0, 2.0 * np.pi)
-        panel.set_xticks(0.5 * np.pi * np.arange(5), ["0", "π/2", "π", "3π/2", "2π"])
-        panel.set_xlabel("Load angle (rad)")
-        panel.label_outer()
-        panels.append(panel)
+    panels[-1].set_xlim(0.0, 2.0 * np.pi)
+    panels[-1].set_xticks(0.5 * np.pi * np.arange(5), ["0", "π/2", "π", "3π/2", "2π"])
+    panels[-1].set_xlabel("Load angle (rad)")
     panels[0].set_ylabel(f"Recorded − simulated ({unit_of(channel)})", y=-0.06)
     return panels
 
 
 def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
-    for index, stage in enumerate(stages):
+    for stage, look in zip(stages, _LOOKS, strict=True):
         order, amplitude, noise = (
             _values(stage, name)
             for name in ("load_order", f"{channel}_amplitude", f"{channel}_noise_amplitude")
         )
         shown = (order > 0.0) & np.isfinite(amplitude)
-        look = _LOOKS[index]
+        peaks = _peaks(order[shown], amplitude[shown])
+        panel.plot(*peaks, color=look.colour, linestyle=look.dashes, linewidth=0.7, zorder=1.0)
+        names = (f"{channel}_line_{name}" for name in ("load_order", "amplitude"))
+        lines = np.array([_values(stage, name) for name in names])
+        found = lines[:, np.isfinite(lines[0])]
         panel.plot(
-            *_peaks(order[shown], amplitude[shown]),
-            color=look.colour,
-            linestyle=look.dashes,
-            linewidth=0.7,
-            zorder=1.0,
+            *found, look.marker, color=look.colour, markersize=3.0, fillstyle="none", zorder=2.0
         )
-        line, size = (
-            _values(stage, f"{channel}_line_{name}") for name in ("load_order", "amplitude")
-        )
-        found = np.isfinite(line)
-        panel.plot(
-            line[found],
-            size[found],
-            linestyle="none",
-            marker=look.marker,
-            markersize=3.0,
-            markerfacecolor="none",
-            markeredgecolor=look.colour,
-            zorder=2.0,
-        )
-        if index == len(stages) - 1:
-            limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
-            panel.plot(order[shown], limit, color=style.LIMIT, linewidth=0.8)
+    limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
+    panel.plot(order[shown], limit, color=style.LIMIT, linewidth=0.8)
     panel.set_xscale("log")
     panel.set_yscale("log")
     low, high = panel.get_ylim()
@@ -344,12 +318,9 @@ def _peaks(order: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatA
     """Largest amplitude in each stretch of the logarithmic axis: every line is on the page."""
     edges = np.geomspace(order[0], order[-1], _BINS + 1)
     starts = np.unique(np.searchsorted(order, edges[:-1]))
-    ends = np.append(starts[1:], order.size)
-    tops = [
-        begin + int(np.argmax(amplitude[begin:end]))
-        for begin, end in zip(starts, ends, strict=True)
-    ]
-    return order[tops], amplitude[tops]
+    tops = np.maximum.reduceat(amplitude, starts)
+    places = np.append(starts[1:], order.size)
+    return np.sqrt(order[starts] * order[places - 1]), tops
 
 
 def _values(stage: xr.Dataset, name: str) -> FloatArray:
@@ -365,53 +336,42 @@ _LABELS = {
     "motor_speed": "Motor speed (rad/s)",
     "time": "Time from the start of the first recording (s)",
 }
+_LEARNED = {
+    "learned_torque": ("torque_nm", "sd_nm", 1.0, "Learned torque\nat the {} (N m)"),
+    "encoder_error": ("angle_rad", "sd_rad", 1e3, "Error of the\nencoder (mrad)"),
+}
+"""Group to its variables, the scale that they are shown in, and the label."""
+
 _SCALES = {"motor_angle": 0.5 / math.pi, "load_angle": 180.0 / math.pi}
 
 
 @stored_figure(
-    "The torque learned because no effect of the catalogue explains the residual that repeats.",
+    "What was learned because no known effect explains what repeats, with a 90 % band: a torque, "
+    "or an error of the motor's encoder (shown angle minus true angle).",
     95,
-    holding("learned_torque"),
-    name="learned_torque",
+    lambda tree: any(group in tree.children for group in _LEARNED),
+    name="learned",
 )
 def learned_course(tree: xr.DataTree) -> Figure:
-    """Its course forwards with a 90 % band."""
-    stored = tree["learned_torque"].to_dataset()
+    """Its course forwards."""
+    group = next(group for group in _LEARNED if group in tree.children)
+    value, deviation, scale, label = _LEARNED[group]
+    stored = tree[group].to_dataset()
     answer: Answer = json.loads(tree.attrs["diagnosis"])
-    told = answer["learned_torque"]
-    label = f"Learned torque\nat the {told['side']} (N m)"
-    return _course(stored, told, stored["torque_nm"].values, stored["sd_nm"].values, label)
-
-
-@stored_figure(
-    "The learned error of the motor's encoder: shown angle minus true angle.",
-    95,
-    holding("encoder_error"),
-    name="encoder_error",
-)
-def encoder_course(tree: xr.DataTree) -> Figure:
-    """It over a turn of the motor with a 90 % band."""
-    stored = tree["encoder_error"].to_dataset()
-    answer: Answer = json.loads(tree.attrs["diagnosis"])
-    error, sd = (1e3 * stored[name].values for name in ("angle_rad", "sd_rad"))
-    return _course(stored, answer["encoder_error"], error, sd, "Error of the\nencoder (mrad)")
-
-
-def _course(
-    stored: xr.Dataset, told: LearnedSummary, value: FloatArray, sd: FloatArray, label: str
-) -> Figure:
+    told = learned_of(answer)
+    assert told is not None
     figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0)
     panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
     x = stored["variable"].values * _SCALES.get(told["variable"], 1.0)
-    reach = LEVEL_SD * sd
-    panel.fill_between(x, value - reach, value + reach, color=style.BAND, linewidth=0.0)
-    panel.plot(x, value, color=style.MODEL)
+    course, reach = scale * stored[value].values, scale * LEVEL_SD * stored[deviation].values
+    panel.fill_between(x, course - reach, course + reach, color=style.BAND, linewidth=0.0)
+    panel.plot(x, course, color=style.MODEL)
     panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.5)
     panel.set_xlim(x[0], x[-1])
     if told["variable"] == "load_angle":
         panel.set_xticks([-180.0, -90.0, 0.0, 90.0, 180.0])
     panel.set_xlabel(_LABELS[told["variable"]])
-    panel.set_ylabel(label)
+    panel.set_ylabel(label.format(told["side"]))
     return figure
 
 

@@ -16,7 +16,6 @@ from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summ
 from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, used_dates
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
-    FIGURE_UNITS,
     credible_interval,
     curve_name,
     gap_colour,
@@ -30,11 +29,10 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import RAREST, decimals, probability, route_in_words
+from bayesbl.presentation.words import RAREST, bounds, middle, probability, route_in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE
-from bayesbl.units import number
 
 _ROW_IN = 0.5
 VISIBLE = 0.005
@@ -85,35 +83,24 @@ def _gap_rows(tree: xr.DataTree) -> list[_Row]:
     """Snapshot by snapshot, the route that answers first."""
     routes = [name for name in routes_of(tree) if holds(tree.children[name], f"posterior/{GAP}")]
     each = {route: stored_answers(tree, route) for route in routes}
-    dates, rows = _dates(tree), []
-    for index, (name, day) in enumerate(dates.items()):
+    rows = []
+    for index, name in enumerate(_names(tree)):
         for route in routes:
-            snapshot = each[route][index]
-            label = name if route == routes[0] else ""
-            if day and route == routes[0]:
-                label = f"{name}, {day}"
-            by = f"by {route_in_words(route)}" if len(routes) > 1 else ""
-            rows.append(
-                _Row(
-                    "\n".join(filter(None, [label, by])),
-                    1e3 * snapshot.values("posterior", GAP).ravel(),
-                    gap_colour(snapshot, index),
-                    route == routes[0],
-                    snapshot.withheld,
-                )
-            )
+            snapshot, answers = each[route][index], route == routes[0]
+            label = [name] * answers + [f"by {route_in_words(route)}"] * (len(routes) > 1)
+            draws = 1e3 * snapshot.values("posterior", GAP).ravel()
+            colour = gap_colour(snapshot, index)
+            rows.append(_Row("\n".join(label), draws, colour, answers, snapshot.withheld))
     return rows
 
 
-def _dates(tree: xr.DataTree) -> dict[str, str]:
-    """Name of every snapshot to its date, or to nothing."""
+def _names(tree: xr.DataTree) -> list[str]:
+    """Name of every snapshot, with its date if it has one."""
     names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
     if "wear" not in tree.children:
-        return dict.fromkeys(names, "")
-    days = tree["wear"].to_dataset()["date"].values
-    return {
-        n: Date.fromisoformat(str(d)).strftime("%d %b %Y") for n, d in zip(names, days, strict=True)
-    }
+        return names
+    days = [Date.fromisoformat(str(d)) for d in tree["wear"].to_dataset()["date"].values]
+    return [f"{name}, {day:%d %b %Y}" for name, day in zip(names, days, strict=True)]
 
 
 def _change_rows(tree: xr.DataTree) -> list[_Row]:
@@ -127,30 +114,27 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
         if not holds(tree.children[route], f"posterior/{GAP}"):
             continue
         first, *_, last = stored_answers(tree, route)
-        drawn = 1e3 * (last.values("posterior", GAP) - first.values("posterior", GAP))
+        draws = 1e3 * (last.values("posterior", GAP) - first.values("posterior", GAP)).ravel()
         withheld = summary["routes"][route]["change_rad"] is None
-        rows.append(
-            _Row(
-                f"by {route_in_words(route)}",
-                drawn.ravel(),
-                style.WITHHELD if withheld else style.NEUTRAL,
-                not rows,
-                withheld,
-            )
-        )
+        colour = style.WITHHELD if withheld else style.NEUTRAL
+        rows.append(_Row(f"by {route_in_words(route)}", draws, colour, not rows, withheld))
     stored = tree["change"].to_dataset()
-    if len(names) > 2:
-        rows += [
-            _Row(
-                f"{step['from']} to\n{step['to']}",
-                1e3 * stored["step_change_rad"].values[number].ravel(),
-                style.WITHHELD if step["change_rad"] is None else style.look(number + 1).colour,
-                True,
-                step["change_rad"] is None,
-            )
-            for number, step in enumerate(summary["changes"])
-        ]
+    for number, step in enumerate(summary["changes"] if len(names) > 2 else ()):
+        draws = 1e3 * stored["step_change_rad"].values[number].ravel()
+        withheld = step["change_rad"] is None
+        colour = style.WITHHELD if withheld else style.look(number + 1).colour
+        rows.append(_Row(f"{step['from']} to\n{step['to']}", draws, colour, True, withheld))
     return rows
+
+
+def density(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places and heights of a density, at the edges too; draws of a withheld gap may be alike."""
+    from arviz_stats.base import array_stats
+
+    if np.ptp(draws) == 0.0:
+        return draws[:1], np.ones(1)
+    across, heights, _ = array_stats.kde(draws, bw="silverman", bound_correction=False)
+    return across, heights
 
 
 def _draw_rows(
@@ -165,7 +149,7 @@ def _draw_rows(
     texts: list[tuple[float, int, str]] = []
     ends_shown: list[float] = []
     for place, row in enumerate(rows):
-        across, heights = style.smooth_density(row.draws)
+        across, heights = density(row.draws)
         seen = heights > VISIBLE * heights.max()
         across, heights = across[seen], heights[seen]
         ends_shown += [float(across[0]), float(across[-1])]
@@ -183,9 +167,7 @@ def _draw_rows(
             )  # fmt: skip
             panel.plot([found["median"]], [place], color=row.colour, marker="|", markersize=7.0,
                        markeredgewidth=1.4)  # fmt: skip
-            places = decimals(found, units=FIGURE_UNITS)
-            ends = " to ".join(number(found[k], places) for k in ("low", "high"))
-            text = f"{number(found['median'], places)}  ({ends})"
+            text = f"{middle(found)}  ({bounds(found)})"
         texts.append((float(np.median(row.draws)), place, text))
     low, high = min(ends_shown), max(ends_shown)
     if limit_rad is not None:
@@ -397,14 +379,8 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
         years = np.linspace((days[0] - days[-1]) / DAYS_PER_YEAR, ahead, 100)
         shown = days[-1] + DAYS_PER_YEAR * years
         low, middle, high = 1e3 * path_band(group, years, level)
-        panel.fill_between(
-            shown,
-            low,
-            high,
-            color=style.BAND,
-            linewidth=0.0,
-            label=f"{interval_name(tree)} of the path",
-        )
+        label = f"{interval_name(tree)} of the path"
+        panel.fill_between(shown, low, high, color=style.BAND, linewidth=0.0, label=label)
         panel.plot(shown, middle, color=style.MODEL, label="path, median")
     parts, used = snapshots(tree), group["used"].values
     every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])

@@ -12,7 +12,7 @@ from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import each_snapshot, holding, stored_figure
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.symbols import AMPLITUDE, DECAY, SYMBOLS
+from bayesbl.ringing.symbols import AMPLITUDE, SYMBOLS
 
 _BINS = 30
 _LEVELS = (0.9, 0.5)
@@ -57,7 +57,7 @@ def corner(snapshot: Snapshot) -> Figure:
             if row and not column:
                 panel.set_ylabel(_label(vertical))
                 panel.yaxis.set_label_coords(-0.48 / panel.bbox.width * style.PNG_DPI, 0.5)
-    _explain(figure, snapshot, DECAY in draws)
+    _explain(figure, snapshot)
     return figure
 
 
@@ -106,21 +106,19 @@ def _label(name: str) -> str:
     return letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"
 
 
-def _explain(figure: Figure, snapshot: Snapshot, decays: bool) -> None:
+def _explain(figure: Figure, snapshot: Snapshot) -> None:
     """Name, what the lines mean, and what has no row, in the empty upper corner."""
     count = snapshot.values("posterior", AMPLITUDE).size
     terms = snapshot.groups["posterior"].sizes.get("baseline_term", 0)
     lines = [
         f"{count} draws; contours hold 50 % and 90 % of them,",
         "dashed lines are the median and the 5 % and 95 % quantiles",
+        "τ is a decay rate: the time constant is 1/τ",
     ]
-    if decays:  # which a reader takes for a time
-        constant_ms = 1e3 / float(np.median(snapshot.values("posterior", DECAY)))
-        lines.append(f"τ is a decay rate: the time constant 1/τ is {constant_ms:.3g} ms")
     if terms:
         lines.append(f"not shown: {terms} baseline terms, sampled with the others")
     if snapshot.withheld and style.GAP in snapshot.groups["posterior"]:
         lines.append("δ is withheld")
     figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
-    text = figure.text(0.98, 0.94, "\n".join(lines), ha="right", va="top")
-    text.set_linespacing(1.4)
+    text = "\n".join(lines)
+    figure.text(0.98, 0.94, text, ha="right", va="top", linespacing=1.4)

@@ -1,9 +1,10 @@
-"""The fitted ringing: signal, what repeats unexplained, noise, and how the optimum was found."""
+"""A recording beside its model: the fitted ringing, the simulated bench."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,6 +23,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, WINDOW_END, WINDOW_START
 
 _BLOCK_IN = 2.5
+_OVERLAY_IN = 2.4
 _BINS = 700
 
 
@@ -58,8 +60,8 @@ def signal(tree: xr.DataTree) -> Figure:
         inner = spec[row, 0].subgridspec(
             2, 3, height_ratios=(2.4, 1.0), width_ratios=(2.3, 1.0, 1.0), hspace=0.08, wspace=0.16
         )
-        upper = figure.add_subplot(inner[0, 0])
-        lower = figure.add_subplot(inner[1, 0], sharex=upper)
+        panels = inner.subplots(sharex="col", sharey="row", squeeze=False)
+        upper, lower = panels[:, 0]
         data = _signal(snapshot)
         _draw_whole(upper, lower, data)
         heads.append(upper)
@@ -67,8 +69,7 @@ def signal(tree: xr.DataTree) -> Figure:
         for column, positive in ((1, True), (2, False)):
             edges = start, stop = impact_window(snapshot, positive)
             begin, end = start - 0.4 * (stop - start), stop + 0.4 * (stop - start)
-            top = figure.add_subplot(inner[0, column], sharey=upper)
-            bottom = figure.add_subplot(inner[1, column], sharex=top, sharey=lower)
+            top, bottom = panels[:, column]
             inside = (data.time >= begin) & (data.time <= end)
             _draw_part(top, bottom, _Signal(*(part[inside] for part in data)))
             for edge in edges:
@@ -76,11 +77,8 @@ def signal(tree: xr.DataTree) -> Figure:
                     axes.axvline(edge, color=style.NEUTRAL, linewidth=0.6, linestyle=":")
             for axes in (upper, lower):
                 style.shade(axes, begin, end)
-            top.tick_params(labelbottom=False, labelleft=False)
-            bottom.tick_params(labelleft=False)
             heads.append(top)
             titles.append("positive pulse" if positive else "negative pulse")
-        upper.tick_params(labelbottom=False)
         upper.set_ylabel("Motor speed (rpm)")
         lower.set_ylabel("Residual (rpm)")
         for axes in (upper, lower):
@@ -127,14 +125,8 @@ def _draw_part(top: Axes, bottom: Axes, data: _Signal) -> None:
     top.fill_between(data.time, data.low, data.high, color=style.BAND, linewidth=0.0, label="band")
     top.plot(data.time, data.speed, color=style.MEASURED, linewidth=0.7, label="measured")
     top.plot(data.time, data.model, color=style.MODEL, linewidth=1.1, label="model")
-    bottom.fill_between(
-        data.time,
-        data.low - data.model,
-        data.high - data.model,
-        color=style.BAND,
-        linewidth=0.0,
-        label="band",
-    )
+    low, high = data.low - data.model, data.high - data.model
+    bottom.fill_between(data.time, low, high, color=style.BAND, linewidth=0.0, label="band")
     bottom.plot(data.time, data.residual, color=style.MEASURED, linewidth=0.7, label="residual")
     bottom.axhline(0.0, color=style.MODEL, linewidth=0.8)
     bottom.set_xlim(data.time[0], data.time[-1])
@@ -154,3 +146,73 @@ def _legend(figure: Figure, interval: str) -> None:
         loc="upper center",
         ncols=4,
     )
+
+
+_LOOKS = {
+    "measured": {"color": style.MEASURED},
+    "simulated at the optimum": {"color": style.MODEL},
+}
+_CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
+
+
+@stored_figure(
+    "The measured signals with those of the simulated bench, and their difference; in a motion the "
+    "load crosses the gap in the shaded stretches.",
+    15,
+    holding("predictive/simulated_motor_speed_rpm"),
+    name="simulation",
+)
+def overlay(tree: xr.DataTree) -> Figure:
+    """One row of panels per snapshot: the middle rotation of each channel that was compared."""
+    parts = snapshots(tree, "predictive/simulated_motor_speed_rpm")
+    channels = [c for c in _CHANNELS if any(_has(part, c) for part in parts)]
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _OVERLAY_IN * len(parts))
+    spec = style.grid(figure, len(parts), len(channels), top=0.45, between=(0.55, 0.65))
+    heads: list[Axes] = []
+    titles: list[str] = []
+    for row, snapshot in enumerate(parts):
+        for column, channel in enumerate(channels):
+            if not _has(snapshot, channel):
+                continue
+            inner = spec[row, column].subgridspec(2, 1, height_ratios=(2.2, 1.0), hspace=0.08)
+            (upper,), (lower,) = inner.subplots(sharex=True, squeeze=False)
+            _draw_overlay(upper, lower, snapshot, channel)
+            heads.append(upper)
+            moves = "flank_changes" in snapshot.groups["predictive"]
+            titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
+    style.head_panels(heads, titles)
+    style.legend_of(figure, _LOOKS)
+    return figure
+
+
+def _has(snapshot: Snapshot, channel: str) -> bool:
+    name = f"simulated_{channel}"
+    return name in snapshot.groups["predictive"] and snapshot.values("predictive", name).size > 0
+
+
+def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) -> None:
+    time = snapshot.time_s
+    period = snapshot.number("predictive", "rotation_period_s")
+    begin = time[0] + 0.5 * max(0.0, time[-1] - time[0] - period)
+    inside = (time >= begin) & (time <= begin + period)
+    measured = snapshot.channel(channel)[inside]
+    upper.plot(time[inside], measured, color=style.MEASURED, linewidth=0.6)
+    simulated = snapshot.values("predictive", f"simulated_{channel}")[inside]
+    upper.plot(time[inside], simulated, color=style.MODEL, linewidth=0.9)
+    residual = snapshot.values("predictive", f"residual_{channel}")[inside]
+    lower.plot(time[inside], residual, color=style.MEASURED, linewidth=0.6)
+    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    reach = 1.1 * float(np.nanmax(np.abs(residual)))
+    lower.set_ylim(-reach, reach)
+    lower.set_xlim(begin, begin + period)
+    lower.set_xlabel("Time (s)")
+    unit = _CHANNELS[channel].rsplit(" ", 1)[1]
+    upper.set_ylabel(_CHANNELS[channel])
+    lower.set_ylabel(f"Residual {unit}")
+    if "flank_left_s" in snapshot.groups["predictive"]:
+        parted, met = (snapshot.values("predictive", f"flank_{end}_s") for end in ("left", "met"))
+        for start, stop in zip(time[0] + parted, time[0] + met, strict=True):
+            if begin <= stop < begin + period:
+                style.shade(upper, start, stop)
+    for axes in (upper, lower):
+        axes.yaxis.set_label_coords(-0.13, 0.5)

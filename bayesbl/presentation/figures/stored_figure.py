@@ -11,17 +11,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from bayesbl.declared import declared
-from bayesbl.errors import ResultError
 from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.style import GAP, WITHHELD, look, publication_style, save
-from bayesbl.presentation.words import bounds, decimals, short_kind
+from bayesbl.presentation.words import interval_kind, with_bounds
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
-from bayesbl.units import number
-
-FIGURE_UNITS = 10.0
-"""Of the last decimal, that an interval in a figure is wide."""
 
 
 def route_holding(tree: xr.DataTree, path: str) -> str | None:
@@ -65,24 +60,16 @@ def gap_interval(tree: xr.DataTree, snapshot: Snapshot) -> Interval:
     return credible_interval(tree, 1e3 * snapshot.values("posterior", GAP))
 
 
-def interval_in_words(found: Interval) -> str:
-    """``0.246 mrad (90 % interval 0.211 to 0.281)`` of an interval in mrad."""
-    places = decimals(found, units=FIGURE_UNITS)
-    middle = number(found["median"], places)
-    return f"{middle} mrad ({short_kind(found)} {bounds(found, places=places)})"
-
-
 def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
     """``after: 0.953 mrad (90 % interval 0.927 to 0.981)``, or that δ is withheld."""
     if snapshot.withheld:
         return f"{snapshot.name}: δ withheld"
-    return f"{snapshot.name}: {interval_in_words(gap_interval(tree, snapshot))}"
+    return f"{snapshot.name}: {with_bounds(gap_interval(tree, snapshot), 'mrad')}"
 
 
 def interval_name(tree: xr.DataTree) -> str:
     """``90 % interval``."""
-    kind = "HDI" if tree.attrs["interval_kind"] == "hdi" else "interval"
-    return f"{100.0 * float(tree.attrs['interval_level']):g} % {kind}"
+    return interval_kind(credible_interval(tree, np.zeros(1)))
 
 
 def values(tree: xr.DataTree, group: str, variable: str) -> FloatArray:
@@ -179,42 +166,14 @@ def holding(*paths: str) -> Callable[[xr.DataTree], bool]:
     )
 
 
-def draw_all(
-    tree: xr.DataTree,
-    folder: Path,
-    formats: Sequence[str] = ("png",),
-) -> list[Path]:
-    """Write every figure that applies to a result.
+def draw_all(tree: xr.DataTree, folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write every figure that applies to a result into a folder; the files written.
 
-    Parameters
-    ----------
-    tree
-        As :func:`bayesbl.results.store.read_tree` gives it.
-    folder
-        Is made if there is a figure and it is missing.
-    formats
-        As of :func:`bayesbl.presentation.figures.style.save`.
-
-    Returns
-    -------
-    The files written.
-
-    Raises
-    ------
-    ResultError
-        If there is no figure for such a result.
+    ``formats``: as of :func:`bayesbl.presentation.figures.style.save`.
     """
-    if not figures_of(tree):
-        raise ResultError(
-            "There are no figures for a result of this kind.",
-            found=tree.attrs.get("kind"),
-            expected="a fit, a comparison, a sweep or a diagnosis",
-        )
-    if not formats:
-        return []
     return [
         path
-        for stored, ending, figure in drawn(tree)
+        for stored, ending, figure in (drawn(tree) if formats else ())
         for path in save(figure, folder, stored.name + ending, formats)
     ]
 

@@ -248,29 +248,6 @@ def envelope(
 LIMIT_DASHES = (0.0, (6.0, 2.0, 1.0, 2.0))
 
 
-POINTS = 200
-"""Of a smooth density."""
-
-
-def smooth_density(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gaussian kernel density of draws, by the bandwidth of Silverman (1986, eq. 3.31).
-
-    Returns
-    -------
-    Places and heights, each of shape (:data:`POINTS`,); the heights integrate to one.
-    """
-    quartiles = np.quantile(draws, (0.25, 0.75))
-    spread = min(float(np.std(draws)), float(np.ptp(quartiles)) / 1.34)
-    width = max(0.9 * spread * draws.size**-0.2, 1e-9 * float(np.abs(draws).max()), 1e-300)
-    heights, edges = np.histogram(
-        draws, POINTS, (draws.min() - 4.0 * width, draws.max() + 4.0 * width), density=True
-    )
-    step = float(edges[1] - edges[0])
-    half = POINTS // 2 - 1
-    kernel = np.exp(-0.5 * (step * np.arange(-half, half + 1) / width) ** 2)
-    return 0.5 * (edges[1:] + edges[:-1]), np.convolve(heights, kernel / kernel.sum(), "same")
-
-
 def reach(interval: Interval, scale: float = 1.0) -> list[list[float]]:
     """How far an interval reaches below and above its median, as error bars ask for it."""
     below = interval["median"] - interval["low"]

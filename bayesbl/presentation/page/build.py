@@ -82,12 +82,14 @@ def fragment(headline: str, blocks: Sequence[Block]) -> str:
 def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     summary = summarise(tree)
     subject = SUBJECTS[summary["kind"]]
+    headline, advice = subject.headline(summary), subject.advice(summary)
+    said = {headline, *advice.sentences}
     return {
         "title": subject.title,
-        "headline": subject.headline(summary),
-        "advice": subject.advice(summary),
+        "headline": headline,
+        "advice": advice,
         "pictures": pictures,
-        "numbers": list(blocks(summary)),
+        "numbers": [block for block in blocks(summary) if getattr(block, "text", "") not in said],
         "details": list(subject.details(tree, summary)),
         "assumptions": list(subject.assumptions(summary)),
         "config": tree.attrs.get("config", ""),

@@ -11,27 +11,31 @@ import hashlib
 import json
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from datetime import date as Date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from bayesbl.presentation import words
-from bayesbl.presentation.fleet import headline, types_in_words, unlike_type
+from bayesbl.presentation.fleet import (
+    Cell,
+    Row,
+    headline,
+    in_mrad,
+    interval_of,
+    limit_reached,
+    state,
+    types_in_words,
+    unlike_type,
+)
 from bayesbl.presentation.page.templates import source, templates
-from bayesbl.presentation.wear import LAWS, median_in_mrad, month
+from bayesbl.presentation.wear import LAWS
 from bayesbl.results.folder import SUMMARY_FILE
 from bayesbl.results.store import write_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
-
-    from bayesbl.results.intervals import Interval
-
-
-Row = Mapping[str, Any]
 
 
 def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False) -> Markup | str:
@@ -109,15 +113,6 @@ _OUTCOMES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """Text, what is said below it, and what the column is sorted by."""
-
-    text: str
-    below: str = ""
-    key: str | float = ""
-
-
 def write_pages(folder: Path) -> list[Path]:
     """``index.html`` and ``joints/<joint>.html`` from what stands in a fleet's folder."""
     import pyarrow.parquet
@@ -169,12 +164,12 @@ def _line(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
         "gearbox": row["gearbox"] or "",
         "rank": row["rank"],
         "alarm": row["alarm"],
-        "gap": _in_mrad(row, "delta_rad", summary),
-        "rate": _in_mrad(row, "rate_rad_per_year", summary),
-        "limit": _limit(row),
-        "passed": _probability(row["probability_limit_now"]),
-        "cost": _cost(row),
-        "state": _state(row, summary),
+        "gap": in_mrad(row, "delta_rad", summary),
+        "rate": in_mrad(row, "rate_rad_per_year", summary),
+        "limit": limit_reached(row),
+        "passed": _cell(row["probability_limit_now"], words.probability),
+        "cost": _cell(row["expected_cost"], _cost),
+        "state": state(row, summary),
         "reason": row["reason"] or "",
         "picture": picture(_given(recordings), row["limit_rad"]),
     }
@@ -195,7 +190,7 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
             {
                 "date": one["date"],
                 "file": one["file"],
-                "gap": _in_mrad(one, "delta_rad", summary),
+                "gap": in_mrad(one, "delta_rad", summary),
                 "outcome": _OUTCOMES.get(str(one["outcome"]), str(one["outcome"])),
                 "told": one["reason"] or one["notes"] or "",
                 "used": one["used"],
@@ -206,7 +201,10 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
 
 
 def _headline(row: Row, summary: Row) -> str:
-    gap, rate = _interval(row, "delta_rad", summary), _interval(row, "rate_rad_per_year", summary)
+    gap, rate = (
+        interval_of(row, "delta_rad", summary),
+        interval_of(row, "rate_rad_per_year", summary),
+    )
     if gap is None:
         return f"{row['joint']}: no gap is given."
     said = f"{row['joint']}: the gap was {words.in_mrad(gap)} on {row['last_date']}"
@@ -217,7 +215,7 @@ def _headline(row: Row, summary: Row) -> str:
         return f"{said}, and is not shown to have grown (probability {shown})."
     unlike = unlike_type(row, summary)
     how = f", {unlike}: this rests on its own recordings" if unlike else ""
-    return f"{said}, and grows by {median_in_mrad(rate)} mrad a year{how}."
+    return f"{said}, and grows by {words.middle(rate, 1e3)} mrad a year{how}."
 
 
 def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
@@ -225,9 +223,9 @@ def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
     if row["pooled"]:
         rates.append(("Rate by its own recordings", "rate_alone_rad_per_year"))
     for label, name in rates:
-        found = _interval(row, name, summary)
+        found = interval_of(row, name, summary)
         if found is not None:
-            yield label, f"{median_in_mrad(found)} ({words.bounds(found, 1e3)}) mrad a year"
+            yield label, f"{words.middle(found, 1e3)} ({words.bounds(found, 1e3)}) mrad a year"
     if row["rate_rad_per_year_median"] is not None:
         yield "Joints of its type count", "yes" if row["pooled"] else "no"
         if row["probability_unlike_type"] is not None:
@@ -239,65 +237,23 @@ def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
     if row["probability_limit_now"] is not None:
         yield "Above the limit", words.probability(row["probability_limit_now"])
     if row["rate_rad_per_year_median"] is not None and row["limit_rad"] is not None:
-        yield "Reaches the limit", f"{_limit(row).text} ({_limit(row).below})"
+        reached = limit_reached(row)
+        yield "Reaches the limit", f"{reached.text} ({reached.below})"
         yield "Not before", row["limit_date_not_before"] or "1000 years"
     if row["probability_limit_before"] is not None:
         told = words.probability(row["probability_limit_before"])
         yield f"Reaches it before {summary['decide_before']}", told
     if row["expected_cost"] is not None:
-        yield f"Expected cost before {summary['decide_before']}", _cost(row).text
+        yield f"Expected cost before {summary['decide_before']}", _cost(row["expected_cost"])
     yield "Recordings", f"{row['recordings']}, {row['used']} of them in the rate"
 
 
-def _interval(row: Row, name: str, summary: Row) -> Interval | None:
-    if row[f"{name}_median"] is None:
-        return None
-    return {
-        "median": row[f"{name}_median"],
-        "low": row[f"{name}_low"],
-        "high": row[f"{name}_high"],
-        "level": summary["level"],
-        "kind": summary["interval_kind"],
-    }
+def _cell(value: float | None, told: Callable[[float], str]) -> Cell:
+    return Cell("–", key=-1.0) if value is None else Cell(told(value), key=value)
 
 
-def _in_mrad(row: Row, name: str, summary: Row) -> Cell:
-    found = _interval(row, name, summary)
-    if found is None:
-        return Cell("–", "", -1.0)
-    return Cell(median_in_mrad(found), words.bounds(found, 1e3), found["median"])
-
-
-def _limit(row: Row) -> Cell:
-    """When the limit is reached; sorted as the table is ranked."""
-    if row["rate_rad_per_year_median"] is None or row["limit_rad"] is None:
-        return Cell("–", "", "9999-99")
-    middle = row["limit_date_median"]
-    if middle is not None and middle <= row["last_date"]:
-        return Cell("passed", f"by {month(row['last_date'])}", "0000")
-    low, high = (row[f"limit_date_{end}"] for end in ("low", "high"))
-    later = "later" if high is None else month(high)
-    text = "not in sight" if middle is None else month(middle)
-    return Cell(text, f"{month(low)} to {later}", middle or "9999-98")
-
-
-def _cost(row: Row) -> Cell:
-    cost = row["expected_cost"]
-    return Cell("–", "", -1.0) if cost is None else Cell(f"{cost:,.0f}", "", cost)
-
-
-def _probability(value: float | None) -> Cell:
-    return Cell("–", "", -1.0) if value is None else Cell(words.probability(value), "", value)
-
-
-def _state(row: Row, summary: Row) -> str:
-    if row["rate_rad_per_year_median"] is not None:
-        left = row["withheld"] + row["broken"]
-        unsure = row["probability_wear"] < words.SURE
-        unlike = unlike_type(row, summary)
-        notes = ["not shown to grow"] * unsure + [f"wears {unlike}"] * bool(unlike)
-        return ", ".join(["measured", *notes, *[f"{left} left out"] * bool(left)])
-    return "no rate" if row["delta_rad_median"] is not None else "no gap"
+def _cost(value: float) -> str:
+    return f"{value:,.0f}"
 
 
 def _given(recordings: Sequence[Row]) -> list[Row]:
