@@ -128,7 +128,7 @@ def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
 
 def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     """Every unknown with its interval and its bound, the predictive check, noise and sampling."""
-    yield _unknown_table(part)
+    yield unknown_table(part)
     yield aside(BOUND_EXPLAINED)
     yield _check_table(part)
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
@@ -143,7 +143,8 @@ def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     yield from labelled(lines)
 
 
-def _unknown_table(part: RouteSummary) -> Table:
+def unknown_table(part: RouteSummary) -> Table:
+    """A row an unknown: optimum, standard deviation, its bound, interval."""
     kind = words.interval_kind(next(iter(part["parameters"].values())))
     titles = ("Optimum", "Posterior sd", "Cramér-Rao", kind)
     rows = [_unknown_row(part, name) for name in part["optimum"]]
@@ -152,7 +153,7 @@ def _unknown_table(part: RouteSummary) -> Table:
 
 def _unknown_row(part: RouteSummary, name: str) -> tuple[str, ...]:
     found = part["delta_rad"] if name == "delta_rad" else part["parameters"][name]
-    # Without a bound, what these recordings say nothing of has no finite one.
+    # What these recordings say nothing of has no finite bound.
     errors = (
         "–" if (sd := part[key][name]) is None else words.significant(sd, 3)
         for key in ("posterior_sd", "cramer_rao_sd")

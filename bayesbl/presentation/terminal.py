@@ -45,6 +45,8 @@ _NARROWEST_NAME = 12
 
 _INDENT = "  "
 
+_GLUE = "\N{NO-BREAK SPACE}"
+
 STEERING = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 """Characters that steer a terminal, and those that turn the direction of writing."""
 
@@ -122,20 +124,15 @@ def print_table(table: Table, console: Console) -> None:
 
 def filled(pairs: Sequence[str], width: int) -> list[str]:
     """Pairs set side by side with commas, broken between them alone."""
-    lines: list[str] = []
-    for index, pair in enumerate(pairs):
-        text = pair if index == len(pairs) - 1 else f"{pair},"
-        if lines and len(lines[-1]) + 1 + len(text) <= width:
-            lines[-1] += f" {text}"
-        else:
-            lines.append(text)
-    return lines
+    whole = ", ".join(pair.replace(" ", _GLUE) for pair in pairs)
+    lines = textwrap.wrap(whole, width, break_on_hyphens=False, break_long_words=False)
+    return [line.replace(_GLUE, " ") for line in lines]
 
 
 def wrapped(sentence: str, width: int) -> str:
     """Broken into lines of ``width``, but never between a number and its sign or unit."""
     lines = textwrap.wrap(glued(sentence), width, break_on_hyphens=False)
-    return "\n".join(lines).replace("\N{NO-BREAK SPACE}", " ")
+    return "\n".join(lines).replace(_GLUE, " ")
 
 
 def _print_text(sentence: str, label: str, style: str, console: Console) -> None:

@@ -492,6 +492,14 @@ def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
     assert flat(text).startswith(answer.headline(_summary(stored)))
 
 
+def test_a_bound_that_is_not_finite_is_a_dash():
+    size = {"load_inertia_kg_m2": 0.2}
+    found = {"parameters": {"load_inertia_kg_m2": between(19.0, 21.0)}, "optimum": size}
+    stored = found | {"posterior_sd": size, "cramer_rao_sd": {"load_inertia_kg_m2": None}}
+    ((_, best, sd, bound, _),) = estimates.unknown_table(stored).rows
+    assert (best, sd, bound) == ("0.2", "0.200", "–")
+
+
 def test_noise_is_told_with_its_evidence():
     found = part()
     assert estimates.noise(found) == (
@@ -689,7 +697,7 @@ def test_a_study_that_fits_is_a_table_and_one_that_does_not_a_block_a_row():
 
 
 @given(
-    st.lists(st.text("ab ", min_size=1, max_size=12).map(str.strip), min_size=1),
+    st.lists(st.text("ab ", min_size=1, max_size=12).map(str.strip).filter(bool), min_size=1),
     st.integers(1, 40),
 )
 def test_pairs_are_broken_between_them_alone(pairs, width):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from datetime import date as Date
@@ -45,6 +44,7 @@ def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False)
     shares are compared.
     """
     from markupsafe import Markup
+    from matplotlib.ticker import MaxNLocator
 
     if not rows:
         return ""
@@ -76,8 +76,8 @@ def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False)
     kind = f'class="spark" width="{width:g}" height="{height:g}"'
     if axes:
         kind = 'class="history"'
-        step = _step(1e3 * highest)
-        for value in (n * step for n in range(math.floor(1e3 * highest / step) + 1)):
+        ticks = MaxNLocator(8, steps=[1, 2, 5, 10]).tick_values(0.0, 1e3 * highest)
+        for value in ticks[ticks <= 1.08e3 * highest]:
             at = y(1e-3 * value)
             drawn = (
                 f'<path class="grid" d="M{left} {at:.1f}H{right}"/>'
@@ -94,13 +94,6 @@ def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False)
     )
     box = f'viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{said}"'
     return Markup(f"<svg {kind} {box}>{drawn}</svg>")
-
-
-def _step(highest: float) -> float:
-    """1, 2 or 5 times a power of ten that divides an axis into four to ten."""
-    rough = highest / 5.0
-    power = 10.0 ** math.floor(math.log10(rough))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough)
 
 
 _OUTCOMES = {
