@@ -21,10 +21,10 @@ from bayesbl.presentation.figures.stored_figure import (
     gap_colour,
     gap_in_words,
     gap_interval,
-    group_of,
     holding,
     holds,
     interval_name,
+    route_holding,
     snapshots,
     stored_figure,
 )
@@ -215,7 +215,7 @@ def amplitude_to_gap(tree: xr.DataTree) -> Figure:
     top = 0.1 + style.LINE_IN * ((lines + 1) // 2)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + 2.9)
     panel = figure.add_subplot(style.grid(figure, 1, 1, top=top)[0, 0])
-    curve = group_of(tree, "curve")
+    curve = tree[f"{route_holding(tree, 'curve')}/curve"].to_dataset()
     if STACKED in curve.dims:
         for name in curve[STACKED].values:
             _draw_one_curve(panel, curve.sel({STACKED: name}), f" of {name}")

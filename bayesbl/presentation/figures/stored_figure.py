@@ -37,13 +37,6 @@ def snapshots(tree: xr.DataTree, holding: str | None = None) -> list[Snapshot]:
     return stored_answers(tree, None if holding is None else route_holding(tree, holding))
 
 
-def group_of(tree: xr.DataTree, group: str) -> xr.Dataset:
-    """A group at the root, or of the route that holds it."""
-    route = None if group in tree.children else route_holding(tree, group)
-    node = tree.children[group] if route is None else tree.children[route].children[group]
-    return node.to_dataset()
-
-
 def gap_colour(snapshot: Snapshot, index: int) -> str:
     """Of what shows δ, by the snapshot's place among the others; grey where withheld."""
     return WITHHELD if snapshot.withheld else look(index).colour
@@ -70,11 +63,6 @@ def gap_in_words(tree: xr.DataTree, snapshot: Snapshot) -> str:
 def interval_name(tree: xr.DataTree) -> str:
     """``90 % interval``."""
     return interval_kind(credible_interval(tree, np.zeros(1)))
-
-
-def values(tree: xr.DataTree, group: str, variable: str) -> FloatArray:
-    """A stored variable or coordinate of numbers, in its own shape and units."""
-    return np.asarray(group_of(tree, group)[variable].values, dtype=float)
 
 
 def curve_name(name: str) -> str:

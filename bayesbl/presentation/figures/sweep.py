@@ -15,7 +15,7 @@ from bayesbl.config.bench import parse_bench, reference_bench
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.measurement.curves import SOURCE_PREFIX, curve_from_dataset
 from bayesbl.presentation.figures import style
-from bayesbl.presentation.figures.stored_figure import holding, stored_figure, values
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.words import source_in_words
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.symbols import DECAY, FREQUENCY
@@ -67,7 +67,7 @@ def curve(tree: xr.DataTree) -> Figure:
     _draw_close(close, tree)
     axes.append(close)
     titles.append("the sweep")
-    amplitude = values(tree, "curve", "amplitude")
+    amplitude = _values(tree, "curve/amplitude")
     for panel in axes[1:]:
         style.plain_log_axis(panel.xaxis, (1.0, 2.0, 3.0, 5.0))
         panel.set_xlim(0.93 * amplitude[0], 1.07 * amplitude[-1])
@@ -76,6 +76,12 @@ def curve(tree: xr.DataTree) -> Figure:
     close.set_xlabel("Amplitude of the ringing A (rpm)")
     style.head_panels(axes, titles)
     return figure
+
+
+def _values(tree: xr.DataTree, path: str) -> FloatArray:
+    """A variable or coordinate of numbers, ``curve/amplitude``, in its own shape and units."""
+    group, _, variable = path.partition("/")
+    return np.asarray(tree[group].to_dataset()[variable].values, dtype=float)
 
 
 def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -139,7 +145,7 @@ def _kind(tree: xr.DataTree) -> str:
 
 def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
     """Amplitudes of the stored curve that eq. 4 was made for, and its δ there in rad."""
-    amplitude = values(tree, "curve", "amplitude")
+    amplitude = _values(tree, "curve/amplitude")
     eq4 = published_curve(draws=1)
     inside = amplitude[eq4.outside(amplitude) == 0.0]
     return inside, eq4.gap(inside)
@@ -147,7 +153,7 @@ def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
 
 def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
     """Sources that are wide beside the sweep's own, and eq. 4 where it is of this bench."""
-    knots = values(tree, "gap_curve", "knots_rpm")
+    knots = _values(tree, "gap_curve/knots_rpm")
     for source, (low, high) in source_bands(tree).items():
         if source in _WIDE_SOURCES:
             _draw_band(panel, knots, low, high, source)
@@ -209,7 +215,7 @@ def _draw_band(
 def disturbance(tree: xr.DataTree) -> Figure:
     """Noise-free speed at some gaps over one load rotation; both pulses from nearby."""
     names = ("time_s", "motor_speed_rpm", "gap_rad")
-    time, speeds, gaps = (values(tree, "examples", name) for name in names)
+    time, speeds, gaps = (_values(tree, f"examples/{name}") for name in names)
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 2.6)
     spec = style.grid(figure, 1, 3, top=0.5, between=(0.0, 0.25), widths=(1.5, 1.0, 1.0))
     whole = figure.add_subplot(spec[0, 0])
@@ -244,8 +250,8 @@ def pulse_view(tree: xr.DataTree) -> tuple[float, float]:
 
     Long enough for the ringing of the largest gap to fall to 5 %, and almost two periods before it.
     """
-    period = 2.0 * np.pi / float(values(tree, "sweep", FREQUENCY)[-1].mean())
-    ringing = 3.0 / float(values(tree, "sweep", DECAY)[-1].mean())
+    period = 2.0 * np.pi / float(_values(tree, f"sweep/{FREQUENCY}")[-1].mean())
+    ringing = 3.0 / float(_values(tree, f"sweep/{DECAY}")[-1].mean())
     return -1.75 * period, 1.75 * period + ringing
 
 
