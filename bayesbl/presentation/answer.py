@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
@@ -20,13 +21,11 @@ from bayesbl.units import number
 
 if TYPE_CHECKING:
     from bayesbl.measurement.summary_types import (
-        ComparisonSummary,
         MeasuredSummary,
         ReasonSummary,
         RouteSummary,
         SamplerCheckSummary,
         SnapshotSummary,
-        WearSummary,
     )
     from bayesbl.runs.kinds import Summary
 
@@ -408,20 +407,51 @@ def advice(summary: MeasuredSummary) -> Advice:
                 f"Fix this, or record again, {again}; until then, decide without this measurement.",
             ),
         )
-    compared = summary if summary["kind"] == "compare" else None
-    rated = wear.with_rate(compared) if compared else None
-    unless = wear.unless(compared) if compared else ""
-    head = (_by_forecast(rated, last, unless) if rated else None) or _by_limit(summary, last)
-    if DISAGREE in codes(summary["reason"]) and (head is None or head.tone != "act"):
-        head = Advice("watch", "Find out why the two estimates differ.", (_why(summary),))
-    elif is_by_other_machine(summary):
-        head = Advice("note", "Do not act on these gaps: the curve is another machine's.", ())
-    elif head is None:
-        head = _without_limit(compared, rated)
+    head = _verdict(summary, last)
     if has_shrunk(summary) and head.tone != "act":
         title = "Are the files in order, or was the joint repaired?"
         head = Advice("watch", title, head.sentences)
-    return Advice(head.tone, head.title, (*head.sentences, *_caveats(summary)))
+    return replace(head, sentences=(*head.sentences, *_caveats(summary)))
+
+
+def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
+    """By the limit, a forecast where it is ahead, or the growth where there is no limit."""
+    compared = summary if summary["kind"] == "compare" else None
+    rated = wear.with_rate(compared) if compared else None
+    cause, unless = (wear.other_cause(compared), wear.unless(compared)) if compared else (None, "")
+    forecast = tuple(wear.sentences(rated, unless=unless)) if rated else ()
+    above, limited = last.get("probability_above_limit"), above_limit(summary)
+    if above is not None and limited is not None and above >= SURE:
+        return Advice("act", "The joint is due for repair.", (limited,))
+    if DISAGREE in codes(summary["reason"]):
+        return Advice("watch", "Find out why the two estimates differ.", (_why(summary),))
+    if is_by_other_machine(summary):
+        return Advice("note", "Do not act on these gaps: the curve is another machine's.", ())
+    if above is not None and limited is not None:
+        if above > 1.0 - SURE:
+            again = "It may be on either side: inspect the joint, or record it again for longer."
+            return Advice("watch", "Look at this joint soon.", (limited, again))
+        if rated is None:
+            return Advice("fine", "No repair is due.", (limited,))
+        if rated["probability_wear"] < SURE or unless:
+            return Advice("fine", "No repair is due, and no wear is shown.", forecast)
+        earliest, asked = wear.not_before(rated), rated["probability_before"]
+        if earliest is None:
+            return Advice("fine", "No repair is due for years.", forecast)
+        is_soon = asked is not None and asked["probability"] > 1.0 - SURE
+        title = f"Plan the repair for {earliest} or before."
+        return Advice("watch" if is_soon else "fine", title, forecast)
+    ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
+    change = None if compared is None else compared["change_rad"]
+    if compared is not None and cause is not None:
+        told = headline(summary) if rated is None else wear.headline(compared, rated)
+        return Advice("watch", NOT_SHOWN, (told, ask))
+    if rated is None and change is None:
+        return Advice("note", "Compare this gap with the joint's limit.", (ask,))
+    has_grown = change is not None and change["low"] > 0.0
+    if rated["probability_wear"] >= SURE if rated else has_grown:
+        return Advice("watch", "The joint wears: keep measuring it.", (*forecast, ask))
+    return Advice("fine", "No wear is shown: measure again later.", (ask,))
 
 
 def _of_ringing(summary: MeasuredSummary) -> Advice:
@@ -441,60 +471,6 @@ def _of_ringing(summary: MeasuredSummary) -> Advice:
 
 def _why(summary: MeasuredSummary) -> str:
     return "" if summary["reason"] is None else summary["reason"]["text"]
-
-
-def _by_forecast(found: WearSummary, last: SnapshotSummary, unless: str) -> Advice | None:
-    """Until when no repair is due, where the limit is ahead.
-
-    ``unless``: on what condition, if the growth could be something else.
-    """
-    above = last.get("probability_above_limit")
-    if above is None or above > 1.0 - SURE:
-        return None
-    sentences = tuple(wear.sentences(found, unless=unless))
-    if found["probability_wear"] < SURE or unless:
-        return Advice("fine", "No repair is due, and no wear is shown.", sentences)
-    earliest = wear.not_before(found)
-    if earliest is None:
-        return Advice("fine", "No repair is due for years.", sentences)
-    asked = found["probability_before"]
-    is_soon = asked is not None and asked["probability"] > 1.0 - SURE
-    return Advice(
-        "watch" if is_soon else "fine", f"Plan the repair for {earliest} or before.", sentences
-    )
-
-
-def _by_limit(summary: MeasuredSummary, last: SnapshotSummary) -> Advice | None:
-    """Repair or not, by the probability that the last gap is above its limit."""
-    above, why = last.get("probability_above_limit"), above_limit(summary)
-    if above is None or why is None:
-        return None
-    if above >= SURE:
-        return Advice("act", "The joint is due for repair.", (why,))
-    if above <= 1.0 - SURE:
-        return Advice("fine", "No repair is due.", (why,))
-    again = "It may be on either side: inspect the joint, or record it again for longer."
-    return Advice("watch", "Look at this joint soon.", (why, again))
-
-
-def _without_limit(summary: ComparisonSummary | None, rated: WearSummary | None) -> Advice:
-    ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
-    if rated is not None:
-        if summary is not None and wear.other_cause(summary) is not None:
-            return Advice("watch", NOT_SHOWN, (wear.headline(summary, rated), ask))
-        if rated["probability_wear"] >= SURE:
-            sentences = tuple(wear.sentences(rated))
-            return Advice("watch", "The joint wears: keep measuring it.", (*sentences, ask))
-        return Advice("fine", "No wear is shown: measure again later.", (ask,))
-    if summary is not None and wear.other_cause(summary) is not None:
-        return Advice("watch", NOT_SHOWN, (headline(summary), ask))
-    change = None if summary is None else summary["change_rad"]
-    if change is None:
-        return Advice("note", "Compare this gap with the joint's limit.", (ask,))
-    if change["low"] > 0.0:
-        return Advice("watch", "The joint wears: keep measuring it.", (ask,))
-    why = "These recordings do not show that the gap grew."
-    return Advice("fine", "No wear is shown: measure again later.", (why, ask))
 
 
 def _caveats(summary: MeasuredSummary) -> Iterator[str]:
