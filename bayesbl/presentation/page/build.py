@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import base64
+import html
 import io
 import json
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import xarray as xr
+from markupsafe import Markup
 
+from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex, citations
 from bayesbl.presentation.figures.stored_figure import drawn
-from bayesbl.presentation.page.templates import prose, templates
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import write_text
 from bayesbl.runs.kinds import read_result, summarise
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 PAGE_FILE = "report.html"
 
@@ -118,3 +124,35 @@ def _pictures(tree: xr.DataTree, stored: Path | None) -> Iterator[Picture]:
 def _picture(caption: str, png: bytes) -> Picture:
     address = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
     return Picture(caption, address, int.from_bytes(png[16:20]))  # as its head says
+
+
+def templates(*sheets: str) -> Environment:
+    """The templates by name; pages are in the common style, and in these sheets after it."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("bayesbl.presentation.page", ".")
+    environment = Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["glued"] = prose
+    environment.globals["style"] = Markup(
+        "".join(source(environment, name) for name in ("page.css", *sheets))
+    )
+    return environment
+
+
+def source(environment: Environment, name: str) -> str:
+    """A file beside the templates, as it is."""
+    assert environment.loader is not None
+    return environment.loader.get_source(environment, name)[0]
+
+
+def prose(sentence: str) -> Markup:
+    """A sentence as HTML: commands as code, no break inside a quantity or an option."""
+    text = html.escape(words.glued(sentence), quote=False)
+    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
+    return Markup(re.sub(r"(?<![\w-])--[a-z][\w-]*", r'<span class="option">\g<0></span>', text))

@@ -28,7 +28,7 @@ from bayesbl.presentation.fleet import (
     types_in_words,
     unlike_type,
 )
-from bayesbl.presentation.page.templates import source, templates
+from bayesbl.presentation.page.build import source, templates
 from bayesbl.presentation.wear import LAWS
 from bayesbl.results.folder import SUMMARY_FILE
 from bayesbl.results.store import write_text
