@@ -157,17 +157,15 @@ def config_from_options(
         if kind == "diagnose":  # one half of each to fit on, as long as nobody says better
             tables["recordings"] = [{**entry, "use": "split"} for entry in tables["recordings"]]
         origins[("recordings",)] = "recordings"
+    if any(options.get(limit) is not None for limit in _LIMITS):
+        # An option goes before a limit of either form in the file.
+        joint = tables.get("joint", {})
+        tables["joint"] = {key: one for key, one in joint.items() if key not in _LIMITS}
     for option, value in options.items():
         if value is not None:
             path_like = option in _PATH_OPTIONS and value != PUBLISHED
             plain = str(Path(str(value)).absolute()) if path_like else value
             location = _OF_KIND.get(kind, OPTIONS).get(option, OPTIONS[option])
-            if option in _LIMITS:  # an option goes before a limit of either form in the file
-                tables["joint"] = {
-                    key: one
-                    for key, one in tables.get("joint", {}).items()
-                    if key not in _LIMITS or ("joint", key) in origins
-                }
             _set(tables, location, plain)
             origins[location] = "--" + option.replace("_", "-")
     _set_default_output(tables, _default_output(kind, recordings, config))

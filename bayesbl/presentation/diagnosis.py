@@ -327,26 +327,17 @@ def advice(summary: DiagnosisSummary) -> Advice:
         title = f"Continue with {AUGMENTED_BENCH}."
         sentences = (*wrong, *_go_on(summary))
         return Advice("watch" if verdict == "unexplained" else "note", title, sentences)
-    match verdict:
-        case "named":
-            names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
-            return Advice(
-                "note",
-                "Complete the bench before you rely on it.",
-                (f"Add to its file under [[effects]]: {names}. Then simulate and sweep again.",),
-            )
-        case "parameter_error":
-            return Advice("note", "Correct the bench before you rely on it.", wrong)
-        case "unexplained":
-            return Advice(
-                "watch",
-                "Look at the residuals before you rely on the bench.",
-                ("No effect of the catalogue explains them; the figures show where they are.",),
-            )
-        case _:
-            return Advice(
-                "fine", "The bench may be used as it is.", ("These recordings show no defect.",)
-            )
+    if verdict == "named":
+        names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
+        add = f"Add to its file under [[effects]]: {names}. Then simulate and sweep again."
+        return Advice("note", "Complete the bench before you rely on it.", (add,))
+    if verdict == "parameter_error":
+        return Advice("note", "Correct the bench before you rely on it.", wrong)
+    if verdict == "unexplained":
+        where = "No effect of the catalogue explains them; the figures show where they are."
+        return Advice("watch", "Look at the residuals before you rely on the bench.", (where,))
+    why = "These recordings show no defect."
+    return Advice("fine", "The bench may be used as it is.", (why,))
 
 
 def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
