@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
 from bayesbl.presentation import play, wear, words
@@ -202,9 +201,8 @@ def _uses(route: RouteSummary) -> str:
         return "compares speed and current of the whole recording with the bench"
     if route["curve"] is None:
         return "uses the amplitude A alone"
-    name = Path(route["curve"]).name
     belongs = " (of the paper's bench)" if route["curve"] == "published" else ""
-    return f"uses the amplitude A and the gap curve of {name}{belongs}"
+    return f"uses the amplitude A and the gap curve of {words.curve_name(route['curve'])}{belongs}"
 
 
 def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import PureWindowsPath
 from typing import TYPE_CHECKING
 
 from bayesbl.units import number
@@ -136,6 +137,12 @@ ROUTES = {
 def route_in_words(route: str) -> str:
     """What a route goes by."""
     return ROUTES.get(route, route.replace("_", " "))
+
+
+def curve_name(curve: str) -> str:
+    """What a reader calls a gap curve: ``published``, or the folder of the sweep that made it."""
+    path = PureWindowsPath(curve)  # which takes both slashes
+    return path.parent.name if path.name == "result.nc" and path.parent.name else path.name
 
 
 def sampling(part: RouteSummary) -> str:

@@ -297,7 +297,7 @@ def test_two_routes_stand_side_by_side_and_one_line_says_which_is_the_answer():
     text = flat(printed(of_two_routes()))
     assert text.startswith("The gap grew by 0.275 mrad (90 % interval 0.270 to 0.280 mrad)")
     assert "The answer is the estimate by simulation, because its checks pass." in text
-    assert "the ringing uses the amplitude A and the gap curve of result.nc" in text
+    assert "the ringing uses the amplitude A and the gap curve of sweep" in text
     assert "change 0.275 0.270 to 0.280 0.25 0.20 to 0.30" in text
 
 

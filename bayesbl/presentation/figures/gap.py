@@ -17,7 +17,6 @@ from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, u
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import (
     credible_interval,
-    curve_name,
     gap_colour,
     gap_in_words,
     gap_interval,
@@ -29,7 +28,14 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.presentation.figures.style import GAP
-from bayesbl.presentation.words import RAREST, bounds, middle, probability, route_in_words
+from bayesbl.presentation.words import (
+    RAREST,
+    bounds,
+    curve_name,
+    middle,
+    probability,
+    route_in_words,
+)
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.variables import STACKED
 from bayesbl.ringing.symbols import AMPLITUDE

@@ -65,14 +65,6 @@ def interval_name(tree: xr.DataTree) -> str:
     return interval_kind(credible_interval(tree, np.zeros(1)))
 
 
-def curve_name(name: str) -> str:
-    """What a reader calls a gap curve: ``published``, or the folder of the sweep that made it."""
-    parts = [part for part in name.replace("\\", "/").split("/") if part]
-    if not parts:
-        return name
-    return parts[-2] if parts[-1] == "result.nc" and len(parts) > 1 else parts[-1]
-
-
 Parts = Callable[[xr.DataTree], Iterable[tuple[str, tuple[object, ...]]]]
 """From a result to the ending of each file's name and what its figure is drawn from."""
 
