@@ -49,15 +49,16 @@ MOST_RIVALS = 2
 
 UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to give a share of it."
 
-_USES = {"used": "fitted on", "held_out": "held out"}
+USES = {"used": "fitted on", "held_out": "held out"}
 
 
 def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     """One sentence per effect and parameter, the disagreement, what still repeats."""
     effects = map(effect_in_words, summary["effects"])
     yield from map(Sentence, (*effects, *parameter_errors(summary), *learned(summary)))
-    yield disagreement_table(summary["disagreement"])
-    if any(row["closed_fraction"] is None for *_, row in _rows(summary["disagreement"])):
+    disagreement = disagreement_table(summary["disagreement"])
+    yield disagreement
+    if any(removed(None) in row for row in disagreement.rows):
         yield aside(UNTOLD_SHARE)
     yield from map(Sentence, (*remaining(summary), *wear(summary), *suggestion(summary)))
 
@@ -269,27 +270,32 @@ def _with_unit(value: str, unit: str) -> str:
 def disagreement_table(found: DisagreementTableSummary) -> Table:
     """RMS of each recording and channel, and over all."""
     titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
+    pieces = list(compared_pieces(found))
+    several = len({channel for _, channel, *_ in pieces}) > 1
     rows = [
+        (f"{name}, {CHANNELS.get(channel, channel)}" if several else name, use, row)
+        for name, channel, use, row in pieces
+    ]
+    rows += [("all", use, row) for use, row in found["over_all"].items()]
+    cells = [
         (
             name,
-            _USES[use],
+            USES[use],
             *(_sized_rms(row, key) for key in ("before", "after", "noise_floor")),
             removed(row["closed_fraction"]),
         )
-        for name, use, row in _rows(found)
+        for name, use, row in rows
     ]
-    return table((text("Recording"), text("Use"), *map(numbers, titles)), rows)
+    return table((text("Recording"), text("Use"), *map(numbers, titles)), cells)
 
 
-def _rows(found: DisagreementTableSummary) -> Iterator[tuple[str, Use, DisagreementSummary]]:
-    """(recording and channel, use, disagreement) of every row, those over all at the end."""
-    recordings = found["recordings"]
-    several = len({channel for channels in recordings.values() for channel in channels}) > 1
-    for recording, channels in recordings.items():
+def compared_pieces(
+    found: DisagreementTableSummary,
+) -> Iterator[tuple[str, str, Use, DisagreementSummary]]:
+    """Recording, channel, use and disagreement of everything that was compared."""
+    for recording, channels in found["recordings"].items():
         for channel, uses in channels.items():
-            name = f"{recording}, {CHANNELS.get(channel, channel)}" if several else recording
-            yield from ((name, use, row) for use, row in uses.items())
-    yield from (("all", use, row) for use, row in found["over_all"].items())
+            yield from ((recording, channel, use, row) for use, row in uses.items())
 
 
 def removed(closed: float | None) -> str:

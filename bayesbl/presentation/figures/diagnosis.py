@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
 from bayesbl.diagnosis.summary import summarise_diagnosis
-from bayesbl.presentation.diagnosis import headline, learned_of
+from bayesbl.presentation.diagnosis import USES, compared_pieces, headline, learned_of
 from bayesbl.presentation.figures import style
 from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
 from bayesbl.presentation.words import capitalised, significant
@@ -23,15 +23,14 @@ from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import in_words, unit_of
 
 if TYPE_CHECKING:
-    from bayesbl.diagnosis.summary import Answer
+    from bayesbl.diagnosis.disagreement import Use
+    from bayesbl.diagnosis.summary import Answer, DisagreementSummary
     from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
 
+    Piece = tuple[str, str, Use, DisagreementSummary]
 
 _LOOKS = (style.look(1), style.look(0))
 """Looks of the bench as given, and with what was named."""
-
-Rms = tuple[float, float, float]
-"""Before naming, after it, and the noise floor, in the unit of the channel."""
 
 _ZOOM = 0.04
 """Share of a recording that the panel beside its residuals shows."""
@@ -40,28 +39,22 @@ _FEWEST_SHOWN = 150
 _OUTLINE_BINS = 900
 _LINE_LETTERS = 125
 _SHOWN_ROW_IN = 1.75
-_USES = {"used": "fitted", "held_out": "held out of the fit"}
 
 
 def _held_out(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
     """The recording held out that the bench as given predicts worst; a fitted one if none is."""
-    pieces = list(_pieces(tree))
+    pieces = _pieces(tree)
     last = [piece for piece in pieces if piece[2] == "held_out"] or pieces
     stored = set(tree["signals"].to_dataset()["recording"].values.tolist())
-    _, name, use, _ = max((p for p in last if p[1] in stored), key=lambda p: p[3][0] / p[3][2])
+    known = (piece for piece in last if piece[0] in stored)
+    name, _, use, _ = max(known, key=lambda piece: piece[3]["before"] / piece[3]["noise_floor"])
     yield "", (tree, name, use)
 
 
-def _pieces(tree: xr.DataTree) -> Iterator[tuple[str, str, str, Rms]]:
-    """Channel, recording, use and RMS of everything that was compared, held out first."""
+def _pieces(tree: xr.DataTree) -> list[Piece]:
+    """Everything that was compared, held out first."""
     answer: Answer = json.loads(tree.attrs["diagnosis"])
-    rows = [
-        (channel, name, use, (found["before"], found["after"], found["noise_floor"]))
-        for name, channels in answer["disagreement"]["recordings"].items()
-        for channel, uses in channels.items()
-        for use, found in uses.items()
-    ]
-    yield from sorted(rows, key=lambda row: row[2])
+    return sorted(compared_pieces(answer["disagreement"]), key=lambda piece: piece[2])
 
 
 @stored_figure(
@@ -72,11 +65,11 @@ def _pieces(tree: xr.DataTree) -> Iterator[tuple[str, str, str, Rms]]:
     name="diagnosis",
     parts=_held_out,
 )
-def held_out(tree: xr.DataTree, recording: str, use: str) -> Figure:
+def held_out(tree: xr.DataTree, recording: str, use: Use) -> Figure:
     """A row for each channel: both residuals on one scale, a zoom; beside them every RMS."""
-    pieces = list(_pieces(tree))
-    rms = {channel: size for channel, name, of, size in pieces if (name, of) == (recording, use)}
-    whole = f"Left: recording {recording}, which was {_USES[use]}. Right: all recordings."
+    pieces = _pieces(tree)
+    rms = {channel: size for name, channel, of, size in pieces if (name, of) == (recording, use)}
+    whole = f"Left: recording {recording}, {USES[use]}. Right: all recordings."
     heading = [*textwrap.wrap(headline(summarise_diagnosis(tree)), _LINE_LETTERS), whole]
     top = 0.5 + style.LINE_IN * len(heading)
     height = max(_SHOWN_ROW_IN * len(rms) + 0.3, 0.26 * len(pieces) + 0.6)
@@ -143,12 +136,12 @@ def _one_above_the_other(place: SubplotSpec, count: int) -> list[Axes]:
 def _draw_residuals(
     place: SubplotSpec,
     course: dict[str, FloatArray],
-    rms: Rms,
+    rms: DisagreementSummary,
     channel: str,
     window: tuple[float, float],
 ) -> list[Axes]:
     """Before above after on one scale; the noise floor as a band, the zoom tinted."""
-    unit, (*sizes, floor) = unit_of(channel), rms
+    unit, sizes, floor = unit_of(channel), (rms["before"], rms["after"]), rms["noise_floor"]
     unchanged = np.array_equal(course["before"], course["after"])
     stages = list(zip(("before", "after"), _LOOKS, strict=True))[: 1 if unchanged else 2]
     panels = _one_above_the_other(place, len(stages))
@@ -192,12 +185,12 @@ def _draw_zoom(
     panel.set_ylabel(f"{name} ({unit_of(channel)})")
 
 
-def _draw_every(panel: Axes, pieces: Sequence[tuple[str, str, str, Rms]]) -> None:
+def _draw_every(panel: Axes, pieces: Sequence[Piece]) -> None:
     """RMS over the noise floor of every recording and channel, before and after."""
-    channels = {channel for channel, *_ in pieces}
+    channels = {channel for _, channel, *_ in pieces}
     reach = 1.0
-    for row, (channel, name, use, (before, after, floor)) in enumerate(pieces):
-        ends = (before / floor, after / floor)
+    for row, (name, channel, use, size) in enumerate(pieces):
+        ends = tuple(size[stage] / size["noise_floor"] for stage in ("before", "after"))
         reach = max(reach, *ends)
         panel.plot(ends, (row, row), color=style.WITHHELD, linewidth=0.8, zorder=1.0)
         for end, look in zip(ends, _LOOKS, strict=True):
