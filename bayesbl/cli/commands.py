@@ -435,12 +435,6 @@ def watch_command(
             metavar="N", min=1, help="Delete measured recordings, but for each joint's latest N."
         ),
     ] = None,
-    mean_rotation: Annotated[
-        bool,
-        typer.Option(
-            "--mean-rotation", help="Send the mean rotation of each recording with its noise too."
-        ),
-    ] = False,
 ) -> None:
     """Measure recordings as they appear, on a device at the robot."""
     from bayesbl.libraries import bare
@@ -457,12 +451,6 @@ def watch_command(
             raise ConfigError(
                 "Credentials are for a broker.", where="--credentials", expected="--publish URL too"
             )
-        if address is None and mean_rotation:
-            raise ConfigError(
-                "Mean rotations are sent to a broker.",
-                where="--mean-rotation",
-                expected="--publish URL too",
-            )
         found = load_run(config, kind="fleet")
         assert isinstance(found, FleetConfig)
         output = found.run.output
@@ -474,7 +462,6 @@ def watch_command(
             once,
             settled_s,
             keep_latest,
-            mean_rotation,
         )
         _log(None if address is None else address.open_to_others)
         table = asked.output / RECORDINGS_FILE

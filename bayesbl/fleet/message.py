@@ -1,8 +1,7 @@
-"""Messages of devices: JSON of one schema, from which device, and whose recording each is about.
+"""Messages between devices and ``collect``: JSON of one schema, which says what device it is from.
 
-Whatever may come from a network is checked: here a row of
-``recordings.parquet``, in :mod:`bayesbl.fleet.mean_rotation` a mean rotation. What ``watch`` cannot
-have written is refused with its reason.
+A device sends rows of ``recordings.parquet``. Whatever may come from a network is checked: what
+``watch`` cannot have written is refused with its reason.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ import math
 import re
 from collections.abc import Mapping
 from datetime import date as Date
-from typing import Annotated, Any, Literal, NoReturn, TypeVar
+from typing import Annotated, Any, Literal, NoReturn
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from bayesbl.config.sections import LONGEST_NAME
 from bayesbl.errors import shortened
@@ -24,7 +23,10 @@ from bayesbl.fleet.plant_tables import QUANTILE_COLUMNS, RECORDING_COLUMNS
 SCHEMA = 2
 
 LARGEST_MESSAGE_BYTES = 1_000_000
-"""An answer takes some 1,200 bytes; two channels of ten seconds at 4 kHz as means 430,000."""
+"""An answer takes some 1,200 bytes."""
+
+ANSWER = "recording"
+"""Kind of a message that holds a row."""
 
 STORED, REFUSED = "stored", "refused"
 """What ``collect`` answers: SHA-256 of messages that it has stored, and of those set aside."""
@@ -32,41 +34,19 @@ STORED, REFUSED = "stored", "refused"
 REPLIES = "stored"
 """Last level of the topic that ``collect`` answers on, below that of a message."""
 
+LONGEST_TEXT = 10_000
+
+LARGEST_RPM = 1e6
+
+OUTCOMES = ("converged", "usable", "withheld", "no_curve", "refused", "failed")
+
 _DEVICE = re.compile(r"[A-Za-z0-9._-]{1,100}")
 
-
-class Part(BaseModel):
-    """What a message holds: nothing is converted, and nothing more is in it."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
-
-
-def _day(text: str) -> str:
-    if Date.fromisoformat(text).isoformat() != text:
-        raise ValueError("it is not written as 2026-03-01")
-    return text
-
-
-Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-JointName = Annotated[str, Field(pattern=rf"^\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}$")]
-Day = Annotated[str, AfterValidator(_day)]
-_P = TypeVar("_P", bound=Part)
-
-
-def valid(model: type[_P], given: Any) -> _P:
-    """A part of a message as it is declared.
-
-    Raises
-    ------
-    ValueError
-        With a reason that may be printed.
-    """
-    try:
-        return model.model_validate(given)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(shortened(f"{where}: {first['msg']}", 200)) from None
+_GAP = (
+    *(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")),
+    *QUANTILE_COLUMNS,
+)
+_AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
 
 
 def encoded(kind: str, given: object, device: str) -> bytes:
@@ -127,22 +107,6 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-ANSWER = "recording"
-"""Kind of a message that holds a row."""
-
-LONGEST_TEXT = 10_000
-
-LARGEST_RPM = 1e6
-
-OUTCOMES = ("converged", "usable", "withheld", "no_curve", "refused", "failed")
-
-_GAP = (
-    *(f"delta_rad_{end}" for end in ("median", "low", "high", "sd")),
-    *QUANTILE_COLUMNS,
-)
-_AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
-
-
 def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
     """A row as a message; columns without a value, or with none that is finite, are left out."""
     given = {
@@ -166,35 +130,57 @@ def _column(name: str, kind: str) -> Any:
 
 
 _Given = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT, pattern=r"^[^\x00]+$")]
+_JointName = Annotated[str, Field(pattern=rf"^\w[\w .,+-]{{0,{LONGEST_NAME - 1}}}$")]
 _COLUMNS: dict[str, Any] = {
     name: (_column(name, kind) | None, None)
     for name, (kind, _) in RECORDING_COLUMNS.items()
     if name != "device"
 }
 _COLUMNS |= {name: (_Given, ...) for name in ("date", "file")}
-_COLUMNS |= {"joint": (JointName, ...), "outcome": (Literal[OUTCOMES], ...)}
-_COLUMNS |= {"sha256": (Digest | None, None)}
-_Row = create_model("_Row", __base__=Part, **_COLUMNS)
+_COLUMNS |= {"joint": (_JointName, ...), "outcome": (Literal[OUTCOMES], ...)}
+_COLUMNS |= {"sha256": (Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None, None)}
 
 
-def decoded_answer(given: Any, device: str) -> dict[str, Any]:
-    """The row that a message of this kind holds, every column in it.
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+
+_Row = create_model("_Row", __base__=_Strict, **_COLUMNS)
+
+
+def decoded_answer(message: bytes) -> dict[str, Any]:
+    """The row that a message holds, every column in it.
 
     Raises
     ------
     ValueError
-        If something in it cannot be, with a reason that may be printed.
+        If it is no answer, or something in it cannot be, with a reason that may be printed.
     """
-    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS) | dict(valid(_Row, given))
+    kind, given, device = decoded(message)
+    if kind != ANSWER:
+        raise ValueError(f"there is no message of the kind {shortened(kind)!r}")
+    try:
+        found = _Row.model_validate(given)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(shortened(f"{where}: {first['msg']}", 200)) from None
+    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS) | dict(found)
     if row["outcome"] != "refused":  # which it may be just for its date
-        valid(_Dated, {"sha256": row["sha256"], "date": row["date"]})
+        _require_day(row["date"])
+        if row["sha256"] is None:
+            raise ValueError("sha256: there is none")
     _require_gap(row)
     return row | {"device": device}
 
 
-class _Dated(Part):
-    sha256: Digest
-    date: Day
+def _require_day(text: str) -> None:
+    try:
+        is_day = Date.fromisoformat(text).isoformat() == text
+    except ValueError:
+        is_day = False
+    if not is_day:
+        raise ValueError("date: it is not written as 2026-03-01")
 
 
 def _require_gap(row: Mapping[str, Any]) -> None:

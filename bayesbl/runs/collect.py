@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesbl.errors import BrokerError, shortened
+from bayesbl.errors import BrokerError
 from bayesbl.fleet.broker import (
     FIRST_WAIT_S,
     LONGEST_WAIT_S,
@@ -27,19 +27,11 @@ from bayesbl.fleet.broker import (
     stays_known_by,
     unreachable,
 )
-from bayesbl.fleet.mean_rotation import (
-    ROTATION_MESSAGE,
-    MeanRotation,
-    decoded_rotation,
-    store_rotation,
-)
 from bayesbl.fleet.message import (
-    ANSWER,
     LARGEST_MESSAGE_BYTES,
     REFUSED,
     REPLIES,
     STORED,
-    decoded,
     decoded_answer,
     encoded,
     name_of,
@@ -169,11 +161,7 @@ class _Collecting:
         for message in self.arrived:
             payload = bytes(message.payload)
             try:
-                found = _content(payload)
-                if isinstance(found, MeanRotation):
-                    store_rotation(found, self.table.path.parent)
-                else:
-                    rows += self.table.put(found)
+                rows += self.table.put(decoded_answer(payload))
                 kind = STORED
             except OSError:
                 raise  # the disk's, not the message's
@@ -230,19 +218,3 @@ class _Collecting:
     def _refused(self, reason: str) -> None:
         self.refusal = reason
         self.say(f"The broker refuses {self.address.in_words}: {reason}. It is tried again.")
-
-
-def _content(message: bytes) -> dict[str, Any] | MeanRotation:
-    """A row, or a mean rotation.
-
-    Raises
-    ------
-    ValueError
-        If it is neither.
-    """
-    kind, given, device = decoded(message)
-    if kind == ROTATION_MESSAGE:
-        return decoded_rotation(given, device)
-    if kind == ANSWER:
-        return decoded_answer(given, device)
-    raise ValueError(f"there is no message of the kind {shortened(kind)!r}")

@@ -33,7 +33,6 @@ from bayesbl.fleet.inventory import (
     read_joints,
     state_of,
 )
-from bayesbl.fleet.mean_rotation import encoded_rotation, mean_rotation
 from bayesbl.fleet.measured_joint import (
     REFUSED,
     JointJob,
@@ -73,8 +72,6 @@ class Watched:
     keep_latest
         Of each joint that many of the recordings stay that were measured, and whose rows are
         stored; older ones are deleted, nothing else ever is. ``None``: all stay.
-    mean_rotation
-        Send, beside each answer, the mean rotation of its recording with its noise.
     """
 
     folder: Path
@@ -84,7 +81,6 @@ class Watched:
     once: bool = False
     settled_s: float = SETTLED_S
     keep_latest: int | None = None
-    mean_rotation: bool = False
 
 
 def watch(
@@ -115,7 +111,7 @@ def watch(
             outbox = Outbox(PrivateFolder(table.beside / _OUTBOX), stays_known_by(table.beside))
             outbox.folder.tidy()
         store = WorkStore(sibling(config.run.output, KEPT))
-        measuring = _Measuring(config, joints, table, outbox, store, tell, asked.mean_rotation)
+        measuring = _Measuring(config, joints, table, outbox, store, tell)
         with _sending(asked, outbox, say):
             _watch(asked, config, list(joints.values()), measuring)
 
@@ -201,7 +197,6 @@ class _Measuring:
     outbox: Outbox | None
     store: WorkStore
     tell: Callable[[Mapping[str, Any]], None]
-    mean_rotation: bool
 
     def took(self, one: Found) -> bool:
         """Whether a recording has a row now; one that changes meanwhile is left for later."""
@@ -220,11 +215,8 @@ class _Measuring:
         gc.collect()  # measuring leaves arrays in circles, which would pile up over recordings
         return True
 
-    def _job(self, one: Found, sha256: str) -> JointJob:
-        return job_maker(self.config)(self.joints[one.joint], [one], [sha256])
-
     def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
-        job = self._job(one, sha256)
+        job = job_maker(self.config)(self.joints[one.joint], [one], [sha256])
         before = self._before(job)
         problem = job.problem_of(0, before)
         answer = self.store.recall("recording", problem, RecordingAnswer)
@@ -294,16 +286,7 @@ class _Measuring:
         if self.outbox is not None:
             of = f"{row['joint']}\n{row['file']}"
             self.outbox.put(encoded_answer(row, self.outbox.device), of)
-            if self.mean_rotation and sha256 is not None and answer.outcome != REFUSED:
-                self._send_rotation(one, sha256, answer)
         changed = self.table.put(row)
         self.table.save()
         for one_row in changed:
             self.tell(one_row)
-
-    def _send_rotation(self, one: Found, sha256: str, answer: RecordingAnswer) -> None:
-        rotation = mean_rotation(self._job(one, sha256), 0, answer)
-        if rotation is not None and self.outbox is not None:
-            message = encoded_rotation(rotation, self.outbox.device)
-            if message is not None:
-                self.outbox.put(message, f"mean rotation of {sha256}")

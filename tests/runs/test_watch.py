@@ -16,7 +16,6 @@ from unittest.mock import patch
 
 import pytest
 from mosquitto import Broker, free_port, mosquitto_is_installed
-from places import BEFORE
 from test_fleet import configure, start, table
 
 from bayesbl import cli
@@ -257,27 +256,6 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
     assert not any("secret" in text for text in said)
 
 
-def test_a_mean_rotation_goes_with_its_answer_where_it_is_asked_for(plant, broker):
-    put(plant, "J1", "2025-03-01", BEFORE.read_text())
-    address = read_address(f"mqtt://localhost:{broker.port}/plant")
-    ann = Credentials("ann", "secret")
-
-    def collected() -> None:
-        with patch.object(collecting, "IDLE_S", 0.5):
-            collect(address, ann, plant / "all", print, lambda row: None, once=True)
-
-    collected()
-    watched(plant, publish=address, credentials=ann, mean_rotation=True)
-    collected()
-    rows = [table(plant / name, "recordings") for name in ("watched", "all")]
-    assert rows[0] == without_device(rows[1])
-    (file,) = (plant / "all/rotations").rglob("*.parquet")
-    digest = {row["date"]: row["sha256"] for row in rows[0] if row["joint"] == "J1"}["2025-03-01"]
-    assert file.stem == f"2025-03-01_{digest[:12]}"
-    # The reference bench at 2000 rpm turns in 3.6 s, recorded at 1 kHz.
-    assert len(table(file.parent, file.stem)) == pytest.approx(3600, abs=3)
-
-
 def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, broker):
     from paho.mqtt.publish import multiple
 
@@ -302,10 +280,7 @@ def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, 
         b"\x1b[2J",
         b"x" * 200_000,
         b'{"schema": NaN}',
-        b'{"schema": 2, "device": "d", "mean_rotation": {"joint": "J1", "date": "2025-01-01", '
-        b'"sha256": "%s", "rotations": 3, "channels": {"motor_speed_rpm": {"mean": "AACAPwAAgD8=",'
-        b' "noise_sd": 1, "noise_coefficients": []}}, "rotation_s": 1%s}}'
-        % (b"a" * 64, b"0" * 400),
+        b'{"schema": 2, "device": "d", "picture": {"joint": "J1", "date": "2025-01-01"}}',
         b'{"schema": 2, "device": "d", "recording": {"delta_rad_sd": 1%s}}' % (b"0" * 5000),
     )
     with patch.object(collecting, "IDLE_S", 0.3):
