@@ -429,12 +429,6 @@ def watch_command(
             metavar="S", min=0.0, help="A file is complete when it has not changed for so long."
         ),
     ] = 5.0,
-    keep_latest: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", min=1, help="Delete measured recordings, but for each joint's latest N."
-        ),
-    ] = None,
 ) -> None:
     """Measure recordings as they appear, on a device at the robot."""
     from bayesbl.libraries import bare
@@ -461,7 +455,6 @@ def watch_command(
             read_credentials(credentials),
             once,
             settled_s,
-            keep_latest,
         )
         _log(None if address is None else address.open_to_others)
         table = asked.output / RECORDINGS_FILE

@@ -327,13 +327,9 @@ FileState = tuple[int, int, int, int]
 def file_state(file: str) -> FileState | None:
     """``None`` where there is no file any more."""
     try:
-        return state_of(os.stat(file))
+        status = os.stat(file)
     except OSError:
         return None
-
-
-def state_of(status: os.stat_result) -> FileState:
-    """State of a file that is open, or was asked for."""
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 

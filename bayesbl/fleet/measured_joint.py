@@ -267,7 +267,7 @@ class JointJob:
 DRAWS = 2000
 """Of a joint's gaps and rate: the level of a 90 % interval is 90 ± 0.7 %, √(p (1 − p)/n)."""
 
-_CHANGED = RecordingAnswer(
+CHANGED = RecordingAnswer(
     REFUSED, "A file changed while it was measured. Measure it again.", lasting=False
 )
 
@@ -320,7 +320,7 @@ def measure_recording(
         answer = RecordingAnswer(
             FAILED, f"This is a bug in bayesbl: {type(error).__name__}: {error}"
         )
-    return answer if before_it and before_it == _states(job, [number]) else _CHANGED
+    return answer if before_it and before_it == _states(job, [number]) else CHANGED
 
 
 def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
@@ -415,7 +415,7 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
         lasting = not isinstance(error, UnavailableError)
         answer = JointAnswer(str(error), route, tuple(used), lasting=lasting)
     if before_it != _states(job, asked):
-        return JointAnswer(_CHANGED.reason, route, tuple(used), lasting=False)
+        return JointAnswer(CHANGED.reason, route, tuple(used), lasting=False)
     return answer
 
 

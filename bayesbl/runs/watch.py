@@ -9,13 +9,11 @@ again from whichever of these is there, and the same answer sent twice is one ro
 from __future__ import annotations
 
 import gc
-import hashlib
 import os
 import re
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,9 +29,9 @@ from bayesbl.fleet.inventory import (
     file_state,
     find_recordings,
     read_joints,
-    state_of,
 )
 from bayesbl.fleet.measured_joint import (
+    CHANGED,
     REFUSED,
     JointJob,
     RecordingAnswer,
@@ -69,9 +67,6 @@ class Watched:
     ----------
     once
         End when everything that is there is measured, and sent.
-    keep_latest
-        Of each joint that many of the recordings stay that were measured, and whose rows are
-        stored; older ones are deleted, nothing else ever is. ``None``: all stay.
     """
 
     folder: Path
@@ -80,7 +75,6 @@ class Watched:
     credentials: Credentials = field(default_factory=Credentials)
     once: bool = False
     settled_s: float = SETTLED_S
-    keep_latest: int | None = None
 
 
 def watch(
@@ -180,8 +174,6 @@ def _watch(
             before = file_state(one.file)
             if before == signatures[one.file] and measuring.took(one):
                 done[one.file] = before
-        if asked.keep_latest is not None:
-            measuring.delete_all_but_the_latest(found, done, asked.keep_latest)
         if asked.once and not resting.keys() - done.keys():
             return
         time.sleep(min(POLL_S, asked.settled_s) if asked.once else POLL_S)
@@ -209,7 +201,7 @@ class _Measuring:
             return True
         else:
             answer = self._answer(one, sha256)
-            if digest_of_file(one.file)[0] != sha256:
+            if answer is CHANGED:
                 return False
         self._put(one, sha256, answer)
         gc.collect()  # measuring leaves arrays in circles, which would pile up over recordings
@@ -230,44 +222,6 @@ class _Measuring:
         for kept in (self.store, WorkStore.shared(fits_beside(self.config.run.output))):
             kept.keep_latest(size_bytes=LARGEST_KEPT_BYTES)
         return answer
-
-    def delete_all_but_the_latest(
-        self, found: Iterable[Found], done: Mapping[str, FileState], keep: int
-    ) -> None:
-        """Delete older recordings of joints of the inventory that this watcher has measured.
-
-        Their rows say so, by joint, date, file and content; latest are those of the latest date,
-        then those that were written last.
-        """
-        measured: dict[str, list[tuple[str, int, str]]] = defaultdict(list)
-        for one in found:
-            if one.reason is None and one.joint in self.joints and one.file in done:
-                measured[one.joint].append((one.date, done[one.file][2], one.file))
-        for joint, files in measured.items():
-            if len(files) > keep:
-                stored = [
-                    (date, file)
-                    for date, _, file in sorted(files)
-                    if self.table.holds_measured(joint=joint, date=date, file=file)
-                ]
-                for date, file in stored[: max(0, len(stored) - keep)]:
-                    with suppress(OSError):
-                        self._delete(file, done[file], joint, date)
-
-    def _delete(self, file: str, state: FileState, joint: str, date: str) -> None:
-        """A file, if what is open under its name is to the last byte what was measured."""
-        place, name = os.path.split(file)
-        folder = os.open(place, os.O_RDONLY)
-        try:
-            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-            with open(os.open(name, flags, dir_fd=folder), "rb") as stream:
-                sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
-                now = state_of(os.fstat(stream.fileno()))
-            of = {"joint": joint, "date": date, "file": file, "sha256": sha256}
-            if now == state and self.table.holds_measured(**of):
-                os.unlink(name, dir_fd=folder)
-        finally:
-            os.close(folder)
 
     def _before(self, job: JointJob) -> RecordingAnswer | None:
         """What the joint's recording before this one gave, where its search starts."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import shutil
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +15,6 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from mosquitto import Broker, mosquitto_is_installed
-from places import CONFIGS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -79,71 +77,6 @@ def table(folder: Path, name: str = "recordings") -> list[dict[str, object]]:
     return read_table(folder / f"{name}.parquet").to_pylist()
 
 
-def files(plant: Path) -> set[str]:
-    return {str(path.relative_to(plant / "data")) for path in (plant / "data").rglob("*.*")}
-
-
-# Deleting.
-
-
-def test_only_older_measured_recordings_are_deleted(plant):
-    for day in ("2025-01-01", "2025-02-01", "20250315", "2025-04-01", "2025-05-01"):
-        put(plant, "J1", day)
-    for name in ("notes", "calibration", "2025-06-01"):
-        put(plant, "J1", name, f"broken {name}")
-    for day in ("2025-01-01", "2025-02-01"):
-        put(plant, "J2", day)
-        put(plant, "J3", day)
-    put(plant, "J2", "2024-01-01", "broken")
-    (plant / "data/J1/readme.md").write_text("mine")
-    before = files(plant)
-    watched(plant, keep_latest=2)
-    gone = {"J1/2025-01-01.csv", "J1/2025-02-01.csv", "J1/20250315.csv"}
-    assert before - files(plant) == gone
-    watched(plant, keep_latest=2)
-    assert before - files(plant) == gone
-
-
-def test_where_nothing_can_be_used_nothing_is_deleted(plant):
-    """A wrong entry under [columns], say."""
-    for day in range(1, 7):
-        put(plant, "J1", f"2025-01-0{day}", f"broken {day}")
-    before = files(plant)
-    watched(plant, keep_latest=1)
-    assert files(plant) == before
-
-
-def test_a_recording_that_came_later_or_elsewhere_than_its_row_is_not_deleted(plant):
-    old = put(plant, "J1", "2025-01-01")
-    for day in ("2025-02-01", "2025-03-01"):
-        put(plant, "J1", day)
-    watched(plant)
-    put(plant, "J1", "2024-01-01", old.read_text())  # a copy, which has no row of its own
-    changing = threading.Event()
-    real = watching._Measuring._delete
-
-    def changed_before(self: object, file: str, *more: object) -> None:
-        if not changing.is_set():
-            changing.set()
-            Path(file).write_text("something else by now")
-        real(self, file, *more)
-
-    with patch.object(watching._Measuring, "_delete", changed_before):
-        asked = Watched(plant / "data", plant / "watched", once=True, settled_s=0.01, keep_latest=2)
-        with patch.object(watching, "measure_recording", answer):
-            watch(load_config(plant / "plant.toml"), asked, lambda _: None, lambda _: None)
-    assert changing.is_set()
-    assert old.read_text() == "something else by now"
-    assert "J1/2024-01-01.csv" in files(plant)
-
-
-def test_the_service_that_is_shipped_deletes_nothing():
-    unit = (CONFIGS / "device/bayesbl-watch.service").read_text()
-    run_line = unit[unit.index("ExecStart=") :].replace("\\\n", " ").splitlines()[0]
-    assert "bayesbl watch" in run_line
-    assert "keep-latest" not in run_line
-
-
 # Links.
 
 
@@ -159,7 +92,7 @@ def test_links_that_leave_the_folder_are_not_read(plant, tmp_path_factory):
         assert "secret" not in Path(job.recordings[number].file).read_text()
         return answer(job, number, before)
 
-    watched(plant, opened, keep_latest=1)
+    watched(plant, opened)
     fleet(plant, opened)
     (plant / "list.csv").write_text(
         "joint,date,file\nJ1,2025-01-01,data/J1/2025-01-01.csv\nJ2,2025-01-01,data/J2/2025-01-01.csv\n"
