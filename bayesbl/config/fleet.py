@@ -28,18 +28,13 @@ TABLE_SUFFIXES = (".csv", ".parquet", ".toml")
 _PLACES = {"{joint}", "{date}"}
 
 
-def is_address(text: str) -> bool:
-    """Whether it names something in an object store, such as ``s3://plant/data/a.csv``."""
-    return re.match(r"[a-z][a-z0-9+.-]+://[^:]*$", text) is not None
-
-
 def _source_of_recordings(value: object, info: ValidationInfo) -> str:
     """The pattern or the table as a whole path."""
     if not isinstance(value, str) or not value.strip() or "\0" in value:
         refuse("This is neither a pattern nor a table of recordings.", expected="text")
     places = set(re.findall(r"\{[^{}]*\}", value))
-    if places == _PLACES and is_address(value):
-        return value
+    if re.match(r"[a-z][a-z0-9+.-]+://", value):
+        refuse("Recordings are files.", expected="a folder that they are copied to")
     if places == _PLACES:
         return str(resolve(value, info))
     if places or "*" in value:
@@ -64,10 +59,9 @@ class FleetSection(Section):
     """``[fleet]``: inventory, recordings, and how joints share information.
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
-    ``joint``, ``date`` and ``file``; both may be in an object store (``s3://…``). ``pool_by`` is
-    the column of the inventory whose joints wear alike; without it every joint counts by itself.
-    ``covariates`` are columns of numbers, such as a load, that the rates of joints of one type may
-    depend on.
+    ``joint``, ``date`` and ``file``. ``pool_by`` is the column of the inventory whose joints wear
+    alike; without it every joint counts by itself. ``covariates`` are columns of numbers, such as
+    a load, that the rates of joints of one type may depend on.
     """
 
     joints: Annotated[InputPath, BeforeValidator(_table)]

@@ -1,7 +1,4 @@
-"""The joints of a plant and their recordings, as tables or a pattern of file names give them.
-
-Those in an object store (S3, Azure, HTTP …) are listed and copied by fsspec.
-"""
+"""The joints of a plant and their recordings, as tables or a pattern of file names give them."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ import io
 import math
 import os
 import re
-import tempfile
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,73 +28,12 @@ from pydantic import (
 )
 
 from bayesbl.config.files import problems_of
-from bayesbl.config.fleet import FleetSection, is_address
+from bayesbl.config.fleet import FleetSection
 from bayesbl.config.measurement import LimitRad, StatedLimit
 from bayesbl.config.sections import BASE_DIRECTORY, BenchSource, CurveSource, Name, Positive, refuse
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file
-from bayesbl.recording.input_bytes import read_input, require_size
-from bayesbl.results.atomic import PrivateFolder
-
-
-def listed(pattern: str) -> Iterator[str]:
-    """Addresses of the files that a pattern with ``*`` finds, spelled as the pattern is.
-
-    Raises
-    ------
-    ConfigError
-        If the store cannot be reached, or no package for it is installed.
-    """
-    begin = re.match(r"[a-z0-9+.-]+://[^*]*/", pattern)
-    root = pattern if begin is None else begin[0]
-    try:
-        store, path = _opened(pattern)
-        prefix = str(store._strip_protocol(root)).rstrip("/") + "/"
-        for name in sorted(map(str, store.glob(path))):
-            yield root + name.removeprefix(prefix)
-    except Exception as error:  # each store's package has its own
-        raise ConfigError(
-            "The recordings in this store cannot be listed.",
-            file=pattern,
-            found=_told(error),
-            expected="a store that fsspec can list, its package installed (s3fs, adlfs, gcsfs), "
-            "and credentials where that package looks for them",
-        ) from None
-
-
-def copied(address: str, folder: Path) -> Path:
-    """A copy of a file in ``folder``; taken again only where the store says that it has changed.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be had, with a ``strerror`` that says why: also one that is too large.
-    """
-    try:
-        store, path = _opened(address)
-        state = hashlib.sha256(f"{address} {store.ukey(path)}".encode()).hexdigest()
-        copy = folder / (state[:32] + "".join(Path(path).suffixes[-2:]))
-        if not copy.exists():
-            require_size(store.size(path))
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=folder) as apart:
-                store.get_file(path, f"{apart}/copy")
-                os.replace(f"{apart}/copy", copy)
-    except Exception as error:
-        raise OSError(0, f"it cannot be had from its store ({_told(error)})") from None
-    return copy
-
-
-def _opened(address: str) -> tuple[Any, str]:
-    """The store and the path in it; raises whatever the store's package does."""
-    from fsspec.core import url_to_fs
-
-    store, path = url_to_fs(address)
-    return store, str(path)
-
-
-def _told(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".rstrip(" .:")
+from bayesbl.recording.input_bytes import read_input
 
 
 def _date_of(value: object) -> str:
@@ -201,11 +136,9 @@ class Found:
     Attributes
     ----------
     file
-        Path, or its address in an object store until it is copied from there.
+        Path.
     reason
         Why it cannot be one.
-    address
-        In an object store, of what ``file`` is a copy of.
     """
 
     joint: str
@@ -213,7 +146,6 @@ class Found:
     file: str
     reference_speed_rpm: float | None = None
     reason: str | None = None
-    address: str | None = None
 
 
 def read_joints(section: FleetSection) -> list[Joint]:
@@ -300,26 +232,6 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
     return sorted(listed, key=lambda one: (one.joint, one.date, one.file))
 
 
-def fetched(found: Sequence[Found], folder: Path) -> list[Found]:
-    """The same recordings, those in an object store copied into ``folder``.
-
-    One that cannot be had gets its reason; copies that nothing leads to any more are deleted.
-    """
-    taken = []
-    for one in found:
-        if one.reason is None and is_address(one.file):
-            try:
-                one = replace(one, file=str(copied(one.file, folder)), address=one.file)
-            except OSError as error:
-                one = replace(one, reason=f"The file cannot be read: {error.strerror}.")
-        taken.append(one)
-    needed = {Path(one.file).name for one in taken if one.address is not None}
-    copies = PrivateFolder(folder)
-    for name in copies.entries().keys() - needed:
-        copies.delete(name)
-    return taken
-
-
 FileState = tuple[int, int, int, int]
 """A file's number, size and times: another state may be another content."""
 
@@ -352,7 +264,6 @@ def file_of_another(joint: str, date: str) -> str:
 
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
-    remote = is_address(pattern)
     parts = re.split(r"(\{joint\}|\{date\})", pattern)
     anything = "".join("*" if part.startswith("{") else escape(part) for part in parts)
     seen: set[str] = set()
@@ -363,15 +274,15 @@ def _by_pattern(section: FleetSection) -> Iterator[Found]:
         exact += again if name else re.escape(part)
         seen.add(name)
     fixed = parts[0].rpartition("/")[0]
-    for path in listed(anything) if remote else glob(anything):
+    for path in glob(anything):
         match = re.fullmatch(exact, path)
-        if match and (remote or os.path.isfile(path)):
-            yield _within(fixed, _dated(match["joint"], match["date"], path), remote)
+        if match and os.path.isfile(path):
+            yield _within(fixed, _dated(match["joint"], match["date"], path))
 
 
-def _within(folder: str | Path, one: Found, remote: bool = False) -> Found:
+def _within(folder: str | Path, one: Found) -> Found:
     """Whoever puts recordings into a folder gives no access to what is outside of it."""
-    if remote or Path(os.path.realpath(one.file)).is_relative_to(os.path.realpath(folder)):
+    if Path(os.path.realpath(one.file)).is_relative_to(os.path.realpath(folder)):
         return one
     return replace(one, reason=f"This is a link, or below one, that leads out of {folder}.")
 
@@ -380,9 +291,6 @@ def _by_table(section: FleetSection) -> Iterator[Found]:
     file = Path(section.recordings)
     for number, given in enumerate(_rows(file, "recordings"), start=1):
         row = _valid(_RecordingRow, given, file, number)
-        if is_address(row.file):
-            yield _dated(row.joint, row.date, row.file, row.reference_speed_rpm)
-            continue
         path = Path(os.path.normpath(file.parent / os.path.expanduser(row.file)))
         one = _dated(row.joint, row.date, str(path), row.reference_speed_rpm)
         if one.reason is None and not path.is_file():

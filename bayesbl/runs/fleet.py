@@ -30,7 +30,6 @@ from bayesbl.fleet.inventory import (
     Found,
     Joint,
     digest_of_file,
-    fetched,
     file_of_another,
     find_recordings,
     read_joints,
@@ -74,9 +73,6 @@ LARGEST_FITS_BYTES = 2_000_000_000
 
 KEPT = ".kept"
 """Of the hidden folder beside the output folder that answers are kept in."""
-
-COPIES = "copies"
-"""Folder in there of recordings of an object store."""
 
 MOST_URGENT = 20
 """Joints in the summary; all are in the tables."""
@@ -145,7 +141,7 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     if options.force:
         fits.clear()
     with locked_sibling(output, KEPT) as folder:
-        jobs, refused = _jobs(config, joints, fetched(found, folder / COPIES))
+        jobs, refused = _jobs(config, joints, found)
         store = WorkStore(folder, fresh=options.force)
         _finish(config, jobs, store, options)
         store = replace(store, fresh=False)
@@ -345,7 +341,7 @@ def _write(
 
 def identity(one: Found, sha256: str | None) -> dict[str, Any]:
     """Which recording a row is of."""
-    return {"joint": one.joint, "date": one.date, "file": one.address or one.file, "sha256": sha256}
+    return {"joint": one.joint, "date": one.date, "file": one.file, "sha256": sha256}
 
 
 def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:

@@ -49,6 +49,11 @@ def test_an_inventory_is_read_with_its_own_columns(plant):
     assert first.group("cell") == "A"
 
 
+def test_recordings_of_an_object_store_are_refused_in_words(plant):
+    with pytest.raises(ConfigError, match="Recordings are files"):
+        section(plant, 'recordings = "s3://plant/{joint}/{date}.csv"')
+
+
 def test_toml_and_parquet_say_the_same(plant):
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
