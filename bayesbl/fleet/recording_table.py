@@ -7,11 +7,9 @@ that measures and where answers of many are collected, whatever the order in whi
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,19 +24,6 @@ if TYPE_CHECKING:
     import pyarrow
 
 Row = Mapping[str, Any]
-
-REFUSED_FILE = "refused.parquet"
-REFUSED_COLUMNS = {
-    "sha256": ("string", "of the message"),
-    "topic": ("string", "that it came by"),
-    "bytes": ("int64", "its length"),
-    "reason": ("string", "why it could not be used"),
-    "times": ("int64", "that it came"),
-    "first": ("string", "when it came first"),
-    "last": ("string", "when it came last"),
-    "start": ("string", "how it begins"),
-}
-MOST_REFUSED, REFUSED_START = 1000, 200
 
 UNUSABLE = frozenset({REFUSED, FAILED})
 
@@ -82,8 +67,7 @@ class RecordingTable:
             )
         with locked_sibling(output, _BESIDE) as beside:
             path = output / RECORDINGS_FILE
-            for file in (path, output / REFUSED_FILE):
-                clear_away(file)
+            clear_away(path)
             yield cls(path, beside, _read(path))
 
     def __len__(self) -> int:
@@ -174,60 +158,6 @@ class RecordingTable:
             this = compute.is_null(column) if value is None else compute.equal(column, value)
             found = this if found is None else compute.and_kleene(found, this)
         return [int(number) for number in compute.indices_nonzero(found).to_pylist()]
-
-
-@dataclass(slots=True)
-class RefusedTable:
-    """``refused.parquet``: messages that could not be used, each once, with how often it came."""
-
-    path: Path
-    _rows: dict[str, dict[str, Any]]
-    _changed: bool = False
-
-    @classmethod
-    def read(cls, path: Path) -> RefusedTable:
-        """The table that is there, or a new one where there is none that can be read."""
-        import pyarrow
-        import pyarrow.parquet
-
-        try:
-            found = pyarrow.parquet.read_table(pyarrow.BufferReader(path.read_bytes()))
-            rows = found.select(list(REFUSED_COLUMNS)).to_pylist()
-        except (OSError, pyarrow.ArrowException, KeyError):
-            rows = []
-        return cls(path, {row["sha256"]: row for row in rows})
-
-    def put(self, topic: str, message: bytes, reason: str) -> None:
-        """Set a message aside; of more than :data:`MOST_REFUSED`, the first go."""
-        sha256 = hashlib.sha256(message).hexdigest()
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        before = self._rows.pop(sha256, {"times": 0, "first": now})
-        self._rows[sha256] = {
-            "sha256": sha256,
-            "topic": topic,
-            "bytes": len(message),
-            "reason": reason,
-            "times": before["times"] + 1,
-            "first": before["first"],
-            "last": now,
-            "start": message[:REFUSED_START].decode("utf-8", "backslashreplace"),
-        }
-        while len(self._rows) > MOST_REFUSED:
-            del self._rows[next(iter(self._rows))]
-        self._changed = True
-
-    def save(self) -> None:
-        """Have all rows on the disk; raises ``OSError`` if they cannot be written."""
-        import pyarrow
-        import pyarrow.parquet
-
-        if self._changed:
-            rows = pyarrow.Table.from_pylist(
-                list(self._rows.values()), schema=schema_of(REFUSED_COLUMNS)
-            )
-            with replacing(self.path, durable=True) as temporary:
-                pyarrow.parquet.write_table(rows, temporary)
-            self._changed = False
 
 
 def _joined(rows: pyarrow.Table, new: list[dict[str, Any]]) -> pyarrow.Table:

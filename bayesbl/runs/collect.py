@@ -1,8 +1,8 @@
 """``bayesbl collect``: what ``watch`` publishes, as rows of one table, each answer once.
 
 When its row is on the disk, a message is acknowledged, and its device is told: a cut at any moment
-loses nothing, and what then comes twice is one row. A message that cannot be used is set aside, as
-a row with its reason in a table of its own.
+loses nothing, and what then comes twice is one row. Of a message that cannot be used the reason is
+said, and its device sets it aside.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from bayesbl.fleet.message import (
     encoded,
     name_of,
 )
-from bayesbl.fleet.recording_table import REFUSED_FILE, RecordingTable, RefusedTable
+from bayesbl.fleet.recording_table import RecordingTable
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -78,10 +78,7 @@ def collect(
     with RecordingTable.opened(output) as table:
         name = stays_known_by(table.beside)
         client = make_client(address, credentials, name, acknowledge_by_hand=True)
-        refused_table = RefusedTable.read(output / REFUSED_FILE)
-        collecting = _Collecting(
-            client, name, address, table, refused_table, OnlyOnce(say), say, tell, once
-        )
+        collecting = _Collecting(client, name, address, table, OnlyOnce(say), say, tell, once)
         client.on_connect = collecting.on_connect
         client.on_subscribe = collecting.on_subscribe
         client.on_message = collecting.on_message
@@ -99,7 +96,6 @@ class _Collecting:
     name: str
     address: Address
     table: RecordingTable
-    refused: RefusedTable
     say: OnlyOnce
     say_always: Callable[[str], None]
     tell: Callable[[Mapping[str, Any]], None]
@@ -168,12 +164,11 @@ class _Collecting:
             except Exception as error:
                 # Whatever a message does, it is acknowledged, or it would come again for ever.
                 told = str(error) if isinstance(error, ValueError) else type(error).__name__
-                self.say_always(f"A message of {len(payload)} bytes is set aside: {told}.")
-                self.refused.put(message.topic, payload, told)
+                size, topic = len(payload), message.topic
+                self.say_always(f"A message of {size} bytes on {topic!r} cannot be used: {told}.")
                 kind = REFUSED
             answers[message.topic][kind].append(name_of(payload))
         self.table.save()
-        self.refused.save()
         for topic, kinds in answers.items():
             for kind, names in kinds.items():
                 if names:
