@@ -14,14 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from bayesbl.cli.running import (
-    WRONG,
-    given_files,
-    guessing_columns,
-    notes_console,
-    run_config,
-    run_file,
-)
+from bayesbl.cli.running import WRONG, guessing_columns, notes_console, run_config, run_file
 from bayesbl.errors import ConfigError
 from bayesbl.recording import formats
 
@@ -223,23 +216,16 @@ def init_command(
         list[Path] | None,
         typer.Argument(
             metavar="RECORDING",
-            help="One to fit, several to compare; with --diagnose, the bench's file before them.",
+            help="One to fit, several to compare.",
         ),
     ] = None,
     bench: Annotated[
         bool,
         typer.Option("--bench", help="Write a joint's data sheet to fill in, joint.toml, instead."),
     ] = False,
-    diagnose: Annotated[
-        bool,
-        typer.Option(
-            "--diagnose",
-            help="Write a diagnosis: what does the bench lack that the recordings show?",
-        ),
-    ] = False,
     out: Annotated[
         Path | None,
-        _option("--out", "FILE", "The file to write. [default: RECORDING.toml, or diagnose.toml]"),
+        _option("--out", "FILE", "The file to write. [default: RECORDING.toml]"),
     ] = None,
     joint: Annotated[
         str | None, _option("--joint", "NAME", "Which one, where a file holds several.")
@@ -249,9 +235,6 @@ def init_command(
     """Write a first configuration for recordings, or a joint's data sheet to fill in."""
     if bench:
         _init_bench(recordings, out, force)
-        return
-    if diagnose:
-        _init_diagnosis(recordings or [], out, joint, force)
         return
     if not recordings:
         raise ConfigError(
@@ -275,29 +258,6 @@ def init_command(
         two_encoders=guess.two_encoders,
     )
     say(told)
-    _print_findings(plan)
-
-
-def _init_diagnosis(given: list[Path], out: Path | None, joint: str | None, force: bool) -> None:
-    from bayesbl.presentation.console import choice_blocks, guess_blocks
-    from bayesbl.presentation.terminal import make_console, print_blocks, say
-    from bayesbl.runs.first_diagnosis import start_diagnosis
-    from bayesbl.runs.kinds import check
-
-    if len(given) < 2:
-        raise ConfigError(
-            "A diagnosis is guessed from a bench and recordings.",
-            where="--diagnose",
-            found=", ".join(map(str, given)) or "nothing",
-            expected="bayesbl init --diagnose BENCH RECORDING …, best forward, reverse and at "
-            "another speed; `bayesbl init --bench` writes a bench to fill in",
-        )
-    path, columns, guess = start_diagnosis(given[0], given[1:], out, joint=joint, force=force)
-    plan = check(path)
-    print_blocks(guess_blocks(columns), make_console())
-    print_blocks(choice_blocks(guess), make_console())
-    next_step = f"Correct it there, then: bayesbl run {shlex.quote(str(path))}"
-    say(f"Written to {path}. " + ("It cannot run yet:" if plan.problems else next_step))
     _print_findings(plan)
 
 
@@ -369,7 +329,7 @@ def compare_command(
 
 
 def _measure(kind: str, recordings: Sequence[Path], given: dict[str, Any]) -> None:
-    with guessing_columns(f"init {given_files(recordings)}", given["config"]):
+    with guessing_columns(recordings, given["config"]):
         _run_options(kind, recordings, **given)
 
 
@@ -614,8 +574,7 @@ def diagnose_command(inputs: Inputs, bench: BelievedBench = None, **given: Any) 
         raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
     from bayesbl.runs.first_diagnosis import diagnosis_of
 
-    files = given_files([*([bench] if bench else []), *inputs])
-    with guessing_columns(f"init --diagnose {files}", config):
+    with guessing_columns(inputs[:1], config):
         loaded, guess = diagnosis_of(inputs, config, bench=bench, **given)
     console = notes_console()
     for choice in guess:

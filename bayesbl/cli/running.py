@@ -100,13 +100,8 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
         raise typer.Exit(WITHHELD)
 
 
-def given_files(files: Sequence[Path]) -> str:
-    """Files as a shell takes them."""
-    return " ".join(shlex.quote(str(file)) for file in files)
-
-
 @contextmanager
-def guessing_columns(command: str, config: Path | None) -> Iterator[None]:
+def guessing_columns(recordings: Sequence[Path], config: Path | None) -> Iterator[None]:
     """A recording whose columns are not known leads to the command that guesses them.
 
     Not where a configuration could have told them.
@@ -116,8 +111,10 @@ def guessing_columns(command: str, config: Path | None) -> Iterator[None]:
     except RecordingError as error:
         if config is not None or error.where != "header":
             raise
+        files = " ".join(shlex.quote(str(file)) for file in recordings)
         error.expected = (
-            f"{error.expected}; `bayesbl {command}` writes a configuration with the columns guessed"
+            f"{error.expected}; `bayesbl init {files}` writes a configuration with the columns "
+            "guessed, for --config"
         )
         raise error.at(RecordingError) from None
 

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from bayesbl.bench.effect_declaration import Effect
     from bayesbl.presentation.blocks import Tone
     from bayesbl.recording.guessing import Guess
-    from bayesbl.runs.first_diagnosis import Choice
     from bayesbl.runs.kinds import Summary
 
 
@@ -151,11 +150,6 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
             why = "" if column.reason == NO_UNIT else f" ({column.reason})"
             unit = f"the unit of {column.name} is not stated{why}."
             yield Sentence(unit, "warning", "Check")
-
-
-def choice_blocks(guess: Iterable[Choice]) -> Iterator[Block]:
-    """How recordings and bench would be compared, with the reasons."""
-    yield from (Sentence(choice.told) for choice in guess)
 
 
 def what_next(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shlex
-import textwrap
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -43,19 +42,6 @@ def require_new(path: Path, what: str, force: bool) -> None:
         )
 
 
-def require_writable(path: Path, inputs: Sequence[Path], force: bool) -> None:
-    """A configuration can be written to ``path``, over none of its inputs.
-
-    Raises
-    ------
-    UserError
-        If not.
-    """
-    require_text_names(inputs)
-    require_apart([path], inputs)
-    require_new(path, "configuration", force)
-
-
 def start_config(
     recordings: Sequence[str | Path],
     out: str | Path | None = None,
@@ -84,10 +70,13 @@ def start_config(
     """
     first = Path(recordings[0])
     path = Path(out) if out is not None else Path(f"{name_of(stem_of(first))}.toml")
-    require_writable(path, [Path(file) for file in recordings], force)
+    files = [Path(file) for file in recordings]
+    require_text_names(files)
+    require_apart([path], files)
+    require_new(path, "configuration", force)
     table, *_ = [read_table(file) for file in recordings]
     guess = guess_columns(table, joint)
-    write_text(config_text([Path(file) for file in recordings], path, guess), path)
+    write_text(config_text(files, path, guess), path)
     return path, guess
 
 
@@ -181,11 +170,6 @@ def column_lines(guess: Guess) -> str:
     if guess.unused:
         lines.append(f"# Not used: {', '.join(quoted(name) for name in guess.unused)}\n")
     return "".join(lines)
-
-
-def commented(text: str) -> str:
-    """Text as a comment of a TOML file, in lines of its usual width."""
-    return textwrap.fill(text, 98, initial_indent="# ", subsequent_indent="# ")
 
 
 def quoted(text: str) -> str:

@@ -1,4 +1,4 @@
-"""A diagnosis from recordings and a bench alone: run at once, or written down to be corrected.
+"""A diagnosis from recordings and a bench alone.
 
 How recordings are compared is guessed where no file says it, each choice with its reason.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,6 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.diagnose import Compared, DiagnoseConfig, Method
 from bayesbl.config.loading import config_from_options
-from bayesbl.config.sections import RESULT_FILE, names_of
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.free_motion import CHANNELS as FREE_MOTION
@@ -27,11 +25,9 @@ from bayesbl.diagnosis.rigid.method import MOTION_ALONE
 from bayesbl.diagnosis.rigid.preparation import INERTIAS
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed
-from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import is_constant, with_speed
-from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.moving import is_one_speed, moves
-from bayesbl.recording.readers import read_recording, read_table
+from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -41,14 +37,6 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.identified import bench_from
-from bayesbl.results.store import write_text
-from bayesbl.runs.first_configuration import (
-    column_lines,
-    commented,
-    quoted,
-    relative,
-    require_writable,
-)
 
 FEWEST_SETTINGS = 3
 """Directions and speeds to fit on: Coulomb friction, viscous friction and an offset of the torque
@@ -158,7 +146,7 @@ def _with_speed(recording: Recording) -> Recording:
             "There is neither position nor speed of the motor, so nothing to compare a bench with.",
             file=recording.place,
             found=", ".join(recording.channels),
-            expected=f"{MOTOR_SPEED} or {MOTOR_POSITION}; `bayesbl init --diagnose` looks for them "
+            expected=f"{MOTOR_SPEED} or {MOTOR_POSITION}; `bayesbl init RECORDING` looks for them "
             "under other names",
         )
     return found
@@ -313,9 +301,6 @@ def _spare(speeds: Sequence[float]) -> int | None:
     return min(possible, key=preference, default=None)
 
 
-DEFAULT_FILE = "diagnose.toml"
-
-
 def diagnosis_of(
     recordings: Sequence[str | Path], config: str | Path | None = None, **options: object
 ) -> tuple[DiagnoseConfig, list[Choice]]:
@@ -340,88 +325,3 @@ def diagnosis_of(
     ]
     guess = guess_diagnosis(bench_from(made.bench), read, made)
     return completed(made, guess), guess
-
-
-def start_diagnosis(
-    bench: Path,
-    recordings: Sequence[Path],
-    out: Path | None = None,
-    *,
-    joint: str | None = None,
-    force: bool = False,
-) -> tuple[Path, Guess, list[Choice]]:
-    """Write a commented configuration of a diagnosis; its path, and what was guessed.
-
-    Parameters
-    ----------
-    bench
-        A bench file, or the result of an identification.
-    recordings
-        Files with the same columns; the first one is looked at for these.
-    joint
-        Which one, where a file holds several.
-
-    Raises
-    ------
-    UserError
-        If bench or recordings cannot be used, or the file is there or is one of them.
-    """
-    path = out or Path(DEFAULT_FILE)
-    bench = bench / RESULT_FILE if bench.is_dir() else bench
-    require_writable(path, [*recordings, bench], force)
-    table = read_table(recordings[0])
-    columns = guess_columns(table, joint)
-    specs = {c.channel: ColumnSpec(c.name, c.unit) for c in columns.columns}
-    names = names_of(recordings)
-    read = [
-        read_recording(file, name=name, columns=specs)
-        for file, name in zip(recordings, names, strict=True)
-    ]
-    guess = guess_diagnosis(bench_from(bench), read)
-    files = dict(zip(names, recordings, strict=True))
-    write_text(_text(path, bench, files, columns, guess), path)
-    return path, columns, guess
-
-
-def _text(
-    path: Path, bench: Path, files: dict[str, Path], columns: Guess, guess: Sequence[Choice]
-) -> str:
-    entries = "\n".join(
-        f"[[recordings]]\nname = {quoted(name)}\nfile = {quoted(relative(file, path))}\n"
-        + _lines(guess, name)
-        for name, file in files.items()
-    )
-    return f"""\
-# What does the bench lack that these recordings show? All of this is guessed: check it, then
-#
-#     bayesbl run {shlex.quote(path.name)}
-
-schema = 1
-kind = "diagnose"
-bench = {quoted(relative(bench, path))}
-
-[run]
-seed = 1                # same seed, same numbers
-output = {quoted(f"results/{path.stem}")}
-
-# Each channel with the column that holds it. Names and units decide the answer.
-[columns]
-{column_lines(columns)}
-[comparison]
-{_lines(guess, "comparison")}\
-# load_angle_known = true    # if a position of 0 means that the link hangs straight down
-# motor_angle_known = true   # if the motor's encoder is absolute: its ripple then has one phase
-# known_torque = ["…_nm"]    # columns of torques that the bench does not hold, N m at the motor
-
-[unknowns]
-{_lines(guess, "unknowns")}
-{entries}"""
-
-
-def _lines(guess: Sequence[Choice], section: str) -> str:
-    """Every value of a section below its reason."""
-    return "".join(
-        f"{commented(choice.reason)}\n{choice.place[1]} = {toml(choice.value)}\n"
-        for choice in guess
-        if choice.place[0] == section
-    )
