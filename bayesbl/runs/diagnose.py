@@ -8,8 +8,9 @@ import xarray as xr
 
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.groups import diagnosis_tree
+from bayesbl.diagnosis.groups import declared_groups, diagnosis_tree
 from bayesbl.diagnosis.methods import method_named
+from bayesbl.diagnosis.summary import summarise_diagnosis as summarise
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import RecordingError
 from bayesbl.recording.channels import ColumnSpec
@@ -19,6 +20,10 @@ from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
+
+__all__ = ["ATTRIBUTES", "declared_groups", "describe", "make", "summarise", "task_of"]
+
+ATTRIBUTES = ("outcome", "diagnosis")
 
 FEWEST_SAMPLES = 200
 

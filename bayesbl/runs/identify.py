@@ -12,9 +12,10 @@ from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import IdentifyConfig
 from bayesbl.errors import ConfigError
-from bayesbl.identification.groups import identification_tree
+from bayesbl.identification.groups import declared_groups, identification_tree
 from bayesbl.identification.identify import Identification, identify
 from bayesbl.identification.problem import Problem
+from bayesbl.identification.summary import summarise_identification as summarise
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.model_search.always_in import with_friction
 from bayesbl.recording.checks import ready_for_fit, require_alive
@@ -25,6 +26,10 @@ from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
 from bayesbl.sampling.chains import SamplerSettings
+
+__all__ = ["ATTRIBUTES", "declared_groups", "describe", "make", "problem_of", "summarise"]
+
+ATTRIBUTES = ("outcome", "identification", "identified_bench")
 
 
 def make(config: IdentifyConfig, options: Options, work: WorkStore) -> xr.DataTree:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -51,80 +51,30 @@ if TYPE_CHECKING:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of run, and of stored result; modules are imported when they are needed.
-
-    Attributes
-    ----------
-    workflow
-        Module of :mod:`bayesbl.runs` that runs it. Its ``describe(config, plan)`` asks everything
-        that can be asked before the first expensive step: ``check`` prints the plan, ``run`` goes
-        by it. ``make(config, options, work)`` gives the result, and what takes long goes through
-        ``work``; ``run(config, options)``, in its place, writes an output folder that is added to
-        and gives the summary.
-    groups
-        Module whose ``declared_groups`` lists the groups of its result; empty without one.
-    summarise
-        Module and function that make the summary of its result, a colon between them.
-    attributes
-        What the root of its result says of it.
-    """
-
-    workflow: str
-    groups: str = ""
-    summarise: str = ""
-    attributes: tuple[str, ...] = ()
-
-
-_MEASURED = Kind(
-    "measure",
-    "bayesbl.measurement.routes",
-    "bayesbl.measurement.stored:summary_of",
-    ("outcome", "recordings", "interval_level", "interval_kind"),
-)
-
-KINDS: Mapping[str, Kind] = MappingProxyType(
+KINDS: Mapping[str, str] = MappingProxyType(
     {
-        "fit": _MEASURED,
-        "compare": _MEASURED,
-        "sweep": Kind(
-            "sweep",
-            "bayesbl.runs.sweep",
-            "bayesbl.runs.sweep:summarise_sweep",
-            ("outcome", "degree"),
-        ),
-        "plan": Kind(
-            "plan",
-            "bayesbl.runs.plan",
-            "bayesbl.runs.plan:summarise_plan",
-            ("outcome", "gap_rad"),
-        ),
-        "diagnose": Kind(
-            "diagnose",
-            "bayesbl.diagnosis.groups",
-            "bayesbl.diagnosis.summary:summarise_diagnosis",
-            ("outcome", "diagnosis"),
-        ),
-        "identify": Kind(
-            "identify",
-            "bayesbl.identification.groups",
-            "bayesbl.identification.summary:summarise_identification",
-            ("outcome", "identification", "identified_bench"),
-        ),
-        "study": Kind(
-            "study",
-            "bayesbl.runs.study",
-            "bayesbl.runs.study:summarise_study",
-            ("outcome", "study"),
-        ),
-        "fleet": Kind("fleet"),
-        "simulate": Kind("simulate"),
-        "bench": Kind("bench"),
+        "fit": "measure",
+        "compare": "measure",
+        "sweep": "sweep",
+        "plan": "plan",
+        "diagnose": "diagnose",
+        "identify": "identify",
+        "study": "study",
+        "fleet": "fleet",
+        "simulate": "simulate",
+        "bench": "bench",
     }
 )
+"""Kind of run, and of stored result, to its module here, imported when it is needed.
 
-_STORED = tuple(name for name, kind in KINDS.items() if kind.groups)
+Its ``describe(config, plan)`` asks everything that can be asked before the first expensive step:
+``check`` prints the plan, ``run`` goes by it. ``make(config, options, work)`` gives the result, and
+what takes long goes through ``work``; ``run(config, options)``, in its place, writes an output
+folder that is added to and gives the summary. Of a stored result, ``declared_groups(tree)`` lists
+the groups, ``ATTRIBUTES`` what its root says, and ``summarise(tree)`` makes the summary.
+"""
+
+_WITHOUT_RESULT = ("fleet", "simulate", "bench")
 
 _FILES = ("simulate", "bench")
 """Kinds without an output folder: their workflow takes the file itself."""
@@ -239,7 +189,7 @@ def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
 
 
 def _workflow(kind: str) -> ModuleType:
-    return import_module(f"bayesbl.runs.{KINDS[kind].workflow}")
+    return import_module(f"bayesbl.runs.{KINDS[kind]}")
 
 
 @checked
@@ -248,15 +198,13 @@ def summarise(tree: Tree) -> Summary:
 
     δ and the change are ``None`` where the answer is withheld; ``reason`` says why.
     """
-    module, _, function = KINDS[tree.attrs["kind"]].summarise.partition(":")
-    summary: Summary = with_sentences(getattr(import_module(module), function)(tree))
+    summary: Summary = with_sentences(_workflow(tree.attrs["kind"]).summarise(tree))
     return summary
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
     """Groups that a result declares."""
-    module = import_module(KINDS[tree.attrs["kind"]].groups)
-    groups: tuple[Group, ...] = module.declared_groups(tree)
+    groups: tuple[Group, ...] = _workflow(tree.attrs["kind"]).declared_groups(tree)
     return groups
 
 
@@ -273,19 +221,20 @@ def read_result(path: str | Path) -> xr.DataTree:
 
     tree = read_tree(path)
     kind = tree.attrs.get("kind")
-    if not isinstance(kind, str) or kind not in _STORED:
+    stored = [name for name in KINDS if name not in _WITHOUT_RESULT]
+    if not isinstance(kind, str) or kind not in stored:
         raise ResultError(
             "This result is of no known kind.",
             file=path,
             found=f"kind {kind!r}",
-            expected=" or ".join(_STORED),
+            expected=" or ".join(stored),
         )
     try:
         require_declared(tree, declared_groups(tree))
     except ResultError as problem:
         problem.name_file(path)
         raise
-    needed = KINDS[kind].attributes
+    needed = _workflow(kind).ATTRIBUTES
     missing = [name for name in needed if name not in tree.attrs]
     if missing:
         raise ResultError(

@@ -59,6 +59,10 @@ class PlanSummary(Head):
     plan: Planned
 
 
+ATTRIBUTES = ("outcome", "gap_rad")
+"""Of the root of a stored plan."""
+
+
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     """All groups of a plan."""
     return (MOTIONS,)
@@ -109,7 +113,7 @@ NONE_SHOWS = (
 )
 
 
-def summarise_plan(tree: xr.DataTree) -> PlanSummary:
+def summarise(tree: xr.DataTree) -> PlanSummary:
     """``summary.json`` of a plan."""
     stored = tree[MOTIONS.name].to_dataset()
     motions: list[Any] = []

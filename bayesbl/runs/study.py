@@ -404,7 +404,7 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
             _take_from_store(row, kept, options.say)
         _finish(study, rows, config, kept, options)
         tree = _tree(study, rows, config)
-        summary = summarise_study(tree)
+        summary = summarise(tree)
         replaced = replace(options, draw=partial(draw_study, study), force=options.force or add)
         table = {TABLE_FILE: table_csv(summary["rows"])}
         write_result(tree, summary, config, replaced, table, work)
@@ -419,6 +419,10 @@ def describe(config: StudyConfig, plan: Plan) -> None:
         return f"{study.path}, " + ", ".join(f'"{row.name}" {row.count} cases' for row in rows)
 
     plan.add("study", told)
+
+
+ATTRIBUTES = ("outcome", "study")
+"""Of the root of a stored study."""
 
 
 def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
@@ -459,7 +463,7 @@ class StudySummary(Head):
     rows: list[dict[str, Any]]
 
 
-def summarise_study(tree: xr.DataTree) -> StudySummary:
+def summarise(tree: xr.DataTree) -> StudySummary:
     """``summary.json`` of a study, from the result alone."""
     return {
         "kind": "study",

@@ -86,6 +86,10 @@ BENCH_DRAWS = Group(
 )
 
 
+ATTRIBUTES = ("outcome", "degree")
+"""Of the root of a stored sweep."""
+
+
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     """All groups of a sweep."""
     return SWEEP, DEGREES, EXAMPLES, CURVE, GAP_CURVE, BENCH_DRAWS
@@ -146,7 +150,7 @@ class SweepSummary(Head):
     degrees: dict[str, DegreeSummary]
 
 
-def summarise_sweep(tree: xr.DataTree) -> SweepSummary:
+def summarise(tree: xr.DataTree) -> SweepSummary:
     """``summary.json`` of a sweep."""
     sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
     stored = tree["gap_curve"].to_dataset()
