@@ -1,10 +1,7 @@
 """Studies: many independent cases in rows, over processes or a cluster, resumed where left.
 
-``result.nc`` holds all cases, a group per row; ``table.csv`` a line per row.
-
-What a study is: a Python file that says how one independent case of a row is run.
-
-A study file defines three functions::
+``result.nc`` holds all cases, a group per row; ``table.csv`` a line per row. A study file says how
+one independent case of a row is run. It defines three functions::
 
     def count(row) -> int: ...
         # How many independent cases the row has.
@@ -58,14 +55,14 @@ from pydantic import BaseModel, ValidationError
 
 from bayesbl.config.files import config_error, problems_of
 from bayesbl.config.kinds import StudyConfig
-from bayesbl.errors import ConfigError, ResultError, UserError, WorkerError
-from bayesbl.results.folder import figure_title, is_finished, require_free
+from bayesbl.errors import ConfigError, UserError, WorkerError
+from bayesbl.results.folder import figure_title
 from bayesbl.results.provenance import git_commit, provenance_of
-from bayesbl.results.store import OUTCOME, Head, head, read_tree
-from bayesbl.results.variables import Group, Variable, require_declared
+from bayesbl.results.store import OUTCOME, Head, head
+from bayesbl.results.variables import Group, Variable
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
-from bayesbl.runs.workflow import Options, Plan, write_result
+from bayesbl.runs.workflow import Options, Plan, work_of, write_result
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -169,11 +166,6 @@ class Study:
         said = {key: _content(value) for key, value in table.items()}
         parts = [said, self._code_of_cases, seed]
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
-
-    @cached_property
-    def sha256(self) -> str:
-        """Of the whole file."""
-        return hashlib.sha256(self.path.read_bytes()).hexdigest()
 
     @cached_property
     def _code_of_cases(self) -> str:
@@ -382,9 +374,8 @@ class Row:
 def run(config: StudyConfig, options: Options) -> StudySummary:
     """Run what is not finished of a study, write its output folder, and return the summary.
 
-    A finished result is added to: its rows keep their cases, and the commit that made them. Where
-    one of them would be lost, because it is now defined differently or is gone from the
-    configuration, the run is refused. ``options.force`` starts over: every case is run again.
+    Cases that an unfinished run has are taken over, each with the commit that made it, if their row
+    is defined as it was.
 
     Raises
     ------
@@ -392,22 +383,16 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
         If the study, a row or the output folder cannot be used.
     """
     study, rows = prepare(config)
-    output = config.run.output
-    add = not options.force and is_finished(output)
-    if add:
-        _take_from_result(study, rows, output)
-    require_free(output, force=options.force or add)
-    with WorkStore.beside(output, fresh=options.force) as work:
-        # A case keeps the commit that made it, as in a finished result that is added to.
+    with work_of(config, options) as work:
+        # A definition decides a case, whatever else of the code has changed since.
         kept = replace(work, code="")
         for row in rows:
             _take_from_store(row, kept, options.say)
         _finish(study, rows, config, kept, options)
         tree = _tree(study, rows, config)
         summary = summarise(tree)
-        replaced = replace(options, draw=partial(draw_study, study), force=options.force or add)
-        table = {TABLE_FILE: table_csv(summary["rows"])}
-        write_result(tree, summary, config, replaced, table, work)
+        drawn = replace(options, draw=partial(draw_study, study))
+        write_result(tree, summary, config, drawn, {TABLE_FILE: table_csv(summary["rows"])}, work)
     return summary
 
 
@@ -516,37 +501,8 @@ def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.D
     return lines, {group.attrs["name"]: group for group in groups}
 
 
-def _take_from_result(study: Study, rows: Sequence[Row], output: Path) -> None:
-    """Give rows the cases of a finished result that this run may add to, or refuse."""
-    tree = read_tree(output)
-    if tree.attrs.get("kind") != "study":
-        require_free(output)
-    require_declared(tree, declared_groups(tree), output)
-    stored = {group.attrs["name"]: group for group in _groups(tree)}
-    definitions = {row.name: row.definition for row in rows}
-    lost = [n for n, g in stored.items() if definitions.get(n) != g.attrs["definition"]]
-    if lost:
-        raise ResultError(
-            "This folder holds a finished result with rows that this run would lose.",
-            file=output,
-            found=", ".join(
-                f'"{name}" ' + ("defined differently" if name in definitions else "not asked for")
-                for name in lost
-            ),
-            expected="the rows as they were and others beside them, another folder (--out), or "
-            "--force to start over",
-        )
-    if len(stored) == len(rows) and tree.attrs["study_sha256"] == study.sha256:
-        require_free(output)  # nothing is left to do
-    for row in rows:
-        if row.name in stored:
-            row.cases = _cases_of(stored[row.name])
-
-
 def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> None:
     """Give a row the cases that an earlier, unfinished run stored."""
-    if row.cases:
-        return
     stored = (work.recall("case", row.address(index), Case) for index in range(row.count))
     row.cases = {case.index: case for case in stored if case is not None}
     if row.cases:
@@ -595,7 +551,6 @@ def _tree(study: Study, rows: Sequence[Row], config: StudyConfig) -> xr.DataTree
     tree.attrs = {
         "kind": "study",
         "study": study.name,
-        "study_sha256": study.sha256,
         OUTCOME: "done",
         **provenance_of(config),
     }
@@ -629,7 +584,6 @@ def _row_group(study: Study, row: Row) -> xr.Dataset:
     group.attrs = {
         "name": row.name,
         "row": json.dumps(dict(row.table), default=str, ensure_ascii=False),
-        "definition": row.definition,
         "commit": commit,
         "seconds": float(group["seconds"].sum()),
         "line": json.dumps(line, ensure_ascii=False),
@@ -640,22 +594,6 @@ def _row_group(study: Study, row: Row) -> xr.Dataset:
 def _described(study: Study, name: str) -> dict[str, str]:
     unit, long_name = _OWN_COLUMNS.get(name) or study.columns.get(name, ("", name))
     return {"units": unit, "long_name": long_name}
-
-
-def _cases_of(group: xr.Dataset) -> dict[int, Case]:
-    """The inverse of :func:`_row_group`."""
-    names = [str(name) for name in group.data_vars if name not in RESERVED]
-    columns = {name: group[name].values for name in (*names, *RESERVED)}
-    return {
-        index: Case(
-            index,
-            {name: float(columns[name][index]) for name in names} if not failed else {},
-            float(columns["seconds"][index]),
-            str(columns["commit"][index]),
-            str(columns["message"][index]),
-        )
-        for index, failed in enumerate(columns["failed"])
-    }
 
 
 def _groups(tree: xr.DataTree) -> list[xr.Dataset]:

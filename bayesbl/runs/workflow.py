@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -117,12 +117,7 @@ def run_into_folder(
     UserError
         If the folder may not be written, or anything in the configuration cannot be used.
     """
-    output = config.run.output
-    if is_finished(output):
-        with suppress(ResultError), WorkStore.beside(output, fresh=True):
-            pass  # forgets the work of a run that was killed after its result was there
-    require_free(output, force=options.force)
-    with WorkStore.beside(output, fresh=options.force) as work:
+    with work_of(config, options) as work:
         if work.holds_work:
             options.say("What an unfinished run has of the same problem is not done again.")
         try:
@@ -138,6 +133,24 @@ def run_into_folder(
         summary = summarise(tree)
         write_result(tree, summary, config, options, texts, work)
     return summary
+
+
+@contextmanager
+def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
+    """The finished work of an unfinished run of a configuration.
+
+    Raises
+    ------
+    ResultError
+        If the output folder holds a finished result that is not given up, or may not be written.
+    """
+    output = config.run.output
+    if is_finished(output):
+        with suppress(ResultError), WorkStore.beside(output, fresh=True):
+            pass  # forgets the work of a run that was killed after its result was there
+    require_free(output, force=options.force)
+    with WorkStore.beside(output, fresh=options.force) as work:
+        yield work
 
 
 def require_output(folder: Path) -> str:
