@@ -240,7 +240,7 @@ def sweep(
 ) -> SweepResult:
     """Simulate a bench over gaps, by a configuration, for its gap curve.
 
-    Only the simulations are written, for other sweeps, into ``.sweep-cache`` beside the output.
+    Only the simulations are written, for other sweeps, into ``.curves`` beside the output.
 
     Raises
     ------

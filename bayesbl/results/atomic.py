@@ -90,7 +90,7 @@ def staging(path: Path) -> Iterator[Path]:
         clear_away(path)
         folder, handle = _locked_new(path)
     except OSError as error:
-        raise _unwritable(path, error) from None
+        raise unwritable(path, error) from None
     try:
         yield folder
     except OSError as error:
@@ -157,7 +157,7 @@ def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
     try:
         handle = _locked(folder, output)
     except OSError as error:
-        raise _unwritable(output, error) from None
+        raise unwritable(output, error) from None
     try:
         yield folder
     finally:
@@ -231,7 +231,7 @@ class PrivateFolder:
             with suppress(FileExistsError):
                 self.path.mkdir(0o700)
         except OSError as error:
-            raise _unwritable(self.path, error) from None
+            raise unwritable(self.path, error) from None
         with _own(self.path) as handle:
             part = f"{secrets.token_hex(8)}{_PART}"
             move = os.replace if replace else os.link
@@ -393,10 +393,11 @@ def _to_disk(path: Path) -> None:
         os.close(handle)
 
 
-def _unwritable(path: Path, error: OSError) -> ResultError:
+def unwritable(path: str | Path, error: OSError | ValueError) -> ResultError:
+    """Why nothing can be written at a place."""
     return ResultError(
         "Nothing can be written here.",
         file=path,
-        found=error.strerror,
+        found=getattr(error, "strerror", None) or str(error),
         expected="a place that can be written to",
     )

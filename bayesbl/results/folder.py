@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError, shortened
-from bayesbl.results.atomic import held, left_behind, make_readable, staging
+from bayesbl.results.atomic import held, left_behind, make_readable, staging, unwritable
 
 
 def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
@@ -80,12 +80,7 @@ def _require_possible(output: Path) -> None:
     except (FileNotFoundError, NotADirectoryError):
         pass  # as it should be, or for whoever makes the folder to refuse
     except (OSError, ValueError) as error:
-        raise ResultError(
-            "Nothing can be written here.",
-            file=shortened(str(output), 200),
-            found=getattr(error, "strerror", None) or str(error),
-            expected="a place that can be written to",
-        ) from None
+        raise unwritable(shortened(str(output), 200), error) from None
 
 
 def _places(path: Path) -> set[Path]:

@@ -21,7 +21,9 @@ from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import (
     CURVE,
     GAP_CURVE,
+    MOST_KEPT,
     SOURCE_PREFIX,
+    STORE,
     SweepProblem,
     curve_group,
     curve_to_dataset,
@@ -182,11 +184,6 @@ def summarise(tree: xr.DataTree) -> SweepSummary:
     }
 
 
-CACHE = ".sweep-cache"
-
-CACHE_BYTES = 200_000_000
-"""What finished rows may take, some ten thousand of them; the oldest go first."""
-
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
 """What simulating and fitting takes, roughly: all recordings of a row are held at once."""
 
@@ -208,8 +205,8 @@ def _gaps(config: SweepConfig, bench: Bench) -> str:
 def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     """Sweep a bench and regress its gap curve.
 
-    Rows that the same code made of the same problem are taken from a cache that all sweeps share,
-    in place of ``work``, unless ``options.force`` asks for new ones.
+    Rows that the same code made of the same problem are taken from where those of curves made on
+    demand are kept, in place of ``work``, unless ``options.force`` asks for new ones.
 
     Raises
     ------
@@ -219,12 +216,12 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     bench = bench_from(config.bench)
     require_flank_change(bench)
     require_drawable(config, bench)
-    rows = WorkStore.shared(config.run.output.parent / CACHE, fresh=options.force)
+    rows = WorkStore.shared(config.run.output.parent / STORE, fresh=options.force)
     problem = SweepProblem(bench, _model(config), _settings(config), config.run.seed, rows)
     nominal_seed, draw_seed, curve_seed, band_seed = np.random.SeedSequence(config.run.seed).spawn(
         4
     )
-    rows.keep_latest(size_bytes=CACHE_BYTES)
+    rows.keep_latest(count=MOST_KEPT)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
     report = of_stage(options.progress, "Simulating bench draws")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ConfigError, ResultError, UserError
+from bayesbl.results.atomic import unwritable
 from bayesbl.results.folder import (
     AUGMENTED_BENCH,
     CONFIG_FILE,
@@ -180,12 +181,7 @@ def require_writable(folder: Path) -> None:
         # Asked by doing: permissions do not tell of a file system that is full or of another kind.
         os.rmdir(tempfile.mkdtemp(prefix=".bayesbl-", dir=existing))
     except OSError as error:
-        raise ResultError(
-            "Nothing can be written here.",
-            file=folder,
-            found=error.strerror,
-            expected="a folder that can be written to",
-        ) from None
+        raise unwritable(folder, error) from None
 
 
 def require_affordable(what: str, expected: str, memory_bytes: float, seconds: float) -> None:

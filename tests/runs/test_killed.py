@@ -110,7 +110,7 @@ def unfinished(config: Path) -> Path:
 
 def entries(config: Path) -> list[Path]:
     """Finished work of the run, the rows of sweeps included."""
-    folders = (unfinished(config), config.parent / ".sweep-cache")
+    folders = (unfinished(config), config.parent / ".curves")
     return [
         file for folder in folders if folder.is_dir() for file in folder.iterdir() if file.is_file()
     ]
