@@ -65,7 +65,6 @@ from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan, work_of, write_result
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.figure import Figure
 
 
@@ -73,8 +72,14 @@ Table = Mapping[str, Any]
 """A row as the configuration has it."""
 
 REQUIRED = ("count", "run_case", "summarise")
-RESERVED = ("failed", "message", "seconds", "commit")
-"""What the runner keeps of every case beside the study's own numbers."""
+
+OWN_COLUMNS = {
+    "failed": ("1", "1 where the case failed, and has no values"),
+    "message": ("", "why the case failed"),
+    "seconds": ("s", "time that the case took"),
+    "commit": ("", "commit that the case was run at"),
+}
+"""What the runner keeps of every case beside the study's own numbers: unit and long name."""
 
 AFTER_THE_CASES = frozenset({"summarise", "figure", "COLUMNS"})
 """What a study file may change without its cases being run again."""
@@ -139,7 +144,7 @@ class Study:
     def run_case(self, table: Table, index: int, seed: np.random.SeedSequence) -> dict[str, float]:
         """Run one case."""
         values = self.module.run_case(self.row(table), index, seed)
-        if taken := sorted(values.keys() & set(RESERVED)):
+        if taken := sorted(values.keys() & OWN_COLUMNS.keys()):
             raise ValueError(f"run_case returns names that are the runner's: {', '.join(taken)}")
         return {str(name): float(value) for name, value in values.items()}
 
@@ -338,14 +343,6 @@ def files_of_study(study: Study, jobs: Sequence[Job]) -> list[str]:
 TABLE_FILE = "table.csv"
 _FORMULA = ("=", "+", "-", "@", "\t", "\n")
 
-_OWN_COLUMNS = {
-    "failed": ("1", "1 where the case failed, and has no values"),
-    "message": ("", "why the case failed"),
-    "seconds": ("s", "time that the case took"),
-    "commit": ("", "commit that the case was run at"),
-}
-"""Unit and long name of :data:`RESERVED`."""
-
 
 @dataclass(slots=True)
 class Row:
@@ -414,7 +411,7 @@ def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
     """A group for each row of a study."""
     own = tuple(
         Variable(name, ("case",), unit, meaning, "number" if unit else "text")
-        for name, (unit, meaning) in _OWN_COLUMNS.items()
+        for name, (unit, meaning) in OWN_COLUMNS.items()
     )
     index = Variable("case", ("case",), "1", "index of the case")
     return tuple(Group(name, own, (index,), _column) for name in _names_of_rows(tree))
@@ -512,7 +509,7 @@ def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> N
 def _finish(
     study: Study, rows: Sequence[Row], config: StudyConfig, work: WorkStore, options: Options
 ) -> None:
-    """Run all cases that lack, each stored as soon as it ends."""
+    """Run all cases that lack, each stored as soon as it ends, in any order."""
     by_name = {row.name: row for row in rows}
     jobs = [job for row in rows for job in row.jobs(config.run.seed)]
     if not jobs:
@@ -520,23 +517,16 @@ def _finish(
     if options.progress is not None:
         row = by_name[jobs[0].row]
         options.progress(row.name, len(row.cases), row.count)
-    for job, case in _ended(study, jobs, config, options.say):
-        row = by_name[job.row]
-        work.keep("case", row.address(case.index), case)
-        if case.message and not any(other.message for other in row.cases.values()):
-            options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
-        row.cases[case.index] = case
-        if options.progress is not None:
-            options.progress(row.name, len(row.cases), row.count)
-
-
-def _ended(
-    study: Study, jobs: Sequence[Job], config: StudyConfig, say: Callable[[str], None]
-) -> Iterator[tuple[Job, Case]]:
-    """Cases as they end, in any order."""
     run, files = partial(run_case, str(study.path), git_commit()), files_of_study(study, jobs)
     try:
-        yield from run_jobs(run, jobs, files, config.run, say, "cases")
+        for job, case in run_jobs(run, jobs, files, config.run, options.say, "cases"):
+            row = by_name[job.row]
+            work.keep("case", row.address(case.index), case)
+            if case.message and not any(other.message for other in row.cases.values()):
+                options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
+            row.cases[case.index] = case
+            if options.progress is not None:
+                options.progress(row.name, len(row.cases), row.count)
     except WorkerError:
         raise ConfigError(
             "A process died that ran cases of this study.",
@@ -592,7 +582,7 @@ def _row_group(study: Study, row: Row) -> xr.Dataset:
 
 
 def _described(study: Study, name: str) -> dict[str, str]:
-    unit, long_name = _OWN_COLUMNS.get(name) or study.columns.get(name, ("", name))
+    unit, long_name = OWN_COLUMNS.get(name) or study.columns.get(name, ("", name))
     return {"units": unit, "long_name": long_name}
 
 
