@@ -107,7 +107,7 @@ def watch(
         store = WorkStore(sibling(config.run.output, KEPT))
         measuring = _Measuring(config, joints, table, outbox, store, tell)
         with _sending(asked, outbox, say):
-            _watch(asked, config, list(joints.values()), measuring)
+            _watch(asked, measuring)
 
 
 def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
@@ -147,34 +147,23 @@ def _sending(asked: Watched, outbox: Outbox | None, say: Callable[[str], None]) 
             say(f"Answers that `bayesbl collect` has not stored yet: {left}. They are sent again.")
 
 
-def _watch(
-    asked: Watched,
-    config: FleetConfig,
-    joints: list[Joint],
-    measuring: _Measuring,
-) -> None:
-    resting: dict[str, tuple[FileState, float]] = {}
-    done: dict[str, FileState] = {}
+def _watch(asked: Watched, measuring: _Measuring) -> None:
+    since: dict[tuple[str, FileState], float] = {}
+    done: set[tuple[str, FileState]] = set()
     while True:
-        found = find_recordings(config.fleet, joints)
-        signatures = {one.file: state for one in found if (state := file_state(one.file))}
-        done = {file: seen for file, seen in done.items() if signatures.get(file) == seen}
         now = time.monotonic()
-        resting = {
-            file: resting[file] if file in resting and resting[file][0] == seen else (seen, now)
-            for file, seen in signatures.items()
-            if file not in done
+        found = {
+            (one.file, state): one
+            for one in find_recordings(measuring.config.fleet, list(measuring.joints.values()))
+            if (state := file_state(one.file)) is not None
         }
-        ready = [
-            one
-            for one in found
-            if one.file in resting and now - resting[one.file][1] >= asked.settled_s
-        ]
-        for one in ready:
-            before = file_state(one.file)
-            if before == signatures[one.file] and measuring.took(one):
-                done[one.file] = before
-        if asked.once and not resting.keys() - done.keys():
+        since = {seen: since.get(seen, now) for seen in found}
+        done &= found.keys()
+        for seen, one in found.items():
+            is_settled = now - since[seen] >= asked.settled_s and file_state(one.file) == seen[1]
+            if seen not in done and is_settled and measuring.took(one):
+                done.add(seen)
+        if asked.once and found.keys() <= done:
             return
         time.sleep(min(POLL_S, asked.settled_s) if asked.once else POLL_S)
 
