@@ -44,8 +44,7 @@ S = TypeVar("S", bound=Mapping[str, Any])
 """A summary."""
 
 LONGEST_S = 7 * 24 * 3600.0
-USUAL_MEMORY_BYTES = 8e9
-"""Of :func:`require_affordable`."""
+"""Of a run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +191,7 @@ def require_affordable(what: str, expected: str, memory_bytes: float, seconds: f
     ConfigError
         With both estimates.
     """
-    largest = _memory_bytes()
+    largest = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     if memory_bytes <= largest and seconds <= LONGEST_S:
         return
     raise ConfigError(
@@ -200,14 +199,6 @@ def require_affordable(what: str, expected: str, memory_bytes: float, seconds: f
         found=f"about {memory_bytes / 1e9:.2g} GB of memory and {seconds / 3600.0:.2g} hours",
         expected=f"at most {largest / 1e9:.3g} GB and {LONGEST_S / 3600.0:g} hours: {expected}",
     )
-
-
-def _memory_bytes() -> float:
-    """Memory of this machine, or of an ordinary one where the system does not say."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, OSError, ValueError):
-        return USUAL_MEMORY_BYTES
 
 
 def settings_of(config: RunConfig) -> dict[str, Any]:
