@@ -52,7 +52,6 @@ from bayesbl.ramps.flanks import (
     of_cycles,
     stiffness,
 )
-from bayesbl.ramps.loop import LoopModel
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
 from bayesbl.ramps.preload import lifting_torque
 from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
@@ -663,10 +662,7 @@ LOOP = Group(
     table("""
         torque_nm (point) | N m | averaged torque along the cycles of each file, at the output
         position_rad (point) | rad | averaged position
-        model_rad (point) | rad | position by play, compliance and friction
         file (point) | 1 | number of the file, from 0
-        last (point) | 1 | whether the point is of the file's last cycle to and fro (1)
-        model_misfit_rad (position) | rad | root mean square of position less model, by file
         left_low_rad (position) | rad | mean position left by torque below zero
         left_high_rad (position) | rad | mean position left by torque above zero
     """),
@@ -737,38 +733,25 @@ def _cycles(answer: RampAnswer) -> xr.Dataset:
 def _loop(answer: RampAnswer) -> xr.Dataset:
     level = answer.flanks.level
     assert level is not None
-    parts: dict[str, list[FloatArray]] = {
-        name: [] for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
-    }
-    misfit, left = [], []
-    for n, cycles in enumerate(level.files):
-        if not cycles:
-            continue
-        torque, position, last = _path(cycles)
-        model = LoopModel.fitted(cycles, torque, position)
-        modelled = model.follow(torque, position[0])
-        parts["torque_nm"].append(torque)
-        parts["position_rad"].append(position)
-        parts["model_rad"].append(modelled)
-        parts["file"].append(np.full(torque.size, float(n)))
-        parts["last"].append(last)
-        misfit.append(float(np.sqrt(np.mean((position - modelled) ** 2))))
-        left.append(left_rad(cycles))
+    numbers = [float(n) for n, cycles in enumerate(level.files) if cycles]
+    files = list(filter(None, level.files))
+    torque, position = zip(*map(_path, files), strict=True)
+    low, high = zip(*map(left_rad, files), strict=True)
     return dataset(
         LOOP,
         {
-            **{name: np.concatenate(values) for name, values in parts.items()},
-            "model_misfit_rad": np.array(misfit),
-            "left_low_rad": np.array([low for low, _ in left]),
-            "left_high_rad": np.array([high for _, high in left]),
+            "torque_nm": np.concatenate(torque),
+            "position_rad": np.concatenate(position),
+            "file": np.repeat(numbers, [part.size for part in torque]),
+            "left_low_rad": np.array(low),
+            "left_high_rad": np.array(high),
         },
     )
 
 
-def _path(cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Torque and position of all cycles of a file in order, thinned, and which are of the last."""
+def _path(cycles: tuple[Cycle, ...]) -> tuple[FloatArray, FloatArray]:
+    """Torque and position of all cycles of a file in order, thinned."""
     path = slice(cycles[0].first.begin, cycles[-1].last.back + 1)
     torque, position = cycles[0].torque_nm[path], cycles[0].position_rad[path]
     step = max(1, -(-torque.size // MOST_POINTS))
-    last = np.arange(path.start, path.stop) >= cycles[-1].first.begin
-    return torque[::step], position[::step], last[::step].astype(float)
+    return torque[::step], position[::step]

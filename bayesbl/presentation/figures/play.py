@@ -21,8 +21,7 @@ from bayesbl.presentation.figures.style import GAP
 
 
 @stored_figure(
-    "Position over torque at each position around the turn, the loop of play, compliance and "
-    "friction, and the play.",
+    "Position over torque at each position around the turn, and the play.",
     10,
     holding("loop"),
     name="loop",
@@ -41,9 +40,8 @@ def ramp_loops(tree: xr.DataTree) -> Figure:
 
 
 def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:
-    torque, position, model, file, last = (
-        snapshot.values("loop", name)
-        for name in ("torque_nm", "position_rad", "model_rad", "file", "last")
+    torque, position, file = (
+        snapshot.values("loop", name) for name in ("torque_nm", "position_rad", "file")
     )
     low, high = snapshot.values("loop", "left_low_rad"), snapshot.values("loop", "left_high_rad")
     play = credible_interval(tree, 2e3 * snapshot.values("posterior", GAP))
@@ -64,12 +62,6 @@ def _draw_ramp_loops(panel: Axes, tree: xr.DataTree, snapshot: Snapshot, index: 
         panel.plot(
             torque[own], 1e3 * (position[own] - middle), color=style.MEASURED, linewidth=0.5,
             alpha=0.8, label="measured, every position and cycle" if place == 0 else None,
-        )  # fmt: skip
-        once = own & (last > 0.5)
-        panel.plot(
-            torque[once], 1e3 * (model[once] - middle), color=style.MODEL, linewidth=0.9,
-            linestyle=style.look(place).dashes,
-            label="model, the last cycle of each" if place == 0 else None,
         )  # fmt: skip
         panel.plot(
             [0.0, 0.0], 1e3 * (np.array([low[place], high[place]]) - middle), color=style.NEUTRAL,
