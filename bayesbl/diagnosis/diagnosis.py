@@ -17,7 +17,6 @@ from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.residuals import ResidualAnalysis, Unexplained
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.model_search.closed_loop import RankedCandidate
 from bayesbl.recording.types import FloatArray
 
 CURVE_POINTS = 181
@@ -89,32 +88,6 @@ class PieceSignals:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class OrderSize:
-    """The line at one order of the motor in one piece, as the torque that it would take.
-
-    Attributes
-    ----------
-    law
-        ``torque``, ``angle`` (an error of the encoder), ``both``, or ``none`` that it follows.
-    speed_rpm
-        Mean of the motor.
-    torque_nm, sd_nm
-        As measured, and its standard deviation.
-    by_law_nm
-        What its law gives at this speed; NaN without one.
-    """
-
-    order: float
-    law: str
-    recording: str
-    use: Use
-    speed_rpm: float
-    torque_nm: float
-    sd_nm: float
-    by_law_nm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,12 +165,8 @@ class Diagnosis:
         Why no gap is given; empty where one is, or nothing is asked of it.
     signals
         Of every piece; of a closed loop those held out, or all if none is.
-    order_sizes
-        Of every order and piece, where a speed loop was looked at.
     residuals_before, residuals_after
         What the simulation leaves, in steady rotation.
-    ranking
-        Candidates added alone, most probable first.
     augmented_bench
         The bench with what was named and learned in it.
     learned
@@ -217,10 +186,8 @@ class Diagnosis:
     suggestion: Suggestion | None = None
     posterior: DirectPosterior | None = None
     signals: tuple[PieceSignals, ...] = ()
-    order_sizes: tuple[OrderSize, ...] = ()
     residuals_before: ResidualAnalysis | None = None
     residuals_after: ResidualAnalysis | None = None
-    ranking: tuple[RankedCandidate, ...] = ()
     augmented_bench: Bench | None = None
     learned: LearnedAnswer | None = None
 

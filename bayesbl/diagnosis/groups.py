@@ -1,67 +1,63 @@
 """Groups of ``result.nc`` by which a diagnosis is stored, each where there is something to store.
 
-``disagreement``: RMS before and after, for every piece (a channel of a recording, or of a part of
-it). ``signals``: measured and predicted, for every piece; of a closed loop
-for those held out. ``order_sizes``: lines of a speed loop.
-``posterior``: draws of everything unknown, with what was named added. ``ranking``: every candidate
-added alone. ``residuals_before``, ``residuals_after``: what the simulation does not explain, over
-load angle, order and time. ``learned_torque``, ``encoder_error``: what was learned, over what it
-depends on.
-The answer in the words of ``summary.json`` is JSON in the attribute ``diagnosis`` of the root, the
-bench with what was named in it a bench file in the attribute ``augmented_bench``.
+``signals``: measured and predicted, for every piece (a channel of a recording, or of a part of it);
+of a closed loop for those held out. ``posterior``: draws of everything unknown, with what was named
+added. ``learned_torque``, ``encoder_error``: what was learned, over what it depends on.
+
+``residuals_before``, ``residuals_after``: what the simulation does not explain. Variables begin
+with their channel's name. Dimensions: ``recording``, ``load_angle_rad`` (720), ``bin`` of the
+spectra and ``line`` of the significant lines, strongest first; shorter ones are padded with NaN,
+missing channels filled with it. The attribute ``unexplained`` holds, as JSON, what is significant
+over all recordings.
+
+The answer in the words of ``summary.json``, the disagreement among it, is JSON in the attribute
+``diagnosis`` of the root, the bench with what was named in it a bench file in the attribute
+``augmented_bench``.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.bench.learned import EncoderError, LearnedTorque
 from bayesbl.config.bench import dump_bench
-from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.residual_groups import residuals_dataset, residuals_group
-from bayesbl.diagnosis.summary import answer_of
+from bayesbl.diagnosis.diagnosis import Diagnosis, PieceSignals
+from bayesbl.diagnosis.residuals import FALSE_LINES, MAP_POINTS, ChannelResiduals, ResidualAnalysis
+from bayesbl.diagnosis.summary import answer_of, plain
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
 from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
+from bayesbl.recording.types import CHANNELS
 from bayesbl.results.intervals import IntervalKind
-from bayesbl.results.variables import Group, Variable, dataset, labels, padded, table
+from bayesbl.results.variables import Group, Variable, columns, dataset, labels, padded, table
 from bayesbl.units import unit_of
 
 STAGES = ("before", "after")
 """The bench as believed, and with what was named."""
 
-_PIECE = table("""
-    recording (piece) | text | recording
-    channel (piece) | text | channel
-    use (piece) | text | fitted on (used) or predicted (held_out)
-""")
-
 
 def signals_group(unit: str) -> Group:
     """Signals in the unit of their channel; a row for each :class:`PieceSignals`."""
-    variables = table(f"""
-        time_s (piece, sample) | s | time
-        measured (piece, sample) | {unit} | measured
-        before (piece, sample) | {unit} | bench without the named effects
-        after (piece, sample) | {unit} | bench with the named effects
-    """)
-    return Group("signals", variables, _PIECE, optional=True)
-
-
-def disagreement_group(unit: str) -> Group:
-    """RMS between bench and measurement in the unit of the channel; a row for each piece."""
-    variables = table(f"""
-        before (piece) | {unit} | RMS without the named effects
-        after (piece) | {unit} | RMS with the named effects
-        noise_floor (piece) | {unit} | RMS of what does not follow from the recording's past
-        closed_fraction (piece) | 1 | closed share of the excess over the floor
-    """)
-    past = table("noise_floor_from (piece) | text | that past: rotation or samples")
-    return Group("disagreement", variables, (*_PIECE, *past))
+    return Group(
+        "signals",
+        table(f"""
+            time_s (piece, sample) | s | time
+            measured (piece, sample) | {unit} | measured
+            before (piece, sample) | {unit} | bench without the named effects
+            after (piece, sample) | {unit} | bench with the named effects
+        """),
+        table("""
+            recording (piece) | text | recording
+            channel (piece) | text | channel
+            use (piece) | text | fitted on (used) or predicted (held_out)
+        """),
+        optional=True,
+    )
 
 
 def _unknown(name: str) -> Variable:
@@ -73,36 +69,7 @@ def _unknown(name: str) -> Variable:
     )
 
 
-ORDER_SIZES = Group(
-    "order_sizes",
-    table("""
-        speed_rpm (line) | rpm | mean speed of the motor
-        torque_nm (line) | N m | torque that would make the line at this order
-        sd_nm (line) | N m | its standard deviation
-        by_law_nm (line) | N m | what the order's law gives at this speed
-    """),
-    table("""
-        order (line) | 1 | order of the motor's turning
-        law (line) | text | torque, angle, both or none
-        recording (line) | text | recording
-        use (line) | text | fitted on (used) or predicted (held_out)
-    """),
-    optional=True,
-)
-
-
 POSTERIOR = Group("posterior", coordinates=(CHAIN, DRAW), named=_unknown, optional=True)
-
-RANKING = Group(
-    "ranking",
-    table("""
-        chi_square_gain (candidate) | 1 | drop of χ² by this candidate alone
-        log_evidence_gain (candidate) | 1 | log evidence over the bench before
-    """),
-    (labels("candidate", "effect or bench parameter"),),
-    optional=True,
-)
-
 
 LEARNED = {
     LearnedTorque.block: Group(
@@ -127,11 +94,51 @@ LEARNED = {
 """By the name of what was learned."""
 
 
+def _of_channel(channel: str) -> tuple[Variable, ...]:
+    """Named as attributes of its :class:`ChannelResiduals`; behind ``line_``, of a line."""
+    unit, name = unit_of(channel), CHANNELS[channel]
+    return table(f"""
+        {channel}_offset (recording) | {unit} | {name}: mean of recording less simulation
+        {channel}_repeating_rms (recording) | {unit} | {name}: RMS that repeats with the load angle
+        {channel}_noise_sd (recording) | {unit} | {name}: standard deviation of the noise
+        {channel}_drift_per_s (recording) | {unit}/s | {name}: slope over the recording
+        {channel}_outliers (recording) | 1 | {name}: samples that no noise explains
+        {channel}_map_error (recording) | {unit} | {name}: standard error of rotation averages
+        {channel}_load_map (recording, load_angle_rad) | {unit} | {name}: residual that repeats
+        {channel}_amplitude (recording, bin) | {unit} | {name}: amplitude of the residual
+        {channel}_noise_amplitude (recording, bin) | {unit} | {name}: RMS amplitude of noise
+        {channel}_line_frequency_hz (recording, line) | Hz | {name}: frequency of a line
+        {channel}_line_load_order (recording, line) | 1 | {name}: cycles of it per turn of the load
+        {channel}_line_motor_order (recording, line) | 1 | {name}: the same of the motor
+        {channel}_line_amplitude (recording, line) | {unit} | {name}: its amplitude
+        {channel}_line_phase_rad (recording, line) | rad | {name}: of a cosine at the first sample
+        {channel}_line_dependence (recording, line) | text | {name}: what it repeats with
+    """)
+
+
+def _named(name: str) -> Variable | None:
+    """A variable of any channel."""
+    of_any = (v for channel in CHANNELS if name.startswith(channel) for v in _of_channel(channel))
+    return next((variable for variable in of_any if variable.name == name), None)
+
+
+def residuals_group(stage: str) -> Group:
+    """Of the bench as believed (``before``), or with what was named (``after``)."""
+    return Group(
+        f"residuals_{stage}",
+        table("load_order (recording, bin) | 1 | cycles per turn of the load"),
+        (
+            labels("recording", "recording"),
+            *table("load_angle_rad (load_angle_rad) | rad | load angle"),
+        ),
+        _named,
+        optional=True,
+    )
+
+
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     """All groups of a diagnosis."""
-    of_pieces = (disagreement_group(""), signals_group(""))
-    named = (ORDER_SIZES, POSTERIOR, RANKING, *LEARNED.values())
-    return (*of_pieces, *named, *map(residuals_group, STAGES))
+    return (signals_group(""), POSTERIOR, *LEARNED.values(), *map(residuals_group, STAGES))
 
 
 def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
@@ -142,14 +149,9 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     level, kind
         Of the credible intervals.
     """
-    group = disagreement_group(found.disagreement.unit or "as the channel")
-    groups = {"disagreement": of_rows(group, found.disagreement.pieces)}
+    groups = {}
     if found.signals:
-        units = {unit_of(piece.channel) for piece in found.signals}
-        group = signals_group(units.pop() if len(units) == 1 else "as the channel")
-        groups["signals"] = of_rows(group, found.signals)
-    if found.order_sizes:
-        groups["order_sizes"] = of_rows(ORDER_SIZES, found.order_sizes)
+        groups["signals"] = signals_dataset(found.signals)
     if found.posterior is not None:
         groups["posterior"] = posterior_dataset(found.posterior)
     if found.learned is not None:
@@ -158,11 +160,8 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
         groups[group.name] = dataset(
             group, {size: curve.value, sd: curve.sd}, {"variable": curve.variable}
         )
-    if found.ranking:
-        groups["ranking"] = of_rows(RANKING, found.ranking)
-    for stage, analysis in zip(
-        STAGES, (found.residuals_before, found.residuals_after), strict=True
-    ):
+    analyses = (found.residuals_before, found.residuals_after)
+    for stage, analysis in zip(STAGES, analyses, strict=True):
         if analysis is not None:
             groups[f"residuals_{stage}"] = residuals_dataset(analysis, stage)
     tree = xr.DataTree.from_dict(groups)
@@ -181,23 +180,16 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     return tree
 
 
-def of_rows(group: Group, rows: Sequence[object]) -> xr.Dataset:
-    """A group of which every declared variable is an attribute of each row."""
-    return dataset(
-        group,
-        {v.name: _stacked(rows, v) for v in group.variables},
-        {v.name: _stacked(rows, v) for v in group.coordinates},
-    )
-
-
-def _stacked(rows: Sequence[object], declared: Variable) -> object:
-    """Of all rows; arrays of different lengths padded with NaN, ``None`` as NaN."""
-    values = [getattr(row, declared.name) for row in rows]
-    if declared.kind == "text":
-        return values
-    if len(declared.dims) == 1:
-        return np.array(values, dtype=float)
-    return padded(values, max(value.size for value in values))
+def signals_dataset(signals: Sequence[PieceSignals]) -> xr.Dataset:
+    """Padded with NaN to the longest."""
+    units = {unit_of(piece.channel) for piece in signals}
+    group = signals_group(units.pop() if len(units) == 1 else "as the channel")
+    values = columns(group, signals)
+    longest = max(piece.time_s.size for piece in signals)
+    values |= {
+        v.name: padded([getattr(s, v.name) for s in signals], longest) for v in group.variables
+    }
+    return dataset(group, values)
 
 
 def posterior_dataset(posterior: DirectPosterior) -> xr.Dataset:
@@ -208,3 +200,41 @@ def posterior_dataset(posterior: DirectPosterior) -> xr.Dataset:
         label = name if unknown.recording is None else f"{name} ({unknown.recording})"
         values[label] = unknown.value(posterior.draws[..., i])
     return dataset(POSTERIOR, values, numbered(posterior.draws.shape))
+
+
+def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
+    """All that an analysis holds, as the text of this module describes it."""
+    recordings = analysis.recordings
+    names = list(dict.fromkeys(c.channel for r in recordings for c in r.channels))
+    orders = [r.whole.load_order for r in recordings]
+    sizes = {
+        "line": max(len(c.lines) for r in recordings for c in r.channels),
+        "bin": max(order.size for order in orders),
+        "load_angle_rad": MAP_POINTS,
+    }
+    values: dict[str, object] = {"load_order": padded(orders, sizes["bin"])}
+    for name in names:
+        seen = [next((c for c in r.channels if c.channel == name), None) for r in recordings]
+        for variable in _of_channel(name):
+            attribute = variable.name.removeprefix(f"{name}_")
+            own: Any = [np.nan if c is None else _value(c, attribute) for c in seen]
+            if len(variable.dims) == 2:
+                own = [[] if c is None else x for c, x in zip(seen, own, strict=True)]
+                own = padded(own, sizes[variable.dims[1]], variable.kind == "text")
+            values[variable.name] = own
+    angles = 2.0 * np.pi * np.arange(MAP_POINTS) / MAP_POINTS
+    coordinates = {"recording": [r.name for r in recordings], "load_angle_rad": angles}
+    made = dataset(residuals_group(stage), values, coordinates)
+    made.attrs = {
+        "channels": names,
+        "false_discovery_rate": FALSE_LINES,
+        "unexplained": json.dumps(plain(analysis.remaining), ensure_ascii=False),
+    }
+    return made
+
+
+def _value(residuals: ChannelResiduals, attribute: str) -> Any:
+    of_line = attribute.removeprefix("line_")
+    if of_line != attribute:
+        return [getattr(line, of_line) for line in residuals.lines]
+    return getattr(residuals, attribute)

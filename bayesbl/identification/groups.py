@@ -1,8 +1,7 @@
 """Groups of ``result.nc`` by which an identification is stored.
 
 ``identified``: prior and posterior of the bench's parameters with their joint normal prior for
-what comes later; ``posterior``: draws of everything unknown; ``disagreement``: as of a diagnosis,
-the data sheet's own values before, what was found after. The answer in the words of
+what comes later; ``posterior``: draws of everything unknown. The answer in the words of
 ``summary.json`` is JSON in the attribute ``identification`` of the root, the bench a bench file in
 ``identified_bench``.
 """
@@ -20,7 +19,7 @@ from bayesbl.config.bench import dump_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import estimates
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of, simulated_pairs
 from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
-from bayesbl.diagnosis.groups import POSTERIOR, disagreement_group, of_rows, posterior_dataset
+from bayesbl.diagnosis.groups import POSTERIOR, posterior_dataset
 from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
 from bayesbl.errors import SimulationError
 from bayesbl.identification.identify import Identification, identified_bench, parameter_draws
@@ -46,7 +45,7 @@ from bayesbl.results.variables import Group, dataset
 
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
     """All groups of an identification."""
-    return IDENTIFIED, POSTERIOR, disagreement_group("")
+    return IDENTIFIED, POSTERIOR
 
 
 def identification_tree(
@@ -67,7 +66,6 @@ def identification_tree(
         {
             "identified": _identified(result, problem, bench),
             "posterior": posterior_dataset(result.posterior),
-            "disagreement": of_rows(disagreement_group("as the channel"), table.pieces),
         }
     )
     doubts = [*misfit_in_words(result), *result.posterior.diagnostics.reasons]

@@ -368,7 +368,7 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
 
 
 def residual_sentences(stored: xr.Dataset) -> list[str]:
-    """What is significant over all recordings, of a group that diagnosis.residual_groups stored."""
+    """What is significant over all recordings, of a group that diagnosis.groups stored."""
     names = [str(name) for name in stored["recording"].values]
     entries: list[RemainingSummary] = json.loads(stored.attrs["unexplained"])
     if not entries:

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 from scipy.signal import lfilter
 
-from bayesbl.diagnosis.residual_groups import residuals_dataset
+from bayesbl.diagnosis.groups import residuals_dataset
 from bayesbl.diagnosis.residuals import analyse_residuals, noise_floor
 from bayesbl.diagnosis.summary import plain
 from bayesbl.errors import RecordingError

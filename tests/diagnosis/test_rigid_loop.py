@@ -34,7 +34,6 @@ from bayesbl.diagnosis.rigid.speed_loop import (
 )
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.results.store import read_tree
 from experiments.rigid_loop import Drive, recorded
 
 BENCH = """
@@ -269,9 +268,6 @@ def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, c
     first = " ".join(told.out.split())
     assert first.startswith("Motor torque ripple (order 6) 0.0")
     assert "is missing from the bench: with it" in first
-    lines = read_tree("out")["order_sizes"].to_dataset()
-    assert set(lines["law"].values) == {"torque"}
-    assert set(lines["use"].values) == {"used", "held_out"}
     same = bayesbl.diagnose(*files, bench="bench.toml").summary
     stored = json.loads(Path("out", "summary.json").read_text())
     assert [e["parameters"] for e in same["effects"]] == [

@@ -107,7 +107,6 @@ def diagnosis_of(
         signals=tuple(signals for pair in shown for signals in signals_of(pair)),
         residuals_before=found.before,
         residuals_after=found.after,
-        ranking=naming.ranking,
         augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
         learned=_learned_answer(found),
     )

@@ -34,7 +34,6 @@ from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
     NamedEffect,
-    OrderSize,
     ParameterError,
     PieceSignals,
     verdict_of,
@@ -261,7 +260,6 @@ ANGLE_ERROR, BETWEEN, TIME = "error of the angle", "angle between both", "line i
 TORQUE, ANGLE, BOTH = range(3)
 """Columns of :func:`law_powers`."""
 
-LAWS = ("none", "torque", "angle", "both")
 GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
 SCALES = ("motor_inertia_kg_m2", *GAINS)
 """Of the loop, that may be wrong: their ratios show."""
@@ -438,11 +436,6 @@ class LoopFit:
         """Size of a line at these speeds, rpm, shape (r,)."""
         laws = law_powers(self.values, self.lines.orders[place : place + 1], speeds)[:, 0]
         return np.asarray(np.sqrt(np.maximum(laws @ self.sizes[place], 0.0)))
-
-    def law(self, place: int) -> str:
-        """That a line follows."""
-        torque, angle, _ = (self.sizes[place] != 0.0).tolist()
-        return LAWS[int(torque) + 2 * int(angle)]
 
     def size(self, place: int, part: int) -> Estimate:
         """A torque in N m, or an angle in rad."""
@@ -978,7 +971,6 @@ class _Answer:
             tuple(notes),
             bench_parameters={n: fit.logarithm(n) for n in setting.priors} if fit else {},
             signals=signals,
-            order_sizes=tuple(self._sizes(fit)),
         )
 
     def _told(self, search: LoopSearch, notes: list[str]) -> list[list[Hypothesis]]:
@@ -1068,30 +1060,6 @@ class _Answer:
             tuple(self.setting.used[i].piece.name for i in places),
             self.found[place].score,
         )
-
-    def _sizes(self, fit: LoopFit | None) -> Iterator[OrderSize]:
-        """Every line as the torque that would make it."""
-        values = self.setting.values if fit is None else fit.values
-        for item in self.setting.every:
-            lines = lines_of([item], [line.order for line in self.found])
-            for place, line in enumerate(self.found):
-                if not lines.shown[0, place]:
-                    continue
-                law = LAWS[0] if fit is None else fit.law(place)
-                one = math.sqrt(law_powers(values, [line.order], lines.speeds)[0, 0, TORQUE])
-                made = math.nan
-                if fit is not None and law != LAWS[0]:
-                    made = float(fit.predicted(place, lines.speeds)[0]) / one
-                yield OrderSize(
-                    line.order,
-                    law,
-                    item.piece.name,
-                    item.piece.use,
-                    float(lines.speeds[0]) * RPM_PER_RAD_PER_S,
-                    math.sqrt(max(0.0, float(lines.power[0, place]))) / one,
-                    math.sqrt(float(lines.noise[0, place])) / one,
-                    made,
-                )
 
     def _compared(self, fit: LoopFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
         """Every piece, with a mean alone and with all laws."""

@@ -232,7 +232,7 @@ def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) ->
     Parameters
     ----------
     before, after
-        As :mod:`bayesbl.diagnosis.residual_groups` stores them, of the bench as believed and with
+        As :mod:`bayesbl.diagnosis.groups` stores them, of the bench as believed and with
         what was named.
     recording
         Name of one recording of theirs.
