@@ -35,7 +35,7 @@ from made_recordings import synthetic_recording
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.config.loading import load_config
-from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.diagnosis import search
 from bayesbl.diagnosis.closed_loop.method import forward_problem
 from bayesbl.diagnosis.task import Task
 from bayesbl.noise.process import NoiseModel
@@ -300,10 +300,9 @@ def diagnose_seconds(folder: Path) -> tuple[float, float]:
     recordings = [read_recording(e.file, name=e.name) for e in config.recordings]
     task = Task(config, load_bench(config.bench), tuple(recordings))
     used, held_out, unknowns, _ = forward_problem(task)
-    settings = ForwardSettings(workers=2)
 
     def name() -> object:
-        return search(load_bench(config.bench), used, held_out, unknowns, settings)
+        return search(load_bench(config.bench), used, held_out, unknowns, workers=2)
 
     naming = best_seconds(name, 1)
     return naming, process_seconds(["diagnose", str(file), "--out", str(result)], 1)

@@ -35,8 +35,7 @@ from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.findings import Findings, ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.diagnosis import Findings, diagnosis_of, search
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.matching.observed import observed
@@ -338,8 +337,7 @@ def _diagnosed(hidden: Hidden, made: Sequence[Made], generator: np.random.Genera
             unknowns.append(Unknown(START_ANGLE, centre=angle, sd=sd, recording=name))
         else:
             unknowns.append(start_angle(name))
-    settings = ForwardSettings(load_angle_known=angle_known)
-    return search(bench, seen[:-1], seen[-1:], unknowns, settings)
+    return search(bench, seen[:-1], seen[-1:], unknowns, load_angle_known=angle_known)
 
 
 def _answer(found: Findings, diagnosis: Diagnosis) -> dict[str, float]:

@@ -36,8 +36,7 @@ from independent_bench import SPEEDS_RPM, random_recordings
 
 from bayesbl.bench.learned import SIDES, VARIABLES
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 from bayesbl.model_search.closed_loop import laws_of_shaft, weighed
@@ -145,7 +144,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [gap_unknown(*GAP_RANGE_RAD)]
     unknowns += [start_angle_unknown(m.recording.name) for m in made[:-1]]
-    found = search(bench, seen[:-1], seen[-1:], unknowns, ForwardSettings())
+    found = search(bench, seen[:-1], seen[-1:], unknowns)
     diagnosis = diagnosis_of(found)
     seconds = time.perf_counter() - begin
     families = [LAWS[law][2] for law in laws]

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.rigid.method import METHOD
+from bayesbl.diagnosis.rigid.method import comparison
 from bayesbl.diagnosis.task import Task
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
@@ -234,7 +234,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
             }
         )
         recordings = tuple(read_recording(entry["file"]) for entry in entries)
-        found = METHOD.diagnose(Task(config, load_bench(bench), recordings))
+        found = comparison(Task(config, load_bench(bench), recordings)).diagnose(None)
     named = {e.name: next(iter(e.parameters.values())).value for e in found.effects}
     truth = (axis.coulomb_nm, axis.viscous_nm_s_per_rad, axis.offset_nm)
     shares = {

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.rigid.speed_loop import METHOD
+from bayesbl.diagnosis.rigid.speed_loop import comparison
 from bayesbl.diagnosis.task import Task
 from bayesbl.recording.types import MOTOR_SPEED, Recording
 
@@ -199,7 +199,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
                 "recordings": [{"name": r.name, "file": str(bench), "use": "split"} for r in made],
             }
         )
-        found = METHOD.diagnose(Task(config, load_bench(bench), tuple(made)))
+        found = comparison(Task(config, load_bench(bench), tuple(made))).diagnose(None)
     truth = {(RIPPLE, order): size for order, size, _ in drive.torques}
     truth |= {(ECCENTRICITY, order): size for order, size, _ in drive.angles}
     sizes = {}

@@ -30,8 +30,7 @@ from independent_bench import SPEEDS_RPM, Plant, plant, simulate
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
@@ -148,7 +147,7 @@ def _diagnosed(
 ) -> dict[str, float]:
     seen = [observed(r, bench, s) for r, s in zip(recordings, speeds, strict=True)]
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen)]
-    found = search(bench, seen, (), unknowns, ForwardSettings())
+    found = search(bench, seen, (), unknowns)
     answer = diagnosis_of(found)
     delta = answer.delta_after
     members = [effect.members for effect in found.naming.effects]

@@ -27,21 +27,28 @@ from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, 
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import Inference
 from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, without_load_angle
-from bayesbl.diagnosis.rigid.preparation import (
+from bayesbl.diagnosis.task import (
     GRAVITY,
     INERTIAS,
-    Asked,
-    RigidMethod,
+    USES_OF,
+    Comparison,
+    Task,
     believed_sds,
+    by_search,
     compared_channel,
     even_recordings,
-    pieces_of,
+    notes_of,
+    parts_of,
+    piece_of,
+    refused,
+    require_enough,
+    require_no_known_torque,
     require_rigid,
     unknown_parameters,
+    wanted,
 )
-from bayesbl.diagnosis.task import Task, notes_of, refused, wanted
 from bayesbl.errors import RecordingError, SimulationError
-from bayesbl.recording.types import MOTOR_POSITION, FloatArray
+from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
 from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -419,8 +426,21 @@ def start_of(piece: Piece) -> FloatArray:
 CHANNELS = (MOTOR_POSITION, SPEED_CHANNEL)
 
 
-def asked_of(task: Task) -> Asked:
-    """The view that a configuration asks for, and what these recordings cannot show.
+def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:
+    """Pieces to fit on and to predict; what comes to rest is split where half its way is done."""
+    found = []
+    for entry, recording in zip(task.config.recordings, recordings, strict=True):
+        way = np.cumsum(np.abs(np.diff(recording.channels[channel])))
+        middle = int(np.searchsorted(way, 0.5 * way[-1]))
+        whole = piece_of(recording, channel)
+        for use, rows in parts_of(USES_OF[entry.use], middle):
+            found.append(whole.part(rows, use))
+            require_enough(recording, channel, found[-1].excluded)
+    return tuple(found)
+
+
+def comparison(task: Task) -> Comparison:
+    """What a configuration asks for.
 
     Raises
     ------
@@ -431,7 +451,7 @@ def asked_of(task: Task) -> Asked:
     config, bench, compared = task.config, task.bench, task.config.comparison
     channel = compared_channel(task, CHANNELS, "There is no motion to compare.")
     recordings = even_recordings(task, ())
-    task.require_no_known_torque("Free motion has no torque but the bench's own.")
+    require_no_known_torque(task, "Free motion has no torque but the bench's own.")
     unknown = config.unknowns.bench_parameters
     gravity = bench.value(GRAVITY) > 0.0
     if GRAVITY in unknown and set(INERTIAS) & set(unknown):
@@ -472,7 +492,4 @@ def asked_of(task: Task) -> Asked:
     ]
     if channel == SPEED_CHANNEL:
         notes.append("Speed alone: the start angle is known only through what gravity does.")
-    return Asked(view, effects, tuple(notes))
-
-
-METHOD = RigidMethod("free_motion", asked_of)
+    return by_search(task, view, effects, notes)

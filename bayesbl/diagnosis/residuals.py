@@ -12,7 +12,7 @@ recordings together: they turn at several speeds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -454,11 +454,10 @@ def analyse_residuals(
     Raises
     ------
     RecordingError
-        If a recording holds less than two load rotations, or a prediction is not finite or not of
-        the recording's shape.
+        If a recording holds less than two load rotations.
     """
     count = sum(len(seen.signals) for seen in recordings)
-    wholes = list(map(_whole, recordings, simulated, start_angles_rad))
+    wholes = list(map(_whole, recordings, start_angles_rad))
     names = [seen.name for seen in recordings]
     by_recording: list[list[ChannelResiduals]] = [[] for _ in recordings]
     remaining: list[Unexplained] = []
@@ -487,14 +486,7 @@ def analyse_residuals(
     return ResidualAnalysis(found, tuple(remaining))
 
 
-def _whole(seen: Observed, simulated: FloatArray, start_angle_rad: float) -> WholeRotations:
-    if simulated.shape != seen.signals.shape or not np.all(np.isfinite(simulated)):
-        raise RecordingError(
-            "The prediction does not fit the recording.",
-            file=seen.name,
-            found=f"shape {simulated.shape}, {int(np.isfinite(simulated).sum())} finite values",
-            expected=f"shape {seen.signals.shape}, all finite",
-        )
+def _whole(seen: Observed, start_angle_rad: float) -> WholeRotations:
     rotation = seen.rotation_period_s * seen.sampling_hz
     rotations = int(seen.samples / rotation + 1e-6)
     if rotations < FEWEST_ROTATIONS:
@@ -656,18 +648,16 @@ def _numbers(seen: Sequence[tuple[str, ChannelResiduals]], tests: int) -> Iterat
     def sure(value: float, error: float) -> bool:
         return 2.0 * float(norm.sf(abs(value) / error)) * tests <= SURE
 
-    numbers: dict[What, tuple[str, Callable[[ChannelResiduals], float | None]]] = {
-        "offset": (unit, lambda c: c.offset if sure(c.offset, c.offset_error) else None),
-        "drift": (
+    numbers: list[tuple[What, str, dict[str, float]]] = [
+        ("offset", unit, {r: c.offset for r, c in seen if sure(c.offset, c.offset_error)}),
+        (
+            "drift",
             f"{unit}/s",
-            lambda c: c.drift_per_s if sure(c.drift_per_s, c.drift_error_per_s) else None,
+            {r: c.drift_per_s for r, c in seen if sure(c.drift_per_s, c.drift_error_per_s)},
         ),
-        "outliers": (
-            "samples", lambda c: c.outliers if c.outliers >= FEWEST_OUTLIERS else None
-        ),
-    }  # fmt: skip
-    for what, (own_unit, number) in numbers.items():
-        values = {r: value for r, c in seen if (value := number(c)) is not None}
+        ("outliers", "samples", {r: c.outliers for r, c in seen if c.outliers >= FEWEST_OUTLIERS}),
+    ]
+    for what, own_unit, values in numbers:
         if values:
             largest = max(values.values(), key=abs)
             yield Unexplained(channel, what, largest, own_unit, nan, nan, nan, tuple(values))

@@ -1,33 +1,37 @@
-"""What a method of diagnosis is given, and what all of them ask of it."""
+"""What a method of diagnosis is given, what all of them ask of it, and what each makes of it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from bayesbl.bench.bench import Bench, Drive
+from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import RigidLaw
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
+from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
+from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
 from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import require_channels, require_unclipped
+from bayesbl.recording.lost_samples import even
 from bayesbl.recording.types import BoolArray, Recording
 
 MOST_EXCLUDED = 0.5
 """Largest share of a piece that may be left out: what remains should still be a recording."""
 
+UNEVEN = 1e-3
+"""Departure of a time stamp from the even grid, in periods, up to which it is even."""
+
+INERTIAS = ("motor_inertia_kg_m2", "load_inertia_kg_m2")
+GRAVITY = "gravity_torque_nm"
+
 USES_OF: Mapping[str, tuple[Use, ...]] = MappingProxyType(
     {"fit": ("used",), "hold_out": ("held_out",), "split": ("used", "held_out")}
 )
 """How an entry of ``[[recordings]]`` is used: whole, or in two parts."""
-
-OTHER_METHODS = {
-    "two_mass": '"two_mass", or [comparison] method = "inverse" or "free_motion"',
-    "rigid": '"rigid", or [comparison] method = "forward"',
-}
-"""Drive of a bench that a method asks for to what may be changed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,27 +42,93 @@ class Task:
     bench: Bench
     recordings: tuple[Recording, ...]
 
-    def require_drive(self, drive: Drive, why: str) -> None:
-        """Refuse a bench of another kind."""
-        if self.bench.drive != drive:
-            raise ConfigError(
-                why,
-                file=self.config.bench,
-                where="drive",
-                found=f'"{self.bench.drive}"',
-                expected=OTHER_METHODS[drive],
-            )
 
-    def require_no_known_torque(self, why: str) -> None:
-        """Refuse torques known from outside."""
-        if self.config.comparison.known_torque:
-            names = ", ".join(self.config.comparison.known_torque)
-            raise refused(why, "[comparison] known_torque", names, "none")
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A task that suits a method: what would be compared in words, and how the answer is made."""
 
-    def require_channels_of(self, channels: Sequence[str]) -> None:
-        """Refuse recordings without these channels."""
-        for recording in self.recordings:
-            require_channels(recording, channels)
+    in_words: str
+    diagnose: Callable[[StageProgress | None], Diagnosis]
+
+
+def by_search(
+    task: Task,
+    view: View,
+    candidates: Sequence[str],
+    notes: Sequence[str],
+    scale_sd: float = 0.0,
+) -> Comparison:
+    """By the model search around a view of a rigid bench.
+
+    Parameters
+    ----------
+    candidates
+        Effects that may be named.
+    notes
+        What these recordings cannot show.
+    scale_sd
+        Relative standard deviation of a factor that all torques have in common.
+    """
+    method, channel = task.config.comparison.method, view.pieces[0].channel
+    most = task.config.candidates.max_effects or MOST_EFFECTS
+    return Comparison(
+        f"{method}, {channel}; candidates {', '.join(candidates)}",
+        lambda progress: diagnose(
+            view, task.bench, most=most, notes=notes, scale_sd=scale_sd, progress=progress
+        ),
+    )
+
+
+def require_rigid(task: Task) -> None:
+    """Refuse a bench that is not rigid, and a gap in one that is."""
+    if task.bench.drive != "rigid":
+        raise ConfigError(
+            "This method compares a rigid bench: one inertia, no gap.",
+            file=task.config.bench,
+            where="drive",
+            found=f'"{task.bench.drive}"',
+            expected='"rigid", or [comparison] method = "forward"',
+        )
+    if task.config.unknowns.gap_rad is not None:
+        raise refused("A rigid bench has no gap.", "[unknowns] gap_rad", None, "no gap_rad")
+
+
+def require_no_known_torque(task: Task, why: str) -> None:
+    """Refuse torques known from outside."""
+    if task.config.comparison.known_torque:
+        names = ", ".join(task.config.comparison.known_torque)
+        raise refused(why, "[comparison] known_torque", names, "none")
+
+
+def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> str:
+    """The one channel that is compared; ``without_any`` says why none of them is not enough."""
+    asked = task.config.comparison.channels
+    if not asked:
+        everywhere = [c for c in possible if all(c in r.channels for r in task.recordings)]
+        if everywhere:
+            return everywhere[0]
+        first = task.recordings[0]
+        raise RecordingError(
+            without_any,
+            file=first.place,
+            found=", ".join(first.channels),
+            expected="one of " + ", ".join(possible),
+        )
+    if len(asked) != 1 or asked[0] not in possible:
+        raise refused(
+            "This method compares one channel.",
+            "[comparison] channels",
+            ", ".join(asked),
+            "one of " + ", ".join(possible),
+        )
+    for recording in task.recordings:
+        require_channels(recording, asked)
+    return asked[0]
+
+
+def even_recordings(task: Task, whole: Sequence[str]) -> list[Recording]:
+    """Recordings on an even grid; the peaks of the channels ``whole`` must not be cut off."""
+    return [even(unclipped(recording, whole), UNEVEN) for recording in task.recordings]
 
 
 def piece_of(recording: Recording, channel: str) -> Piece:
@@ -133,3 +203,40 @@ def wanted(
 def refused(problem: str, where: str, found: str | None, expected: str) -> ConfigError:
     """The error for a field of the configuration."""
     return ConfigError(problem, where=where, found=found, expected=expected)
+
+
+def unknown_parameters(task: Task, possible: Sequence[str]) -> tuple[str, ...]:
+    """Declared unknown bench parameters, refused where they cannot be fitted."""
+    names = task.config.unknowns.bench_parameters
+    for name in names:
+        if name not in possible:
+            raise refused(
+                "This parameter has no part in this comparison.",
+                "[unknowns] bench_parameters",
+                name,
+                ("one of " + ", ".join(possible)) if possible else "none",
+            )
+    if set(INERTIAS) <= set(names):
+        raise refused(
+            "A rigid bench shows only the sum of its inertias.",
+            "[unknowns] bench_parameters",
+            ", ".join(INERTIAS),
+            "one of the two",
+        )
+    if GRAVITY in names and not task.config.comparison.load_angle_known:
+        raise refused(
+            "Without the load's angle gravity is fitted anyway, size and direction.",
+            "[unknowns] bench_parameters",
+            GRAVITY,
+            "load_angle_known = true, or no gravity_torque_nm here",
+        )
+    return names
+
+
+def believed_sds(bench: Bench, names: Sequence[str]) -> dict[str, float]:
+    """Of parameters that are fitted: as far as the tolerance, or as far as nothing."""
+    return {
+        name: max(bench.tolerances.get(name, 0.0), abs(bench.value(name)))
+        for name in names
+        if bench.value(name) != 0.0
+    }

@@ -19,7 +19,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.parameters import JointNormal
-from bayesbl.diagnosis.closed_loop.augment import augmented_bench
+from bayesbl.diagnosis.closed_loop.prediction import augmented_bench
 from bayesbl.identification.problem import Problem
 from bayesbl.identification.summary import Verdict
 from bayesbl.identification.wrong_by_far import (

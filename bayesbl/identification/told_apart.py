@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Literal
 
@@ -17,7 +17,7 @@ It chooses words and no number."""
 
 
 def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSummary]:
-    """Groups known by their ratios, and pairs by their product.
+    """Groups known by their ratios, each parameter in one of them; pairs by their product.
 
     Parameters
     ----------
@@ -25,55 +25,32 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSumm
         Of all parameters, above zero, shape (n, k).
     """
     logarithms = np.log(draws)
-    groups = list(_groups(logarithms))
-    known_together = [
-        _together(names, logarithms, group, "ratios", _largest(logarithms, group))
-        for group in groups
-    ]
-    for i, j in combinations(range(len(names)), 2):
-        if any(i in group and j in group for group in groups):
-            continue
-        product = float((logarithms[:, i] + logarithms[:, j]).std())
-        if product < SHARPER * min(logarithms[:, i].std(), logarithms[:, j].std()):
-            known_together.append(_together(names, logarithms, (i, j), "product", product))
-    return known_together
+    alone = logarithms.std(axis=0)
 
+    def sd(i: int, j: int, sign: float) -> float:
+        return float((logarithms[:, i] + sign * logarithms[:, j]).std())
 
-def _together(
-    names: Sequence[str],
-    logarithms: FloatArray,
-    group: Sequence[int],
-    told: Literal["ratios", "product"],
-    sd: float,
-) -> TogetherSummary:
-    alone = max(float(logarithms[:, i].std()) for i in group)
-    return {
-        "parameters": [names[i] for i in group],
-        "told": told,
-        "alone_sd": alone,
-        "together_sd": sd,
-    }
+    def is_sharp(i: int, j: int, sign: float) -> bool:
+        return sd(i, j, sign) < SHARPER * float(min(alone[i], alone[j]))
 
-
-def _groups(logarithms: FloatArray) -> Iterator[tuple[int, ...]]:
-    """Each parameter with those that its ratio to is sharp, nearest first; each in one group."""
-    spread = logarithms.std(axis=0)
-    left = list(np.argsort(spread))
+    told: list[tuple[Sequence[int], Literal["ratios", "product"], float]] = []
+    left: list[int] = np.argsort(alone).tolist()
     while left:
-        first = int(left.pop(0))
-        members = [
-            int(k)
-            for k in left
-            if (logarithms[:, k] - logarithms[:, first]).std()
-            < SHARPER * min(spread[k], spread[first])
-        ]
-        if members:
-            left = [k for k in left if k not in members]
-            yield tuple(sorted((first, *members)))
-
-
-def _largest(logarithms: FloatArray, group: Sequence[int]) -> float:
-    """Standard deviation of the least known ratio within a group."""
-    return max(
-        float((logarithms[:, i] - logarithms[:, j]).std()) for i, j in combinations(group, 2)
-    )
+        first, *left = left
+        group = sorted([first, *(k for k in left if is_sharp(k, first, -1.0))])
+        left = [k for k in left if k not in group]
+        if len(group) > 1:
+            told.append((group, "ratios", max(sd(*pair, -1.0) for pair in combinations(group, 2))))
+    groups = [set(group) for group, *_ in told]
+    for pair in combinations(range(len(names)), 2):
+        if is_sharp(*pair, 1.0) and not any(group.issuperset(pair) for group in groups):
+            told.append((pair, "product", sd(*pair, 1.0)))
+    return [
+        {
+            "parameters": [names[i] for i in group],
+            "told": how,
+            "alone_sd": float(alone[list(group)].max()),
+            "together_sd": together,
+        }
+        for group, how, together in told
+    ]

@@ -47,13 +47,13 @@ from bayesbl.progress import of_stage
 from bayesbl.ramps.flanks import (
     Flanks,
     find_flanks,
+    lifting_torque,
     lost_motion,
     observations,
     of_cycles,
     stiffness,
 )
 from bayesbl.ramps.play import PlayPosterior, Widths, sample_play
-from bayesbl.ramps.preload import lifting_torque
 from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording

@@ -266,13 +266,15 @@ def _cycle(torque: FloatArray, position: FloatArray, a: Excursion, b: Excursion)
     up, down = (a, b) if a.side > 0 else (b, a)
     path = slice(a.begin, b.back + 1)
     reach = up.reached_rad - down.reached_rad
-    # The way out along the second excursion, up to where the first one left the joint and beyond.
-    out = slice(a.back, b.back + 1)
-    arrives = np.flatnonzero(b.side * (position[out] - b.left_rad) >= 0.0)
-    at_second = float(torque[out][arrives[0]]) if arrives.size else b.side * b.torque_nm
-    into = slice(a.begin, a.back + 1)
-    reaches = np.flatnonzero(a.side * (position[into] - a.left_rad) >= 0.0)
-    at_first = float(torque[into][reaches[0]]) if reaches.size else a.side * a.torque_nm
+
+    def arriving(e: Excursion, begin: int) -> float:
+        """Torque at which an excursion comes to where it will leave the joint."""
+        way = slice(begin, e.back + 1)
+        there = np.flatnonzero(e.side * (position[way] - e.left_rad) >= 0.0)
+        return float(torque[way][there[0]]) if there.size else e.side * e.torque_nm
+
+    # The way out along the second excursion begins where the first one left the joint.
+    elastic = 0.5 * abs(arriving(b, a.back) - arriving(a, a.begin))
     work = float(np.sum(0.5 * (torque[path][1:] + torque[path][:-1]) * np.diff(position[path])))
     return Cycle(
         a,
@@ -280,7 +282,7 @@ def _cycle(torque: FloatArray, position: FloatArray, a: Excursion, b: Excursion)
         0.5 * (a.torque_nm + b.torque_nm),
         up.left_rad - down.left_rad,
         reach,
-        0.5 * abs(at_second - at_first),
+        elastic,
         max(work, 0.0) / (2.0 * reach) if reach > 0.0 else 0.0,
         torque,
         position,

@@ -9,7 +9,7 @@ import xarray as xr
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import declared_groups, diagnosis_tree
-from bayesbl.diagnosis.methods import method_named
+from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.summary import summarise_diagnosis as summarise
 from bayesbl.diagnosis.task import Task
 from bayesbl.errors import RecordingError
@@ -36,11 +36,11 @@ def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTr
     UserError
         If bench or recordings cannot be used for this comparison.
     """
-    method, task = method_named(config.comparison.method), task_of(config)
+    task = task_of(config)
     found = work.get(
         "diagnosis",
         (settings_of(config), task.bench, task.recordings),
-        lambda: method.diagnose(task, options.progress),
+        lambda: METHODS[config.comparison.method](task).diagnose(options.progress),
         Diagnosis,
     )
     tree = diagnosis_tree(found, config.interval.level, config.interval.kind)
@@ -50,8 +50,8 @@ def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTr
 
 def describe(config: DiagnoseConfig, plan: Plan) -> None:
     """What would be compared, without comparing it."""
-    method = method_named(config.comparison.method)
-    plan.add("comparison", lambda: method.describe(task_of(config)))
+    method = METHODS[config.comparison.method]
+    plan.add("comparison", lambda: method(task_of(config)).in_words)
 
 
 def task_of(config: DiagnoseConfig) -> Task:

@@ -22,7 +22,7 @@ from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.free_motion import CHANNELS as FREE_MOTION
 from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
 from bayesbl.diagnosis.rigid.method import MOTION_ALONE
-from bayesbl.diagnosis.rigid.preparation import INERTIAS
+from bayesbl.diagnosis.task import INERTIAS
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.checks import is_constant, with_speed

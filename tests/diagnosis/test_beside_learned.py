@@ -9,8 +9,7 @@ import pytest
 
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.findings import ForwardSettings, search
+from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, search
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import gap_unknown, start_angle_unknown
 
@@ -66,7 +65,7 @@ def test_a_law_behind_one_that_no_catalogue_has_is_named_beside_it(
     )
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen[:-1])]
-    found = search(bench, seen[:-1], seen[-1:], unknowns, ForwardSettings())
+    found = search(bench, seen[:-1], seen[-1:], unknowns)
     assert found.learned is not None
     assert found.learned.term.variable == learned_over
     assert [effect.name for effect in found.naming.effects] == [named]

@@ -14,7 +14,7 @@ from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, residuals_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.groups import diagnosis_tree
-from bayesbl.diagnosis.methods import METHODS, method_named
+from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.matching.observed import Observed
@@ -129,4 +129,3 @@ def test_where_a_floor_is_from_is_stored_beside_it() -> None:
 
 def test_every_method_that_may_be_configured_is_there_under_its_name() -> None:
     assert set(METHODS) == set(typing.get_args(Configured))
-    assert {method_named(name).name for name in METHODS} == set(METHODS)

@@ -17,8 +17,8 @@ from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
 from bayesbl.config.loading import load_config
 from bayesbl.diagnosis.closed_loop import method as forward
-from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, estimates
-from bayesbl.diagnosis.closed_loop.findings import Findings, ForwardSettings, part_of, search
+from bayesbl.diagnosis.closed_loop.diagnosis import Findings, diagnosis_of, estimates, search
+from bayesbl.diagnosis.closed_loop.method import part_of
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.summary import summarise_diagnosis
@@ -85,7 +85,7 @@ def diagnosed(recordings, effects, held_out=()) -> Found:
         for some in (recordings, held_out)
     )
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
-    findings = search(BENCH, used, checked, unknowns, ForwardSettings(effects))
+    findings = search(BENCH, used, checked, unknowns, effects=effects)
     return Found(findings, diagnosis_of(findings))
 
 
@@ -536,7 +536,7 @@ def test_a_drift_goes_on_in_the_second_half_of_exactly_four_rotations() -> None:
         held_out.append(part_of(seen, slice(middle, None)))
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(seen.name) for seen in used)]
     effects = ("motor_coulomb_friction", "friction_drift", "motor_torque_offset")
-    findings = search(BENCH, used, held_out, unknowns, ForwardSettings(effects))
+    findings = search(BENCH, used, held_out, unknowns, effects=effects)
     found = Found(findings, diagnosis_of(findings))
     assert found.answer.verdict == "named"
     assert names(found) == ["friction_drift"]

@@ -14,9 +14,8 @@ from test_rigid import inverse, named
 from bayesbl.bench.learned import EncoderError, LearnedTorque, waves_over
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.augment import augmented_bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Series, aligned, learned_term
-from bayesbl.diagnosis.closed_loop.prediction import predicted
+from bayesbl.diagnosis.closed_loop.prediction import augmented_bench, predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
 from bayesbl.diagnosis.residuals import Unexplained

@@ -20,9 +20,9 @@ from bayesbl.diagnosis.rigid.orders import OrderedRest, strongest
 from bayesbl.diagnosis.rigid.speed_loop import (
     ANGLE,
     CANDIDATES,
-    METHOD,
     TORQUE,
     Lines,
+    comparison,
     find_orders,
     law_powers,
     lines_of,
@@ -86,7 +86,7 @@ def diagnosed(
     folder: Path, drive: Drive, speeds: Sequence[float], text: str = BENCH, seed: int = 1
 ) -> Diagnosis:
     made = [recorded(drive, speed, 10 * seed + k) for k, speed in enumerate(speeds)]
-    return METHOD.diagnose(task(folder, made, text))
+    return comparison(task(folder, made, text)).diagnose(None)
 
 
 def ripples(found: Diagnosis) -> dict[float, float]:
@@ -227,16 +227,16 @@ def test_what_does_not_suit_is_refused(tmp_path: Path) -> None:
     made = [recorded(Drive(), 800.0, 1, lasting_s=1.0)]
     without = "\n".join(line for line in BENCH.splitlines() if "speed_gain" not in line)
     with pytest.raises(ConfigError, match="gains"):
-        METHOD.describe(task(tmp_path, made, without))
+        comparison(task(tmp_path, made, without))
     rippled = task(tmp_path, made)
     effect = BenchEffect("motor_torque_ripple", {"torque_nm": EffectParameterValue(0.1)})
     bench: Bench = rippled.bench.with_effects(effect)
     with pytest.raises(ConfigError, match="afresh"):
-        METHOD.describe(Task(rippled.config, bench, rippled.recordings))
+        comparison(Task(rippled.config, bench, rippled.recordings))
     ramp = made[0].motor_speed_rpm * np.linspace(0.5, 1.5, made[0].samples)
     made[0].channels["motor_speed_rpm"][:] = ramp
     with pytest.raises(RecordingError, match="one speed"):
-        METHOD.describe(task(tmp_path, made))
+        comparison(task(tmp_path, made))
 
 
 def test_the_bench_s_own_friction_and_lags_are_in_its_loop(tmp_path: Path) -> None:

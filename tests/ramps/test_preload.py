@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from test_torque_ramps import STAND
 
-from bayesbl.ramps.flanks import find_flanks
-from bayesbl.ramps.preload import lifting_torque
+from bayesbl.ramps.flanks import find_flanks, lifting_torque
 from bayesbl.ramps.torque_cycles import find_ramps
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.readers import read_recording

@@ -16,7 +16,8 @@ TEXTS = xr.Dataset({name: ("case", ["text"]) for name in ("message", "commit")})
 @pytest.mark.parametrize(
     ("attributes", "groups", "told"),
     [
-        ({"kind": "diagnose"}, {}, "disagreement: no such group"),
+        ({"kind": "identify"}, {}, "identified: no such group"),
+        ({"kind": "diagnose"}, {}, "no diagnosis"),
         ({"kind": "study"}, {"row_1": ROW}, "row_1: no message; row_1: no commit"),
         ({"kind": "study"}, {"row_2": ROW.merge(TEXTS).isel(case=0)}, "failed over ()"),
         ({"kind": "study"}, {}, "no study"),

@@ -2,6 +2,6 @@
 
 Recordings are compared with their simulation (:mod:`bayesbl.matching.signals`), and
 :mod:`bayesbl.model_search` finds what is missing. Here :mod:`diagnosis` makes the answer,
-:mod:`learned_in_loop` learns what no name explains, :mod:`prediction` simulates what was held out,
-:mod:`augment` writes what was found into the bench, :mod:`suggest` says what to record next.
+:mod:`learned_in_loop` learns what no name explains, :mod:`prediction` writes what was found into
+the bench and simulates what was held out, :mod:`suggest` says what to record next.
 """

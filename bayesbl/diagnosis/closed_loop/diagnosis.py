@@ -1,17 +1,27 @@
-"""Everything that a forward comparison finds, and the answer that it makes."""
+"""What a forward comparison finds, and the answer that it makes.
+
+Names, what is learned beside them, and what they leave.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Literal
 
 import numpy as np
 
-from bayesbl.diagnosis.closed_loop.augment import augmented_bench
-from bayesbl.diagnosis.closed_loop.findings import Findings
-from bayesbl.diagnosis.closed_loop.learned_in_loop import answer_of
-from bayesbl.diagnosis.closed_loop.prediction import residuals_of, signals_of
+from bayesbl.bench.bench import Bench
+from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_term
+from bayesbl.diagnosis.closed_loop.prediction import (
+    SimulatedPair,
+    augmented_bench,
+    residuals_of,
+    signals_of,
+    simulated_pairs,
+)
 from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
@@ -22,16 +32,204 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import is_explained
-from bayesbl.matching.signals import GAP
-from bayesbl.model_search.closed_loop import Naming, laws_of_shaft, log_gap_of, shares_of_others
+from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
+from bayesbl.model_search.always_in import beside, laws
+from bayesbl.model_search.catalogue import candidates
+from bayesbl.model_search.closed_loop import (
+    FittedSet,
+    Naming,
+    laws_of_shaft,
+    log_gap_of,
+    name_missing,
+    shares_of_others,
+    weighed,
+)
+from bayesbl.model_search.constants import UNEXPLAINED_SHARE
 from bayesbl.model_search.refit import Explanation
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import in_words
 
+MOST_EFFECTS = 3
+
+SHIFTS_DRAWN = 4000
+
 AVERAGED_DRAWS = 4000
 """Of δ over several explanations, where the chosen one was not sampled."""
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """The search and what its simulations leave.
+
+    Attributes
+    ----------
+    believed
+        The bench as its file says.
+    chosen
+        The set of everything that is named, its noise estimated without what was missing; with what
+        was learned, if anything was.
+    pairs
+        Recordings, those that were held out too, beside both simulations.
+    before, after
+        Without and with what is named.
+    learned
+        What was learned from what naming left; ``chosen`` has it.
+    law_shifts
+        Draws of what laws that nothing shows add to ln δ; ``None`` where no gap is sought.
+    """
+
+    believed: Bench
+    naming: Naming
+    chosen: FittedSet
+    pairs: tuple[SimulatedPair, ...]
+    before: ResidualAnalysis
+    after: ResidualAnalysis
+    learned: Learned | None = None
+    law_shifts: FloatArray | None = None
+
+    @property
+    def final(self) -> Explanation:
+        """The fit of what is named."""
+        return self.chosen.explanation
+
+
+def search(
+    bench: Bench,
+    used: Sequence[Observed],
+    held_out: Sequence[Observed],
+    unknowns: Sequence[Unknown],
+    *,
+    effects: Sequence[str] | Literal["all"] = "all",
+    max_effects: int = MOST_EFFECTS,
+    load_angle_known: bool = False,
+    motor_angle_known: bool = False,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> Findings:
+    """Align, name what is missing, and analyse what it leaves.
+
+    Parameters
+    ----------
+    used, held_out
+        Recordings to fit on, and to predict.
+    unknowns
+        Declared: gap, start angles, bench parameters.
+    effects, max_effects, load_angle_known, motor_angle_known
+        As ``[candidates]`` and ``[comparison]`` say.
+
+    Raises
+    ------
+    UserError
+        If the bench cannot be simulated or a recording is too short.
+    """
+    nominal = fit_aligned(bench, used, unknowns, workers)
+    catalogue = partial(
+        candidates,
+        bench,
+        used,
+        effects,
+        declared=[u.name for u in unknowns],
+        load_angle_known=load_angle_known,
+        motor_angle_known=motor_angle_known,
+        gap_is_unknown=any(u.name == GAP for u in unknowns),
+    )
+    missing = partial(
+        name_missing,
+        candidates=catalogue,
+        max_effects=max_effects,
+        progress=progress,
+    )
+    compared = cache(_compared)
+    naming, learned = missing(nominal), None
+    before = compared(naming.nominal)
+    final = naming.final
+    after = compared(final)
+    if naming.effects and after.remaining and after.closes(before) < 1.0 - UNEXPLAINED_SHARE:
+        # It helps a little, as a parameter may where a line in time remains: no explanation.
+        nearest, final = naming.final, naming.nominal
+        naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
+    # What does not repeat with the load, a line of the motor or in time, is in no band.
+    if naming.repeats or (after.remaining and not laws_of_shaft(naming.final)):
+        beside = _with_learned(naming, final, compared, missing, motor_angle_known)
+        if beside is not None:
+            naming, learned = beside
+            final = learned.explanation
+    return Findings(
+        bench,
+        naming,
+        weighed(final),
+        tuple(simulated_pairs(naming.nominal, final, held_out)),
+        before,
+        compared(final),
+        learned,
+        _law_shifts(final.fit),
+    )
+
+
+def _law_shifts(fit: SimulatedFit) -> FloatArray | None:
+    """See :mod:`bayesbl.model_search.always_in`."""
+    place = _place_of_gap(fit)
+    if place is None:
+        return None
+    rest = beside(fit, laws(fit.model.bench))
+    drawn = rest.posterior.draw(np.random.default_rng(0), SHIFTS_DRAWN)
+    return np.asarray(drawn.shift[:, place])
+
+
+def _place_of_gap(fit: SimulatedFit) -> int | None:
+    """Among the unknowns; ``None`` where the gap is known."""
+    return fit.model.place_of(GAP, fit.model.recordings[0].name)
+
+
+def _with_learned(
+    naming: Naming,
+    final: Explanation,
+    compared: _Compared,
+    missing: Callable[[SimulatedFit], Naming],
+    motor_angle_known: bool,
+) -> tuple[Naming, Learned] | None:
+    """What is learned from what is left, with the names that stand beside it.
+
+    Where nothing explains, it is sought around the nearest explanation too: the gap of the nominal
+    bench may be too far off.
+    """
+    near = () if naming.nearest is None else (naming.nearest,)
+    around = [(explanation, compared(explanation).remaining) for explanation in (final, *near)]
+    learned = learned_term(final, around, motor_angle_known)
+    if learned is None:
+        return None
+    if not naming.effects and not is_explained(learned.explanation.fit):
+        # Behind what was learned a law of the catalogue may have been hidden.
+        beside = missing(learned.explanation.fit)
+        if beside.effects:
+            learned = replace(learned, explanation=beside.final)
+            return replace(beside, nominal=naming.nominal), learned
+    return replace(naming, final=learned.explanation), learned
+
+
+_Compared = Callable[[Explanation], ResidualAnalysis]
+
+
+def _compared(explanation: Explanation) -> ResidualAnalysis:
+    fit = explanation.fit
+    used = fit.model.recordings
+    own = [fit.model.signals(fit.point, i)[0] for i in range(len(used))]
+    # Bridged samples hold nothing that repeats.
+    seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
+    return analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
+
+
+def _start_angle(explanation: Explanation, seen: Observed) -> float:
+    place = explanation.fit.model.place_of(START_ANGLE, seen.name)
+    known = seen.known.get(START_ANGLE, 0.0)
+    return float(known if place is None else explanation.fit.point[place])
 
 
 def diagnosis_of(
@@ -57,7 +255,7 @@ def diagnosis_of(
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
     kinds = {candidate.kind for candidate in final.candidates}
     withheld = _why_no_gap(found, posterior, level)
-    gap_is_given = not withheld and GAP in [u.name for u in final.fit.model.unknowns]
+    gap_is_given = not withheld and _place_of_gap(final.fit) is not None
     doubts = _doubts_in_words(found) if gap_is_given else ()
     after = None if withheld else _delta_after(found, sampled)
     if sampled is not None and after is not None and after.draws is not None:
@@ -144,8 +342,8 @@ def _estimate(explanation: Explanation, i: int, posterior: DirectPosterior | Non
 
 
 def _delta(explanation: Explanation, posterior: DirectPosterior | None = None) -> Estimate | None:
-    names = [u.name for u in explanation.fit.model.unknowns]
-    return _estimate(explanation, names.index(GAP), posterior) if GAP in names else None
+    place = _place_of_gap(explanation.fit)
+    return None if place is None else _estimate(explanation, place, posterior)
 
 
 def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> dict[str, Estimate]:
@@ -210,8 +408,7 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
     told = _learned_answer(found)
     if told is not None:
         return told.gap_withheld
-    names = [u.name for u in found.final.fit.model.unknowns]
-    if GAP not in names:
+    if _place_of_gap(found.final.fit) is None:
         return ""
     if found.naming.repeats:
         return (

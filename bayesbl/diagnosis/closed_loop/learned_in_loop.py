@@ -25,7 +25,7 @@ from bayesbl.bench.learned import (
     waves_over,
 )
 from bayesbl.bench.steady import ringing_hz
-from bayesbl.diagnosis.closed_loop.augment import learned_terms
+from bayesbl.diagnosis.closed_loop.prediction import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.errors import SimulationError

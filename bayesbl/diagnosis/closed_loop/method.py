@@ -11,11 +11,18 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of
-from bayesbl.diagnosis.closed_loop.findings import MOST_EFFECTS, ForwardSettings, part_of, search
+from bayesbl.diagnosis.closed_loop.diagnosis import MOST_EFFECTS, diagnosis_of, search
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.rigid.speed_loop import METHOD as RIGID
-from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, refused, unclipped
+from bayesbl.diagnosis.task import (
+    USES_OF,
+    Comparison,
+    Task,
+    notes_of,
+    parts_of,
+    refused,
+    require_no_known_torque,
+    unclipped,
+)
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
@@ -59,35 +66,30 @@ NOT_SAMPLED = (
 )
 
 
-class ClosedLoop:
-    """Speed and current beside their simulation; of a rigid drive, lines of its speed."""
+def comparison(task: Task) -> Comparison:
+    """Speed and current beside their simulation, with draws of everything unknown.
 
-    name = "forward"
+    Raises
+    ------
+    UserError
+        As :func:`forward_problem`.
+    """
+    used, held_out, unknowns, notes = forward_problem(task)
+    config = task.config
 
-    def describe(self, task: Task) -> str:
-        """How many recordings, and what is unknown."""
-        if task.bench.drive == "rigid":
-            return RIGID.describe(task)
-        used, held_out, unknowns, _ = forward_problem(task)
-        free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
-        return f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}"
-
-    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer, with draws of everything unknown where there is a gap."""
-        if task.bench.drive == "rigid":
-            return RIGID.diagnose(task, progress)
-        config = task.config
-        used, held_out, unknowns, notes = forward_problem(task)
-        asked = config.candidates.effects
-        settings = ForwardSettings(
-            None if asked == "all" else asked,
-            config.candidates.max_effects or MOST_EFFECTS,
-            config.comparison.load_angle_known,
-            config.comparison.motor_angle_known,
-            config.run.workers,
+    def diagnose(progress: StageProgress | None) -> Diagnosis:
+        found = search(
+            task.bench,
+            used,
+            held_out,
+            unknowns,
+            effects=config.candidates.effects,
+            max_effects=config.candidates.max_effects or MOST_EFFECTS,
+            load_angle_known=config.comparison.load_angle_known,
+            motor_angle_known=config.comparison.motor_angle_known,
+            workers=config.run.workers,
+            progress=of_stage(progress, "Fitting candidates"),
         )
-        fits = of_stage(progress, "Fitting candidates")
-        found = search(task.bench, used, held_out, unknowns, settings, fits)
         if found.learned is not None:
             return diagnosis_of(found, None, (*notes, NOT_SAMPLED))
         seed = np.random.SeedSequence(config.run.seed)
@@ -96,8 +98,10 @@ class ClosedLoop:
         posterior = widened(posterior, *seed.spawn(1))
         return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)), level)
 
-
-METHOD = ClosedLoop()
+    free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
+    return Comparison(
+        f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}", diagnose
+    )
 
 
 def forward_problem(
@@ -110,10 +114,7 @@ def forward_problem(
     UserError
         If bench, recordings or unknowns do not suit the method.
     """
-    task.require_drive(
-        "two_mass", "The forward comparison simulates two masses with a gap between them."
-    )
-    task.require_no_known_torque("The forward comparison knows no torque from outside.")
+    require_no_known_torque(task, "The forward comparison knows no torque from outside.")
     config, bench = task.config, task.bench
     channels = _channels(task)
     recordings = [unclipped(r, _unclipped(bench, r, channels)) for r in task.recordings]
@@ -203,6 +204,18 @@ def require_rotations(seen: Observed, file: str, split: bool) -> None:
         file=file,
         found=f"{seen.samples / seen.lag:.3g} load rotations",
         expected=f"at least {fewest / seen.lag:.3g}, or another use",
+    )
+
+
+def part_of(seen: Observed, rows: slice) -> Observed:
+    """Some samples of a recording, under its name."""
+    excluded, angle = seen.excluded, seen.motor_angle_rad
+    return replace(
+        seen,
+        signals=seen.signals[:, rows],
+        excluded=None if excluded is None else excluded[rows],
+        motor_angle_rad=None if angle is None else angle[rows],
+        begin_s=seen.begin_s + (rows.start or 0) / seen.sampling_hz,
     )
 
 

@@ -1,23 +1,88 @@
-"""Recordings beside their simulation, those that were fitted and those that were held out."""
+"""An explanation as a bench, and the recordings beside what it predicts.
+
+As a bench file holds it; those that were fitted, and those that were held out.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.diagnosis import PieceSignals
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
-from bayesbl.matching.least_squares import fit_simulated
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.signals import SimulatedSignals, Unknown, shift_unknowns, start_angle_unknown
+from bayesbl.matching.signals import (
+    START_ANGLE,
+    SimulatedSignals,
+    Unknown,
+    shift_unknowns,
+    start_angle_unknown,
+)
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
+
+
+def augmented_bench(explanation: Explanation) -> Bench:
+    """Effects and corrected parameters of an explanation, with their standard deviations.
+
+    A corrected parameter gets the fit's standard deviation as the standard deviation of a uniform
+    tolerance. The phase of a periodic effect belongs to a recording, not to the bench: the first
+    recording's is in the bench, ``simulate`` shifts it with the start.
+    """
+    fit = explanation.fit
+    bench = fit.model.bench
+    found: dict[str, tuple[float, float]] = {}
+    for i, unknown in enumerate(fit.model.unknowns):
+        if unknown.name not in found:
+            value = float(unknown.value(fit.point[i]))
+            scale = value if unknown.logarithmic else 1.0
+            sd = scale * float(np.sqrt(fit.covariance[i, i]))
+            found[unknown.name] = value, sd
+    effects = (_with_estimates(effect, found) for effect in bench.effects)
+    corrected = {name: one for name, one in found.items() if name in bench.parameters}
+    bench = bench.with_parameters(**{name: value for name, (value, _) in corrected.items()})
+    bench = bench.with_effects(*effects).with_learned(*learned_terms(fit))
+    parameters = dict(bench.parameters)
+    for name, (value, sd) in corrected.items():
+        half = min(math.sqrt(3.0) * sd, 0.5 * abs(value))
+        parameters[name] = replace(parameters[name], tolerance=half)
+    return replace(bench, parameters=parameters)
+
+
+def learned_terms(fit: SimulatedFit) -> list[LearnedTerm]:
+    """What the bench has learned, at the optimum, with standard deviations."""
+    places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
+    spread = np.sqrt(np.diag(fit.covariance))
+    values = {name: float(fit.point[i]) for name, i in places.items()}
+    sds = {name: float(spread[i]) for name, i in places.items()}
+    return [term.fitted(values, sds) for term in fit.model.bench.learned_terms]
+
+
+def known_settings(explanation: Explanation) -> dict[str, float]:
+    """Fitted values of what belongs to no bench file and to no single recording, as the gap."""
+    fit = explanation.fit
+    return {
+        unknown.name: float(unknown.value(fit.point[i]))
+        for i, unknown in enumerate(fit.model.unknowns)
+        if unknown.recording is None
+        and unknown.name != START_ANGLE
+        and unknown.name not in fit.model.bench.parameters
+        and "__" not in unknown.name
+    }
+
+
+def _with_estimates(effect: BenchEffect, found: Mapping[str, tuple[float, float]]) -> BenchEffect:
+    own = {k: found.get(f"{effect.name}__{k}") for k in effect.parameters}
+    estimated = {k: EffectParameterValue(*one) for k, one in own.items() if one is not None}
+    return BenchEffect(effect.name, {**effect.parameters, **estimated})
 
 
 @dataclass(frozen=True, slots=True)

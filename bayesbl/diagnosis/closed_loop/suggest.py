@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.simulation import simulate_channels
-from bayesbl.diagnosis.closed_loop.augment import augmented_bench, known_settings
+from bayesbl.diagnosis.closed_loop.prediction import augmented_bench, known_settings
 from bayesbl.diagnosis.diagnosis import Suggestion
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import START_ANGLE

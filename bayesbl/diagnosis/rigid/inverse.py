@@ -45,7 +45,7 @@ from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import Inference
 from bayesbl.diagnosis.rigid.motion import END_PERIODS, Motion, Window, noise_of
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, Line, OrderedRest, peaks
-from bayesbl.diagnosis.rigid.preparation import GRAVITY, INERTIAS, believed_sds
+from bayesbl.diagnosis.task import GRAVITY, INERTIAS, believed_sds
 from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_CURRENT, FloatArray
 
@@ -338,6 +338,7 @@ class InverseView:
         return made
 
     def _parameter(self, i: int, name: str) -> FloatArray:
+        """Of one unit of an inertia or of gravity, (n,)."""
         ratio = self.bench.value("gear_ratio")
         laws: dict[str, Callable[[Motion], FloatArray]] = {
             INERTIAS[0]: lambda m: m.acceleration,
@@ -349,9 +350,12 @@ class InverseView:
     def _gravity(self, i: int) -> FloatArray:
         """Of one N m, down and across, (n, 2)."""
         ratio = self.bench.value("gear_ratio")
-        down = self._seen(i, "down", lambda motion: np.sin(motion.angle / ratio) / ratio)
         across = self._seen(i, "across", lambda motion: np.cos(motion.angle / ratio) / ratio)
-        return np.column_stack([down, across])
+        return np.column_stack([self._parameter(i, GRAVITY), across])
+
+    def _window(self, i: int, columns: FloatArray) -> FloatArray:
+        """Columns over a motion as compared, (n, k) to (m, k)."""
+        return np.column_stack([self.parts[i].window(column) for column in columns.T])
 
     # The model
 
@@ -377,15 +381,19 @@ class InverseView:
     def _every(
         self, make: Callable[[int], FloatArray], *, above: bool = False
     ) -> tuple[FloatArray, ...]:
-        """Columns of every piece; zero above the cut-off, where little but waves is known."""
-        made = [
-            None if self.parts[i].window.above and not above else make(i)
-            for i in range(len(self.pieces))
-        ]
-        width = next(part.shape[1] for part in made if part is not None)
+        """Columns of every piece, (n, k); zero above the cut-off, where little but waves is known.
+
+        ``make``: those of one, or its only column, (n,).
+        """
+        made = {
+            i: make(i).reshape(piece.measured.size, -1)
+            for i, piece in enumerate(self.pieces)
+            if above or not self.parts[i].window.above
+        }
+        width = next(iter(made.values())).shape[1]
         return tuple(
-            np.zeros((piece.measured.size, width)) if part is None else part
-            for piece, part in zip(self.pieces, made, strict=True)
+            made[i] if i in made else np.zeros((piece.measured.size, width))
+            for i, piece in enumerate(self.pieces)
         )
 
     def _candidates(self) -> Iterator[Candidate]:
@@ -426,7 +434,7 @@ class InverseView:
     def _delays(self) -> Iterator[Look]:
         """A skew of some sampling periods is usual, longer ones ever rarer: normals whose mixture
         falls off as 1/τ², as a Cauchy distribution does."""
-        columns = self._every(lambda i: self.slope[i][:, None])
+        columns = self._every(lambda i: self.slope[i])
         period = self.parts[0].window.low_pass.period_s
         total = sum(1.0 / times for times in DELAYS)
         for times in DELAYS:
@@ -455,7 +463,7 @@ class InverseView:
 
             def columns(i: int, shape: dict[str, float] = shape) -> FloatArray:
                 if law.scanned == law.amplitude:  # not linear in it: around this size
-                    return (self._signal(i, name, shape) / shape[law.amplitude])[:, None]
+                    return self._signal(i, name, shape) / shape[law.amplitude]
                 off = dict.fromkeys(parameters, 0.0)
                 given = [{**off, parameter: 1.0, **shape} for parameter in parameters]
                 return np.column_stack([self._signal(i, name, one) for one in given])
@@ -469,7 +477,7 @@ class InverseView:
         if self.load_angle_known and GRAVITY not in self.unknown:
             names.append(GRAVITY)
         for name in names:
-            look = Look({}, self._every(partial(self._columns_of_parameter, name=name)))
+            look = Look({}, self._every(partial(self._parameter, name=name)))
             yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
         if not self.load_angle_known and not self.gravity_free and self._travel_rad > TURNS:
             look = Look({}, self._every(self._gravity))
@@ -484,46 +492,33 @@ class InverseView:
                 own_phase=True,
             )
 
-    def _columns_of_parameter(self, i: int, name: str) -> FloatArray:
-        return self._parameter(i, name)[:, None]
-
     def _hum(self, i: int, hertz: float) -> FloatArray:
         """Sine and cosine of a line in time, as compared, (n, 2)."""
-        time = self.parts[i].motion.time_s
-        waves = (wave(2.0 * math.pi * hertz * time) for wave in (np.sin, np.cos))
-        return np.column_stack([self.parts[i].window(wave) for wave in waves])
+        phase = 2.0 * math.pi * hertz * self.parts[i].motion.time_s
+        return self._window(i, np.column_stack([np.sin(phase), np.cos(phase)]))
 
     # What nothing explains
 
     def _torques(self) -> Iterator[Discrepancy]:
         """Over each variable; of the load's position no torque, so none that could be told."""
+        ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
-            ratio = self.bench.value("gear_ratio")
-
-            def over(i: int, variable: Variable = variable, ratio: float = ratio) -> FloatArray:
-                x = variable_of(variable, self._moved[i], ratio)
-                kept = self.pieces[i].kept(x[self.parts[i].window.rows])
-                return np.asarray(kept)
-
-            every = np.concatenate([over(i) for i in self.below])
-            low, high = float(every.min()), float(every.max())
+            x = [variable_of(variable, motion, ratio) for motion in self._moved]
+            every = np.concatenate(
+                [self.pieces[i].kept(x[i][self.parts[i].window.rows]) for i in self.below]
+            )
+            reach = (float(every.min()), float(every.max()))
             series = Series.over(
-                variable,
-                period,
-                reverses=reverses,
-                orders=LEARNED_HARMONICS,
-                reach=(low, high),
+                variable, period, reverses=reverses, orders=LEARNED_HARMONICS, reach=reach
             )
             if self.load:
                 series = replace(series, means=np.zeros(2 * LEARNED_HARMONICS))
 
-            def columns(i: int, series: Series = series, ratio: float = ratio) -> FloatArray:
-                motion = self._moved[i]
-                waves = series.waves(variable_of(series.variable, motion, ratio))
+            def columns(i: int, series: Series = series, x: Sequence[FloatArray] = x) -> FloatArray:
+                waves = series.waves(x[i])
                 if series.reverses:
-                    waves = waves * direction(motion)[:, None]
-                window = self.parts[i].window
-                return np.column_stack([window(wave) / self.unit for wave in waves.T])
+                    waves = waves * direction(self._moved[i])[:, None]
+                return self._window(i, waves) / self.unit
 
             told = None if self.load else series
             yield Discrepancy(series.kind, self._every(columns), series=told)
@@ -557,8 +552,8 @@ class InverseView:
         """
 
         def columns(i: int) -> FloatArray:
-            motion, window = self._moved[i], self.parts[i].window
-            return np.column_stack([window(motion.acceleration), window(direction(motion))])
+            motion = self._moved[i]
+            return self._window(i, np.column_stack([motion.acceleration, direction(motion)]))
 
         if not self.load:
             return ()
@@ -579,9 +574,7 @@ class InverseView:
             made = np.zeros((self.pieces[i].measured.size, DRIFT_ORDERS * len(names)))
             if name in names:
                 at = DRIFT_ORDERS * names.index(name)
-                made[:, at : at + DRIFT_ORDERS] = np.column_stack(
-                    [self.parts[i].window(wave) for wave in waves.T]
-                )
+                made[:, at : at + DRIFT_ORDERS] = self._window(i, waves)
             return made
 
         return Discrepancy("time", self._every(columns), own=True)
@@ -694,17 +687,16 @@ class InverseView:
     def _position_dependent(self, i: int) -> dict[str, FloatArray]:
         """Dry friction that varies over the load's angle: else the width of its sign takes that."""
         period, ratio = self._load_period, self.bench.value("gear_ratio")
-        found = {}
-        for k in range(1, 3):
-            for name, wave in (("cos", np.cos), ("sin", np.sin)):
 
-                def law(motion: Motion, wave: Any = wave, k: int = k) -> FloatArray:
-                    phase = 2.0 * math.pi * k * motion.angle / ratio / period
-                    return np.asarray(wave(phase) * direction(motion))
+        def varying(motion: Motion, wave: Any, k: int) -> FloatArray:
+            phase = 2.0 * math.pi * k * motion.angle / ratio / period
+            return np.asarray(wave(phase) * direction(motion))
 
-                key = f"friction {name} {k}"
-                found[key] = self._seen(i, key, law, self.width)
-        return found
+        every = {f"friction {w.__name__} {k}": (w, k) for k in (1, 2) for w in (np.cos, np.sin)}
+        return {
+            key: self._seen(i, key, partial(varying, wave=wave, k=k), self.width)
+            for key, (wave, k) in every.items()
+        }
 
     def _linear(self, places: Sequence[int]) -> AffineModel:
         """Pieces below the cut-off with all that is linear as what is fitted anyway."""

@@ -37,23 +37,21 @@ from bayesbl.diagnosis.rigid.motion import (
     turns_of,
 )
 from bayesbl.diagnosis.rigid.orders import FEWEST_SAMPLES
-from bayesbl.diagnosis.rigid.preparation import (
+from bayesbl.diagnosis.task import (
     GRAVITY,
     INERTIAS,
-    Asked,
-    RigidMethod,
+    USES_OF,
+    Comparison,
+    Task,
+    by_search,
     compared_channel,
     even_recordings,
-    require_rigid,
-    unknown_parameters,
-)
-from bayesbl.diagnosis.task import (
-    USES_OF,
-    Task,
     notes_of,
     parts_of,
     refused,
     require_enough,
+    require_rigid,
+    unknown_parameters,
     wanted,
 )
 from bayesbl.errors import ConfigError, RecordingError
@@ -79,8 +77,8 @@ ONE_WAY = 0.9
 """Net over total travel from which on a set of recordings turns one way."""
 
 
-def asked_of(task: Task) -> Asked:
-    """The view that a configuration asks for.
+def comparison(task: Task) -> Comparison:
+    """What a configuration asks for.
 
     Raises
     ------
@@ -128,8 +126,6 @@ def asked_of(task: Task) -> Asked:
     view = view_below(cutoff)
     notes = [*notes_of(recordings), *_one_way(view.parts)]
     notes += _notes_on_sources(view.parts, cutoff, given=asked.cutoff_hz is not None)
-    if load:
-        notes.append(_not_compared(recordings, bench.value("gear_ratio"), cutoff))
     if left_out:
         why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
         notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
@@ -139,7 +135,7 @@ def asked_of(task: Task) -> Asked:
             f"{100.0 * unit_tolerance:.2g} %: all torques and inertias found are as uncertain, "
             "together."
         )
-    return Asked(view, chosen, tuple(notes), unit_tolerance / math.sqrt(3.0))
+    return by_search(task, view, chosen, notes, unit_tolerance / math.sqrt(3.0))
 
 
 def _tolerance_of_unit(task: Task, channel: str) -> float:
@@ -185,17 +181,6 @@ def _notes_on_sources(parts: Sequence[Compared], cutoff_hz: float, *, given: boo
             "unknown, so a ripple has its own phase in every recording, and gravity's direction "
             "is fitted."
         )
-
-
-def _not_compared(recordings: Sequence[Recording], gear_ratio: float, cutoff_hz: float) -> str:
-    """How much of a load's position lies above the cut-off."""
-    whole, above = _above(recordings, gear_ratio, cutoff_hz)
-    return (
-        f"What is faster than {cutoff_hz:.3g} Hz was not compared: {above:.3g} rad of the "
-        f"{whole:.3g} rad by which the load's position departs from the motor's over the "
-        "gear ratio, noise of both included. An effect that shows there alone would not have "
-        "been seen."
-    )
 
 
 def compared(
@@ -297,20 +282,6 @@ def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], l
             )
 
 
-def _above(
-    recordings: Sequence[Recording], gear_ratio: float, cutoff_hz: float
-) -> tuple[float, float]:
-    """RMS of the load's position less the motor's over the ratio, and of its part above, rad."""
-    every, above = [], []
-    for recording in recordings:
-        apart = recording.channels[LOAD_POSITION] - recording.channels[MOTOR_POSITION] / gear_ratio
-        apart = apart - apart.mean()
-        every.append(apart)
-        above.append(apart - LowPass(cutoff_hz, recording.sampling_period_s)(apart))
-    first, second = (math.sqrt(float(np.mean(np.concatenate(x) ** 2))) for x in (every, above))
-    return first, second
-
-
 def _one_way(parts: Sequence[Compared]) -> Iterator[str]:
     speed = np.concatenate([p.motion.speed for p in parts if p.piece.use == "used"])
     if abs(speed.sum()) >= ONE_WAY * np.abs(speed).sum():
@@ -319,6 +290,3 @@ def _one_way(parts: Sequence[Compared]) -> Iterator[str]:
             "viscous friction can hardly be told apart; a recording in the other direction would "
             "separate them."
         )
-
-
-METHOD = RigidMethod("inverse", asked_of)

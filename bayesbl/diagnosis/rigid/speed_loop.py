@@ -43,8 +43,19 @@ from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals
 from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, spectrum_of, strongest
-from bayesbl.diagnosis.rigid.preparation import even_recordings, require_rigid
-from bayesbl.diagnosis.task import USES_OF, Task, notes_of, parts_of, piece_of, refused, wanted
+from bayesbl.diagnosis.task import (
+    USES_OF,
+    Comparison,
+    Task,
+    even_recordings,
+    notes_of,
+    parts_of,
+    piece_of,
+    refused,
+    require_no_known_torque,
+    require_rigid,
+    wanted,
+)
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT
 from bayesbl.model_search.linear import (
@@ -57,6 +68,7 @@ from bayesbl.model_search.linear import (
     search,
 )
 from bayesbl.progress import StageProgress
+from bayesbl.recording.checks import require_channels
 from bayesbl.recording.moving import is_one_speed
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, BoolArray, ComplexArray, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -795,7 +807,7 @@ def loop_setting(task: Task) -> Setting:
         If bench, recordings or unknowns do not suit the method.
     """
     require_rigid(task)
-    task.require_no_known_torque("The speed alone is compared, without any torque.")
+    require_no_known_torque(task, "The speed alone is compared, without any torque.")
     config, bench = task.config, task.bench
     if not set(config.comparison.channels) <= {MOTOR_SPEED}:
         raise refused(
@@ -824,7 +836,8 @@ def loop_setting(task: Task) -> Setting:
             found=", ".join(others),
             expected="a bench without them",
         )
-    task.require_channels_of([MOTOR_SPEED])
+    for recording in task.recordings:
+        require_channels(recording, [MOTOR_SPEED])
     turning = []
     recordings = even_recordings(task, (MOTOR_SPEED,))
     values = loop_values(bench)
@@ -889,30 +902,22 @@ GROWS = (
 )
 
 
-class RigidLoop:
+def comparison(task: Task) -> Comparison:
     """Lines of the speed at orders of the motor, and the laws that they follow over the speeds."""
+    setting = loop_setting(task)
+    used, held_out = len(setting.used), len(setting.turning) - len(setting.used)
 
-    name = "forward"
-
-    def describe(self, task: Task) -> str:
-        """How many pieces, and what may be named."""
-        found = loop_setting(task)
-        used, held_out = len(found.used), len(found.turning) - len(found.used)
-        return (
-            f"forward, the speed alone of a rigid drive, {used} to fit on, {held_out} held out; "
-            f"candidates {', '.join(found.candidates)}"
-        )
-
-    def diagnose(self, task: Task, progress: StageProgress | None = None) -> Diagnosis:
-        """The answer."""
-        setting, asked = loop_setting(task), task.config.candidates
-        found = find_orders(setting.used, MOST_LINES, asked.false_alarm)
+    def diagnose(progress: StageProgress | None) -> Diagnosis:
+        found = find_orders(setting.used, MOST_LINES, task.config.candidates.false_alarm)
         if progress is not None:
             progress("Seeking orders", 1, 2)
         return _Answer(task, setting, found).diagnosis()
 
-
-METHOD = RigidLoop()
+    return Comparison(
+        f"forward, the speed alone of a rigid drive, {used} to fit on, {held_out} held out; "
+        f"candidates {', '.join(setting.candidates)}",
+        diagnose,
+    )
 
 
 @dataclass(slots=True)
