@@ -34,8 +34,7 @@ from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.bench.steady import contact_matrices
 from bayesbl.config.bench import reference_bench
-from bayesbl.identification.identify import identified_bench, identify, parameter_draws
-from bayesbl.identification.problem import Problem
+from bayesbl.identification.identify import Problem, identified_bench, identify, parameter_draws
 from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP

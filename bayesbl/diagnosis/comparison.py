@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -128,30 +128,22 @@ class Candidate:
 
 
 def candidate_of(
-    law: RigidLaw,
-    name: str,
-    parameters: tuple[str, ...],
-    looks: tuple[Look, ...],
-    *,
-    label: str = "",
-    is_wave: bool = False,
-    own_phase: bool = False,
+    law: RigidLaw, name: str, parameters: tuple[str, ...], looks: tuple[Look, ...], **other: Any
 ) -> Candidate:
-    """The effect of this name, by its law; ``label`` where it has another than its name."""
-    return Candidate(
-        label or name,
+    """The effect of this name, by its law; ``other``: fields that are not as that says."""
+    by_law = Candidate(
+        name,
         "effect",
         name,
         parameters,
         looks,
         law.usual,
         law.not_negative,
-        is_wave,
-        own_phase,
         excludes=frozenset({law.contains} if law.contains else ()),
         requires=frozenset({law.requires} if law.requires else ()),
         same_as=law.same_as,
     )
+    return replace(by_law, **other)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -72,16 +72,13 @@ def impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
             )
 
 
-def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> tuple[ParameterError, ...]:
+def parameter_errors(bench: Bench, estimates: Mapping[str, Estimate]) -> Iterator[ParameterError]:
     """Those that lie beyond their tolerance by more than their standard deviations explain."""
-    found = []
     for name, fitted in estimates.items():
         believed = bench.parameters[name]
-        value = math.exp(fitted.value) if fitted.logarithmic else fitted.value
-        sd = value * fitted.sd if fitted.logarithmic else fitted.sd
-        if abs(value - believed.value) - believed.tolerance > SURE_PARAMETER * sd:
-            found.append(ParameterError(name, believed.value, believed.tolerance, fitted))
-    return tuple(found)
+        beyond = abs(fitted.value - believed.value) - believed.tolerance
+        if beyond > SURE_PARAMETER * fitted.sd:
+            yield ParameterError(name, believed.value, believed.tolerance, fitted)
 
 
 TORQUES = ("N m", "kg")
@@ -599,7 +596,7 @@ def diagnose(
         _effect(inference, label, at.of_projection(fitted, label), alike, scale_sd)
         for label, alike in named
     ]
-    errors = parameter_errors(bench, estimates)
+    errors = tuple(parameter_errors(bench, estimates))
     lines = tuple(_line(inference, *item) for item in remaining)
     left = table.overall["used"]
     is_much = left.after > EXCESS * left.noise_floor

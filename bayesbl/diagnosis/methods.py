@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from bayesbl.diagnosis import free_motion
 from bayesbl.diagnosis.closed_loop import method as closed_loop
-from bayesbl.diagnosis.rigid import method as inverse
-from bayesbl.diagnosis.rigid import speed_loop
+from bayesbl.diagnosis.rigid import free_motion, inverse, speed_loop
 from bayesbl.diagnosis.task import Comparison, Task
 
 

@@ -90,14 +90,23 @@ def require_rigid(task: Task) -> None:
             expected='"rigid", or [comparison] method = "forward"',
         )
     if task.config.unknowns.gap_rad is not None:
-        raise refused("A rigid bench has no gap.", "[unknowns] gap_rad", None, "no gap_rad")
+        raise ConfigError(
+            "A rigid bench has no gap.",
+            where="[unknowns] gap_rad",
+            expected="no gap_rad",
+        )
 
 
 def require_no_known_torque(task: Task, why: str) -> None:
     """Refuse torques known from outside."""
     if task.config.comparison.known_torque:
         names = ", ".join(task.config.comparison.known_torque)
-        raise refused(why, "[comparison] known_torque", names, "none")
+        raise ConfigError(
+            why,
+            where="[comparison] known_torque",
+            found=names,
+            expected="none",
+        )
 
 
 def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> str:
@@ -115,11 +124,11 @@ def compared_channel(task: Task, possible: Sequence[str], without_any: str) -> s
             expected="one of " + ", ".join(possible),
         )
     if len(asked) != 1 or asked[0] not in possible:
-        raise refused(
+        raise ConfigError(
             "This method compares one channel.",
-            "[comparison] channels",
-            ", ".join(asked),
-            "one of " + ", ".join(possible),
+            where="[comparison] channels",
+            found=", ".join(asked),
+            expected="one of " + ", ".join(possible),
         )
     for recording in task.recordings:
         require_channels(recording, asked)
@@ -191,18 +200,13 @@ def wanted(
     known = set().union(*meaning.values())
     for name in asked:
         if name not in known:
-            raise refused(
+            raise ConfigError(
                 "This effect does not show in this comparison.",
-                "[candidates] effects",
-                name,
-                "one of " + ", ".join(sorted(known)),
+                where="[candidates] effects",
+                found=name,
+                expected="one of " + ", ".join(sorted(known)),
             )
     return found
-
-
-def refused(problem: str, where: str, found: str | None, expected: str) -> ConfigError:
-    """The error for a field of the configuration."""
-    return ConfigError(problem, where=where, found=found, expected=expected)
 
 
 def unknown_parameters(task: Task, possible: Sequence[str]) -> tuple[str, ...]:
@@ -210,25 +214,25 @@ def unknown_parameters(task: Task, possible: Sequence[str]) -> tuple[str, ...]:
     names = task.config.unknowns.bench_parameters
     for name in names:
         if name not in possible:
-            raise refused(
+            raise ConfigError(
                 "This parameter has no part in this comparison.",
-                "[unknowns] bench_parameters",
-                name,
-                ("one of " + ", ".join(possible)) if possible else "none",
+                where="[unknowns] bench_parameters",
+                found=name,
+                expected=("one of " + ", ".join(possible)) if possible else "none",
             )
     if set(INERTIAS) <= set(names):
-        raise refused(
+        raise ConfigError(
             "A rigid bench shows only the sum of its inertias.",
-            "[unknowns] bench_parameters",
-            ", ".join(INERTIAS),
-            "one of the two",
+            where="[unknowns] bench_parameters",
+            found=", ".join(INERTIAS),
+            expected="one of the two",
         )
     if GRAVITY in names and not task.config.comparison.load_angle_known:
-        raise refused(
+        raise ConfigError(
             "Without the load's angle gravity is fitted anyway, size and direction.",
-            "[unknowns] bench_parameters",
-            GRAVITY,
-            "load_angle_known = true, or no gravity_torque_nm here",
+            where="[unknowns] bench_parameters",
+            found=GRAVITY,
+            expected="load_angle_known = true, or no gravity_torque_nm here",
         )
     return names
 

@@ -9,6 +9,9 @@ what comes later; ``posterior``: draws of everything unknown. The answer in the 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -22,17 +25,21 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
 from bayesbl.diagnosis.groups import POSTERIOR, posterior_dataset
 from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
 from bayesbl.errors import SimulationError
-from bayesbl.identification.identify import Identification, identified_bench, parameter_draws
+from bayesbl.identification.identify import (
+    Identification,
+    Problem,
+    identified_bench,
+    is_plausible,
+    parameter_draws,
+)
 from bayesbl.identification.next_recording import next_recording
-from bayesbl.identification.problem import Problem
 from bayesbl.identification.summary import (
     IdentificationAnswer,
     NextRecordingSummary,
     ParameterSummary,
+    TogetherSummary,
 )
-from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import misfit_in_words, reason_of
-from bayesbl.identification.wrong_by_far import is_plausible
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.signals import GAP
 from bayesbl.model_search.refit import Explanation
@@ -41,6 +48,10 @@ from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED
 from bayesbl.results.intervals import IntervalKind, interval
 from bayesbl.results.variables import Group, dataset
+
+SHARPER = 0.5
+"""Spread of a combination, as a share of that of its sharper member, below which it is reported.
+It chooses words and no number."""
 
 
 def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
@@ -201,3 +212,43 @@ def _parameter(
         "posterior": interval(draws, level, kind),
         "learned": 1.0 - float(draws.std()) / (half / np.sqrt(3.0)),
     }
+
+
+def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSummary]:
+    """Groups known by their ratios, each parameter in one of them; pairs by their product.
+
+    Parameters
+    ----------
+    draws
+        Of all parameters, above zero, shape (n, k).
+    """
+    logarithms = np.log(draws)
+    alone = logarithms.std(axis=0)
+
+    def sd(i: int, j: int, sign: float) -> float:
+        return float((logarithms[:, i] + sign * logarithms[:, j]).std())
+
+    def is_sharp(i: int, j: int, sign: float) -> bool:
+        return sd(i, j, sign) < SHARPER * float(min(alone[i], alone[j]))
+
+    told: list[tuple[Sequence[int], Literal["ratios", "product"], float]] = []
+    left: list[int] = np.argsort(alone).tolist()
+    while left:
+        first, *left = left
+        group = sorted([first, *(k for k in left if is_sharp(k, first, -1.0))])
+        left = [k for k in left if k not in group]
+        if len(group) > 1:
+            told.append((group, "ratios", max(sd(*pair, -1.0) for pair in combinations(group, 2))))
+    groups = [set(group) for group, *_ in told]
+    for pair in combinations(range(len(names)), 2):
+        if is_sharp(*pair, 1.0) and not any(group.issuperset(pair) for group in groups):
+            told.append((pair, "product", sd(*pair, 1.0)))
+    return [
+        {
+            "parameters": [names[i] for i in group],
+            "told": how,
+            "alone_sd": float(alone[list(group)].max()),
+            "together_sd": together,
+        }
+        for group, how, together in told
+    ]

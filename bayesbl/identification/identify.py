@@ -5,39 +5,58 @@ recording's start angle; the match and its posterior are those of the direct rou
 what the sheet lacks are the effects of the catalogue, a delay of the drive among them, which the
 tolerances would absorb, and each value beyond its tolerance. One posterior over their sets says
 what is there (:mod:`bayesbl.model_search.closed_loop`).
+
+One value of a data sheet may also be wrong by far. A match climbs down from where it starts, and a
+value in kg cm² for kg m² is in another valley. So the factor of each parameter is scanned on its
+own, from the middle of the data sheet. What is left there says little: gravity's current makes
+nearly all of it, and is off by the tolerances of others. Places are ranked by what one step of all
+unknowns, within their ranges, promises to leave.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.effects import EFFECTS
+from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import JointNormal
+from bayesbl.bench.steady import contact_rates
 from bayesbl.diagnosis.closed_loop.prediction import augmented_bench
-from bayesbl.identification.problem import Problem
+from bayesbl.errors import SimulationError
 from bayesbl.identification.summary import Verdict
-from bayesbl.identification.wrong_by_far import (
-    explanations_from_afar,
-    freed,
-    is_plausible,
-    may_be_wrong_by_far,
-)
-from bayesbl.matching.alignment import fit_aligned, remaining_noise
+from bayesbl.matching.alignment import aligned_starts, fit_aligned, remaining_noise
+from bayesbl.matching.least_squares import fit_simulated, promised_within
+from bayesbl.matching.motions import noise_of
+from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
+from bayesbl.matching.signals import (
+    GAP,
+    SimulatedSignals,
+    Unknown,
+    effect_unknowns,
+    gap_unknown,
+    reference_delay_unknown,
+    start_angle_unknown,
+    tolerance_unknowns,
+)
 from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.model_search.always_in import Beside, is_useful, laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import name_missing, weighed
-from bayesbl.model_search.constants import NAMED_AT
+from bayesbl.model_search.constants import LEAVES_MOST, NAMED_AT, SLACK
 from bayesbl.model_search.refit import (
+    SCANNED_GAPS,
     Explanation,
+    extended,
     from_afar,
     is_gross,
     polished,
@@ -54,6 +73,45 @@ AFAR = "Seeking a value wrong by far"
 
 DELAYS = tuple(e.name for e in EFFECTS if e.enters in ("loop", "measurement"))
 """Those of the drive: between the motor and the controller, and the recording."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What is identified, and from what.
+
+    Attributes
+    ----------
+    used, held_out
+        Recordings to fit on, and to predict.
+    parameters
+        Bench parameters that are free, each with a tolerance.
+    effects
+        Free from the start, by name; ``"catalogue"``: those that the recordings name.
+    shares_gap
+        Whether all recordings have one gap.
+    """
+
+    bench: Bench
+    used: tuple[Observed, ...]
+    held_out: tuple[Observed, ...]
+    parameters: tuple[str, ...]
+    effects: tuple[str, ...] | Literal["catalogue"]
+    gap_rad: tuple[float, float]
+    shares_gap: bool
+    workers: int = field(default=1, compare=False)
+
+    @property
+    def unknowns(self) -> list[Unknown]:
+        """Gaps, start angles, delays of motions, effects of the bench file, and parameters."""
+        names = [seen.name for seen in self.used]
+        gap = gap_unknown(*self.gap_rad)
+        return [
+            *([gap] if self.shares_gap else (replace(gap, recording=name) for name in names)),
+            *(start_angle_unknown(name) for name in names),
+            *(reference_delay_unknown(r.name) for r in self.used if r.motion is not None),
+            *effect_unknowns(self.bench, names),
+            *(u for u in tolerance_unknowns(self.bench) if u.name in self.parameters),
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +311,63 @@ def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]
     return with_own_noise(with_noise(polished(best), remaining_noise(best.fit)))
 
 
+def parameter_draws(result: Identification, names: Sequence[str]) -> FloatArray:
+    """Draws of the bench's parameters in their units, shape (draw, k).
+
+    Of a parameter that was sought beyond its tolerance, those of the wider range.
+    """
+    unknowns = result.final.fit.model.unknowns
+    last = {u.name: i for i, u in enumerate(unknowns) if u.recording is None}
+    flat = result.posterior.draws.reshape(-1, len(unknowns))
+    return np.column_stack([unknowns[last[n]].value(flat[:, last[n]]) for n in names])
+
+
+def identified_bench(result: Identification, problem: Problem) -> Bench:
+    """The bench with what was found; parameters above zero have a joint normal prior of logarithms.
+
+    The tolerance of each alone is that of a uniform prior of the same standard deviation.
+    """
+    bench = augmented_bench(result.final)
+    draws = parameter_draws(result, problem.parameters)
+    parameters = dict(bench.parameters)
+    for name, own in zip(problem.parameters, draws.T, strict=True):
+        logarithm = np.log(own) if own.min() > 0.0 else None
+        middle = float(own.mean()) if logarithm is None else math.exp(float(logarithm.mean()))
+        half = math.sqrt(3.0) * float(own.std())
+        parameters[name] = BenchParameter(middle, half)
+    together = [i for i, own in enumerate(draws.T) if own.min() > 0.0]
+    if not together:
+        return replace(bench, parameters=parameters)
+    covariance = np.atleast_2d(np.cov(np.log(draws[:, together]).T))
+    names = tuple(problem.parameters[i] for i in together)
+    return replace(bench, parameters=parameters, identified=JointNormal(names, covariance))
+
+
+KG_CM2_PER_KG_M2 = 1e4
+
+STEP = math.sqrt(10.0)
+"""Between two factors scanned: two in a decade. The promise falls over more than that to either
+side of the true value. At one in a decade a stiffness between two places was not found."""
+
+REACH = STEP**2
+"""Factor, up or down, that a fit may go: to the next place but one. Without an end, fits of what is
+not wrong ran off to where a joint takes minutes to simulate."""
+
+FASTEST_PER_S = 5e3
+"""Rate of a speed loop or shaft (800 Hz) beyond which a place is not scanned: those of joints reach
+some hundred Hz, and what is faster takes as much longer to simulate. A data sheet beyond it is
+searched from afar first, and matched as any other where that finds nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a fit of one parameter begins, its unknown last, and χ² beyond noise promised."""
+
+    candidate: Candidate
+    point: FloatArray
+    left: float
+
+
 def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Match | None:
     """One value beyond its tolerance that explains all, wherever in its whole range it lies.
 
@@ -290,33 +405,116 @@ def _beyond(
     return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)
 
 
-def parameter_draws(result: Identification, names: Sequence[str]) -> FloatArray:
-    """Draws of the bench's parameters in their units, shape (draw, k).
+def freed(name: str, value: float) -> Candidate:
+    """A parameter on its own, sought about a value."""
+    at, reach = math.log(value), math.log(REACH)
+    unknown = Unknown(name, at - reach, at + reach, logarithmic=True)
+    usual = np.array([math.log(STEP)])
+    return Candidate(name, "parameter", (unknown,), np.array([at]), usual=usual)
 
-    Of a parameter that was sought beyond its tolerance, those of the wider range.
+
+def is_plausible(problem: Problem) -> bool:
+    """Whether a joint can be as on the data sheet: few that are wrong by a unit pass for one."""
+    model = _nothing_fitted(problem)
+    return _can_be(model, _middle(model))
+
+
+def may_be_wrong_by_far(problem: Problem) -> bool:
+    """Whether a value that is wrong by far is sought before effects.
+
+    Recordings of motions take so long to scan that all else is sought first; so are effects that
+    are asked for.
     """
-    unknowns = result.final.fit.model.unknowns
-    last = {u.name: i for i, u in enumerate(unknowns) if u.recording is None}
-    flat = result.posterior.draws.reshape(-1, len(unknowns))
-    return np.column_stack([unknowns[last[n]].value(flat[:, last[n]]) for n in names])
+    asked = problem.effects not in ("catalogue", ())
+    return not asked and all(seen.motion is None for seen in problem.used)
 
 
-def identified_bench(result: Identification, problem: Problem) -> Bench:
-    """The bench with what was found; parameters above zero have a joint normal prior of logarithms.
+def explanations_from_afar(problem: Problem, progress: Progress) -> list[Explanation]:
+    """Rough fits of one parameter each from its best place, the others within tolerances.
 
-    The tolerance of each alone is that of a uniform prior of the same standard deviation.
+    Of all parameters that contend: a promise is off by as much as signals bend. ``progress``:
+    called with (places scanned, places in all).
     """
-    bench = augmented_bench(result.final)
-    draws = parameter_draws(result, problem.parameters)
-    parameters = dict(bench.parameters)
-    for name, own in zip(problem.parameters, draws.T, strict=True):
-        logarithm = np.log(own) if own.min() > 0.0 else None
-        middle = float(own.mean()) if logarithm is None else math.exp(float(logarithm.mean()))
-        half = math.sqrt(3.0) * float(own.std())
-        parameters[name] = BenchParameter(middle, half)
-    together = [i for i, own in enumerate(draws.T) if own.min() > 0.0]
-    if not together:
-        return replace(bench, parameters=parameters)
-    covariance = np.atleast_2d(np.cov(np.log(draws[:, together]).T))
-    names = tuple(problem.parameters[i] for i in together)
-    return replace(bench, parameters=parameters, identified=JointNormal(names, covariance))
+    model = _nothing_fitted(problem)
+    candidates = _candidates(problem)
+    best: dict[str, Place] = {}
+    for scanned, candidate in enumerate(candidates):
+        progress(scanned, len(candidates))
+        place = _place(model, candidate)
+        known = best.get(candidate.name)
+        if place is not None and (known is None or place.left < known.left):
+            best[candidate.name] = place
+    least = min((place.left for place in best.values()), default=math.inf)
+    fits: list[Explanation] = []
+    for place in best.values():
+        if place.left < LEAVES_MOST * max(least, 0.0) + SLACK:
+            with suppress(SimulationError):
+                beside = extended(model, place.candidate)
+                fit = fit_simulated(beside, place.point, rough=True)
+                fits.append(Explanation((place.candidate,), fit))
+    return fits
+
+
+def _nothing_fitted(problem: Problem) -> SimulatedSignals:
+    noise = [noise_of(seen, seen.signals) for seen in problem.used]
+    return SimulatedSignals(problem.bench, problem.used, problem.unknowns, noise, problem.workers)
+
+
+def _middle(model: SimulatedSignals) -> FloatArray:
+    return np.array([u.middle for u in model.unknowns])
+
+
+def _candidates(problem: Problem) -> list[Candidate]:
+    """Each parameter at factors of its value, up and down to the largest that is sought."""
+    largest = max(KG_CM2_PER_KG_M2, problem.bench.value("gear_ratio") ** 2)
+    most = math.ceil(math.log(largest) / math.log(STEP))
+    values = {name: problem.bench.value(name) for name in problem.parameters}
+    return [
+        freed(name, value * STEP**step)
+        for name, value in values.items()
+        if value > 0.0
+        for step in range(-most, most + 1)
+    ]
+
+
+def _place(model: SimulatedSignals, candidate: Candidate) -> Place | None:
+    """The best gap and start angles with one parameter at a value; ``None`` if it cannot be."""
+    beside = extended(model, candidate)
+    at = float(candidate.neutral[0])
+    if not _can_be(beside, np.append(_middle(model), at)):
+        return None
+    # Gaps of recordings of their own are scanned one by one, as aligned_starts does.
+    own = [k for k, u in enumerate(beside.unknowns) if u.name == GAP and u.recording is None]
+    grids = {k: np.linspace(beside.low[k], beside.high[k], SCANNED_GAPS) for k in own}
+    point = aligned_starts(beside, grids | {len(beside.unknowns) - 1: np.array([at])})[0]
+    low, high = beside.low, beside.high
+    low[-1], high[-1] = at - math.log(STEP), at + math.log(STEP)
+    left = promised_within(beside, point, low, high) - beside.size
+    return Place(candidate, point, left) if math.isfinite(left) else None
+
+
+def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:
+    """Whether its drive lifts its load, its loop forgets in time, and nothing is too fast.
+
+    In a rotation, or a motion's recording: what does not forget would not repeat.
+    """
+    row = model.vectors(point[None], model.recordings[0])[0]
+    lasting_s = max(
+        seen.samples / seen.sampling_hz if seen.motion is not None else seen.rotation_period_s
+        for seen in model.recordings
+    )
+    torque_nm = row[Slot.torque_constant_nm_per_a] * row[Slot.current_limit_a]
+    if row[Slot.gravity_torque_nm] > row[Slot.gear_ratio] * torque_nm:
+        return False
+    slowest_per_s = -float(np.max(contact_rates(row[None]).real))
+    return slowest_per_s * lasting_s > 1.0 and _fastest_per_s(row) < FASTEST_PER_S
+
+
+def _fastest_per_s(row: FloatArray) -> float:
+    """K_p/J_m, and of the shaft D_s/J and √(K_s/J) with 1/J = 1/J_l + 1/(r² J_m), the largest."""
+    motor, ratio = row[Slot.motor_inertia_kg_m2], row[Slot.gear_ratio]
+    shaft = 1.0 / row[Slot.load_inertia_kg_m2] + 1.0 / (ratio**2 * motor)
+    loop = row[Slot.speed_gain_nm_s_per_rad] / motor
+    damped = row[Slot.shaft_damping_nm_s_per_rad] * shaft
+    swinging = math.sqrt(row[Slot.shaft_stiffness_nm_per_rad] * shaft)
+    return float(max(loop, damped, swinging))

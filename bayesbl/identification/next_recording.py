@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayesbl.diagnosis.closed_loop.suggest import ROTATIONS, SPEED_SHARES
+from bayesbl.diagnosis.closed_loop.prediction import ROTATIONS, SPEED_SHARES
 from bayesbl.identification.summary import NextRecordingSummary
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
 from bayesbl.matching.observed import Observed

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayesbl.bench.effects import with_bench_file_hint
-from bayesbl.identification.identify import BeyondDataSheet, Identification
-from bayesbl.identification.problem import Problem
+from bayesbl.identification.identify import BeyondDataSheet, Identification, Problem
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, standing_out
 from bayesbl.units import in_words
 

@@ -19,9 +19,9 @@ from bayesbl.config.diagnose import Compared, DiagnoseConfig, Method
 from bayesbl.config.loading import config_from_options
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
-from bayesbl.diagnosis.free_motion import CHANNELS as FREE_MOTION
-from bayesbl.diagnosis.rigid.method import CHANNELS as INVERSE
-from bayesbl.diagnosis.rigid.method import MOTION_ALONE
+from bayesbl.diagnosis.rigid.free_motion import CHANNELS as FREE_MOTION
+from bayesbl.diagnosis.rigid.inverse import CHANNELS as INVERSE
+from bayesbl.diagnosis.rigid.inverse import MOTION_ALONE
 from bayesbl.diagnosis.task import INERTIAS
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed

@@ -18,11 +18,11 @@ from bayesbl.diagnosis.rigid.inverse import (
     TORQUE_LAWS,
     InverseView,
     coherent_hz,
+    compared,
     resolved_hz,
     within_turns,
     without_load_angle,
 )
-from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
 from bayesbl.runs.study import seed_of_case

@@ -19,10 +19,15 @@ from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use, piece_residuals
-from bayesbl.diagnosis.free_motion import FREE_MOTION_LAWS, FreeMotionView
 from bayesbl.diagnosis.inference import diagnose
-from bayesbl.diagnosis.rigid.inverse import POSITION_LAWS, TORQUE_LAWS, InverseView, required_torque
-from bayesbl.diagnosis.rigid.method import compared
+from bayesbl.diagnosis.rigid.free_motion import FREE_MOTION_LAWS, FreeMotionView
+from bayesbl.diagnosis.rigid.inverse import (
+    POSITION_LAWS,
+    TORQUE_LAWS,
+    InverseView,
+    compared,
+    required_torque,
+)
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
 from bayesbl.recording.lost_samples import even

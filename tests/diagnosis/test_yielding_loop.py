@@ -14,10 +14,10 @@ from bayesbl.diagnosis.rigid.inverse import (
     TORQUE_LAWS,
     InverseView,
     coherent_hz,
+    compared,
     resolved_hz,
     without_load_angle,
 )
-from bayesbl.diagnosis.rigid.method import compared
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording
 
 pytestmark = pytest.mark.long

@@ -9,8 +9,7 @@ import pytest
 from identify import FAST_DIRECT, GAP_RANGE_RAD, STROKES_ALONE, data_sheet, stroked
 
 from bayesbl.config.bench import reference_bench
-from bayesbl.identification.identify import identify
-from bayesbl.identification.problem import Problem
+from bayesbl.identification.identify import Problem, identify
 from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.signals import GAP
 

@@ -21,19 +21,18 @@ from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, JointNormal
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
-from bayesbl.identification.groups import identification_tree
+from bayesbl.identification.groups import identification_tree, not_told_apart
 from bayesbl.identification.identify import (
     Identification,
+    Problem,
     far_beyond_data_sheet,
     identified_bench,
     identify,
+    may_be_wrong_by_far,
     parameter_draws,
 )
 from bayesbl.identification.next_recording import next_recording
-from bayesbl.identification.problem import Problem
-from bayesbl.identification.told_apart import not_told_apart
 from bayesbl.identification.verdict import reason_of
-from bayesbl.identification.wrong_by_far import may_be_wrong_by_far
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed

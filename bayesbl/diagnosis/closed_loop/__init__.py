@@ -3,5 +3,5 @@
 Recordings are compared with their simulation (:mod:`bayesbl.matching.signals`), and
 :mod:`bayesbl.model_search` finds what is missing. Here :mod:`diagnosis` makes the answer,
 :mod:`learned_in_loop` learns what no name explains, :mod:`prediction` writes what was found into
-the bench and simulates what was held out, :mod:`suggest` says what to record next.
+the bench, simulates what was held out, and says what to record next.
 """

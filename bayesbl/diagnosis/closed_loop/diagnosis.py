@@ -21,8 +21,8 @@ from bayesbl.diagnosis.closed_loop.prediction import (
     residuals_of,
     signals_of,
     simulated_pairs,
+    suggested_recording,
 )
-from bayesbl.diagnosis.closed_loop.suggest import suggested_recording
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,

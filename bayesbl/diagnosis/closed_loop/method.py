@@ -19,11 +19,10 @@ from bayesbl.diagnosis.task import (
     Task,
     notes_of,
     parts_of,
-    refused,
     require_no_known_torque,
     unclipped,
 )
-from bayesbl.errors import RecordingError
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.matching.observed import ROUNDING, Observed, observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.signals import (
@@ -171,11 +170,11 @@ def _channels(task: Task) -> tuple[str, ...]:
         c for c in CHANNELS if all(c in recording.channels for recording in task.recordings)
     )
     if MOTOR_SPEED not in asked or not set(asked) <= set(CHANNELS):
-        raise refused(
+        raise ConfigError(
             "The forward comparison needs the motor speed, with or without the current.",
-            "[comparison] channels",
-            ", ".join(asked) or "none in every recording",
-            ", ".join(CHANNELS),
+            where="[comparison] channels",
+            found=", ".join(asked) or "none in every recording",
+            expected=", ".join(CHANNELS),
         )
     for recording in task.recordings:
         require_channels(recording, asked)
@@ -246,11 +245,11 @@ def _unknowns(
     toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:
         if name not in toleranced:
-            raise refused(
+            raise ConfigError(
                 "A parameter is free within its tolerance, and this one has none.",
-                "[unknowns] bench_parameters",
-                name,
-                f"a tolerance for {name} in {config.bench.name}",
+                where="[unknowns] bench_parameters",
+                found=name,
+                expected=f"a tolerance for {name} in {config.bench.name}",
             )
         unknowns.append(toleranced[name])
     return unknowns

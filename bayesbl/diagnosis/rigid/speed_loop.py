@@ -51,7 +51,6 @@ from bayesbl.diagnosis.task import (
     notes_of,
     parts_of,
     piece_of,
-    refused,
     require_no_known_torque,
     require_rigid,
     wanted,
@@ -792,11 +791,6 @@ class Setting:
         """Pieces to fit on."""
         return tuple(item for item in self.turning if item.piece.use == "used")
 
-    @property
-    def every(self) -> tuple[Turning, ...]:
-        """These, and then those to predict."""
-        return tuple(sorted(self.turning, key=lambda item: item.piece.use != "used"))
-
 
 def loop_setting(task: Task) -> Setting:
     """What a configuration asks for.
@@ -810,12 +804,12 @@ def loop_setting(task: Task) -> Setting:
     require_no_known_torque(task, "The speed alone is compared, without any torque.")
     config, bench = task.config, task.bench
     if not set(config.comparison.channels) <= {MOTOR_SPEED}:
-        raise refused(
+        raise ConfigError(
             "A rigid drive in its closed loop is compared by its speed.",
-            "[comparison] channels",
-            ", ".join(config.comparison.channels),
-            f'["{MOTOR_SPEED}"]; or method = "inverse", which compares torque or current; or '
-            'drive = "two_mass" in the bench, with its shaft and gap',
+            where="[comparison] channels",
+            found=", ".join(config.comparison.channels),
+            expected=f'["{MOTOR_SPEED}"]; or method = "inverse", which compares torque or current; '
+            'or drive = "two_mass" in the bench, with its shaft and gap',
         )
     missing = [name for name in GAINS if name in bench.assumed]
     if missing:
@@ -864,12 +858,12 @@ def loop_setting(task: Task) -> Setting:
     unknown = config.unknowns.bench_parameters
     for name in unknown:
         if name not in LOOP_PARAMETERS or not bench.tolerances.get(name):
-            raise refused(
+            raise ConfigError(
                 "A parameter of the loop is free within its tolerance, and this one is none or "
                 "has none.",
-                "[unknowns] bench_parameters",
-                name,
-                "one with a tolerance of " + ", ".join(LOOP_PARAMETERS),
+                where="[unknowns] bench_parameters",
+                found=name,
+                expected="one with a tolerance of " + ", ".join(LOOP_PARAMETERS),
             )
     priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
     names = wanted(config, bench, dict.fromkeys(CANDIDATES))
@@ -1068,7 +1062,7 @@ class _Answer:
 
     def _compared(self, fit: LoopFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
         """Every piece, with a mean alone and with all laws."""
-        every = self.setting.every
+        every = sorted(self.setting.turning, key=lambda item: item.piece.use != "used")
         before = [item.predicted((), np.zeros(0)) for item in every]
         after = before
         if fit is not None:

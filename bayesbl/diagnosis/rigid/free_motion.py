@@ -40,16 +40,14 @@ from bayesbl.diagnosis.task import (
     notes_of,
     parts_of,
     piece_of,
-    refused,
     require_enough,
     require_no_known_torque,
     require_rigid,
     unknown_parameters,
     wanted,
 )
-from bayesbl.errors import RecordingError, SimulationError
+from bayesbl.errors import ConfigError, RecordingError, SimulationError
 from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
-from bayesbl.recording.types import MOTOR_SPEED as SPEED_CHANNEL
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 ACCURACY = 1e-7
@@ -94,7 +92,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class FreeMotionView:
-    """Pieces that begin when the motor lets go; position in rad, or speed in rpm, of the motor.
+    """Pieces that begin when the motor lets go: its position, rad.
 
     Attributes
     ----------
@@ -340,8 +338,6 @@ class FreeMotionView:
     @cached_property
     def _speed(self) -> float:
         """Standard deviation of the speed in the fastest piece, rad/s."""
-        if self.pieces[0].channel == SPEED_CHANNEL:
-            return max(float(np.std(p.kept(p.measured))) for p in self.pieces) / RPM_PER_RAD_PER_S
         return max(
             float(np.std(np.diff(p.kept(p.measured)) / np.diff(p.kept(p.time_s))))
             for p in self.pieces
@@ -379,8 +375,6 @@ class FreeMotionView:
         except SimulationError:
             # A step of the search beyond what can be simulated: far off, and so turned back.
             return np.full(piece.measured.size, 1e3)
-        if piece.channel == SPEED_CHANNEL:
-            return np.asarray(states[MOTOR_SPEED] * RPM_PER_RAD_PER_S)
         return np.asarray(states[MOTOR_ANGLE] - values.get(_ZERO, 0.0))
 
     def _states(
@@ -416,14 +410,12 @@ class FreeMotionView:
 
 def start_of(piece: Piece) -> FloatArray:
     """Angle and speed near the first sample, where the fit of the start begins; rad, rad/s."""
-    if piece.channel == SPEED_CHANNEL:
-        return np.array([0.1, piece.measured[0] / RPM_PER_RAD_PER_S])
     few = max(4, piece.measured.size // 100)
     slope, angle = np.polyfit(piece.time_s[:few] - piece.time_s[0], piece.measured[:few], 1)
     return np.array([angle, slope])
 
 
-CHANNELS = (MOTOR_POSITION, SPEED_CHANNEL)
+CHANNELS = (MOTOR_POSITION,)
 
 
 def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:
@@ -449,17 +441,17 @@ def comparison(task: Task) -> Comparison:
     """
     require_rigid(task)
     config, bench, compared = task.config, task.bench, task.config.comparison
-    channel = compared_channel(task, CHANNELS, "There is no motion to compare.")
+    channel = compared_channel(task, CHANNELS, "Free motion is compared by the motor's position.")
     recordings = even_recordings(task, ())
     require_no_known_torque(task, "Free motion has no torque but the bench's own.")
     unknown = config.unknowns.bench_parameters
     gravity = bench.value(GRAVITY) > 0.0
     if GRAVITY in unknown and set(INERTIAS) & set(unknown):
-        raise refused(
+        raise ConfigError(
             "Without any measured torque all torques and inertias scaled together look the same.",
-            "[unknowns] bench_parameters",
-            ", ".join(unknown),
-            "inertia or gravity, not both",
+            where="[unknowns] bench_parameters",
+            found=", ".join(unknown),
+            expected="inertia or gravity, not both",
         )
     if GRAVITY not in unknown:
         unknown_parameters(task, (*INERTIAS, GRAVITY))
@@ -490,6 +482,4 @@ def comparison(task: Task) -> Comparison:
         f"No torque is measured: friction is known as well as {scale} of the bench is.",
         "Torque ripple, encoder and shaft effects are not tried in free motion.",
     ]
-    if channel == SPEED_CHANNEL:
-        notes.append("Speed alone: the start angle is known only through what gravity does.")
     return by_search(task, view, effects, notes)
