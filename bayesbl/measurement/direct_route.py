@@ -65,7 +65,6 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.model_search.always_in import (
     Beside,
-    beside,
     directions,
     edge_variances,
     elastic_part,
@@ -388,7 +387,12 @@ def fit_jointly(
         return JointFit(fit, rest, changed_beside(fit, among), check)
     seeking = of_stage(progress, f"Seeking changes in {name}")
     naming, joint = find_changes(fit, among=among, progress=seeking)
-    fit, rest = naming.final.fit, naming.rest or beside(naming.final.fit, among)
+    fit, unnamed = naming.final.fit, naming.rest
+    if unnamed is not None and unnamed.has_discrepancy:
+        rest = unnamed
+    else:
+        # What stood in for what is named need not stand in for anything any more.
+        fit, rest = settled(fit, among)
     check = tuple(disagreements(rest.explained(fit)))
     return JointFit(fit, rest, joint, check, naming)
 

@@ -653,13 +653,16 @@ def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> Simu
     """With one more of what is far among the unknowns; ``None`` where that leads nowhere.
 
     What makes a loop late is much alike where all is linear: each is fitted, and the ticks of a
-    controller where the bench states none.
+    controller where the bench states none. Of other laws none is where all together leave more than
+    may agree.
     """
     far = rest.far()
     lags = [own for own in far if own[0].is_lag]
     if lags and far[0][0].is_lag:
         tried = [*(_freed(fit, *own) for own in lags), *_sampled_loops(fit, among)]
         return min((f for f in tried if f is not None), key=_misfit, default=None)
+    if rest.residual @ rest.residual > _goal(fit):
+        return None
     freed = (_freed(fit, *own) for own in far)
     return next((f for f in freed if f is not None and f.chi_square < fit.chi_square), None)
 

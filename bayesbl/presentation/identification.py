@@ -108,7 +108,7 @@ def advice(summary: IdentificationSummary) -> Advice:
 
 def assumptions(summary: IdentificationSummary) -> Iterator[str]:
     """What has to hold."""
-    yield "Before the recordings, all values within a tolerance are equally likely."
+    yield "Before the recordings, a value is normal about the sheet's, as wide as its tolerance."
     if summary["gap_shared"]:
         yield "All recordings have one gap; give their dates if they are from different days."
     else:
