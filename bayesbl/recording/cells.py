@@ -1,4 +1,4 @@
-"""A cell of text: a number, with how its decimals are marked, or a date.
+"""A cell of text: a number, with how its decimals are marked and a unit behind it, or a date.
 
 Of dates and clock times only differences count, as seconds since the first, so that it need not be
 known whether 03/04/2026 is in March or in April: a date that differs from the one before it is the
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import is_unit, spelled
 
 MISSING = frozenset(
     "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
@@ -28,6 +29,8 @@ _GROUPED = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:[{other}'’\u00a0\u202f ]\d{{3}})+(?:[{mark}]\d*)?")
     for mark, other in ((".", ","), (",", "."))
 }
+_WITH_UNIT = re.compile(r"([+\-−]?\d[^\sA-Za-z]*(?:[eE][+-]?\d+)?)\s?([^\d\s.,:+\-/].*)")
+"""As exports write durations and formatted values: ``0.001 sec``, ``1500.2 rpm``."""
 
 
 def number_in(cell: str, mark: str) -> float | None:
@@ -50,8 +53,18 @@ def number_in(cell: str, mark: str) -> float | None:
     return None
 
 
+def parted(cell: str) -> tuple[str, str]:
+    """A cell's number and the unit behind it; the cell where there is none that is known."""
+    held = _WITH_UNIT.fullmatch(cell)
+    return (held[1], held[2]) if held and is_unit(spelled(held[2])) else (cell, "")
+
+
 def is_number(cell: str) -> bool:
-    """Whether it may be a number with either mark; never if missing."""
+    """Whether it may be a number with either mark, bare or before its unit; never if missing."""
+    return is_bare_number(parted(cell)[0])
+
+
+def is_bare_number(cell: str) -> bool:
     return any(
         (value := number_in(cell, mark)) is not None and (value == value or cell.lower() == "nan")
         for mark in ".,"
@@ -65,7 +78,7 @@ def is_value(cell: str) -> bool:
 
 def decimal_mark(file: Path, cells: Sequence[str]) -> str:
     """Whether numbers have a decimal comma or a decimal point, by all of them together."""
-    cells = [cell for cell in cells if is_number(cell)]
+    cells = [number for cell in cells if is_bare_number(number := parted(cell)[0])]
     if not any("," in cell for cell in cells):
         return "."
     fits = {mark: sum(number_in(cell, mark) is not None for cell in cells) for mark in ".,"}
@@ -83,7 +96,8 @@ def decimal_mark(file: Path, cells: Sequence[str]) -> str:
 
 _STAMP = re.compile(
     r"(?:(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})[T ,;_]*)?"
-    r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:;](\d{1,9}))?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
+    r"(\d{1,2}):(\d{2})(?:(?<=\d[T ]\d\d:\d\d)|:(\d{2})(?:[.,:;](\d{1,9}))?)"
+    r"\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
 )
 _DAY_S = 86400
 
@@ -158,7 +172,7 @@ def _of_stamp(
     ``days`` numbers the dates whose order of day and month is open, as they come.
     """
     a, mark, b, c, hours, minutes, seconds, digits, half, zone = stamp.groups()
-    hour, minute, second = int(hours), int(minutes), int(seconds)
+    hour, minute, second = int(hours), int(minutes), int(seconds or 0)
     if half:
         if not 1 <= hour <= 12:
             return None

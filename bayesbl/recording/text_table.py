@@ -20,13 +20,23 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import LONGEST_TEXT, AnyArray, ArrayTable, numbered
-from bayesbl.recording.cells import MISSING, decimal_mark, is_date, is_number, is_value, number_in
+from bayesbl.recording.cells import (
+    MISSING,
+    decimal_mark,
+    is_bare_number,
+    is_date,
+    is_number,
+    is_value,
+    number_in,
+    parted,
+)
 from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import is_unit, spelled
@@ -115,6 +125,27 @@ def _split(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
+def _unit_of(file: Path, rows: Sequence[Sequence[str]], column: int) -> str:
+    """The unit that a column's cells state.
+
+    Raises
+    ------
+    RecordingError
+        If they state several: a value is then another multiple of its unit than the one above it.
+    """
+    cells = [row[column] for row in rows if column < len(row)]
+    units = {parted(cell)[1] for cell in cells if is_value(cell)}
+    if len(units) > 1:
+        raise RecordingError(
+            "The cells of a column are in different units.",
+            file=file,
+            where=f"column {column + 1}",
+            found=" and ".join(sorted(unit or "none" for unit in units)),
+            expected="one unit for the whole column, in its name",
+        )
+    return "".join(units)
+
+
 def layout_of(
     file: Path,
     head: Sequence[str],
@@ -166,6 +197,7 @@ def layout_of(
     rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     numbers = [row[i] for row in rows for i in values if i < len(row)]
     mark = mark or decimal_mark(file, numbers)
+    stated = tuple(_unit_of(file, rows, k) if k in values else "" for k in range(width))
     if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
         return layout_of(file, head, middle, lines, (" ",))  # tabs among spaces
     begin = written[first]
@@ -180,8 +212,9 @@ def layout_of(
                 expected=f"{len(nearest)}, as in the header",
             )
         unnamed = tuple(f"column {i + 1}" for i in range(width))
-        return Layout(separator, unnamed, mark, begin=begin)
+        return Layout(separator, unnamed, mark, stated, begin=begin)
     last, names, units = found
+    units = stated[: len(names)] if any(stated) else units
     header = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
     return Layout(separator, names, mark, units, header, begin)
 
@@ -213,7 +246,7 @@ def _header_of(
             cells.pop()
         if not any(cells):
             continue
-        if len(cells) in widths and not any(map(is_number, cells)):
+        if len(cells) in widths and not any(map(is_bare_number, cells)):
             named.append(i)
         elif len(cells) > 1:
             named.clear()
@@ -235,7 +268,8 @@ def _header_of(
 def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int | None:
     """The first row with values where those amid the file have them, if another one follows it.
 
-    Numbers of columns are no sample: their names follow.
+    Numbers of columns are no sample: their names follow; nor are units with a number above cells
+    without a unit.
     """
 
     def is_sample(cells: Sequence[str]) -> bool:
@@ -244,7 +278,10 @@ def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int |
             cell.lower() in MISSING or is_value(cell) for cell in here
         )
 
-    followed = [any(map(is_value, row)) for row in rows[1:]] + [True]
+    in_cells = [[bool(parted(cell)[1]) for cell in row if cell] for row in rows]
+    of_units = [all(here) and not any(below) for here, below in pairwise(in_cells)]
+    followed = [any(map(is_value, row)) for row in rows[1:]]
+    followed = [on and not units for on, units in zip(followed, of_units, strict=True)] + [True]
     pairs = zip(rows, followed, strict=True)
     return next((i for i, (row, on) in enumerate(pairs) if on and is_sample(row)), None)
 
@@ -327,7 +364,8 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
             cut = _cut(file, lines, first, layout, counts, incomplete)
             places.append(np.array(list(cut), dtype=np.int64))
             columns = zip(*cut.values(), strict=True) if cut else ()
-            series = [_series(cells, layout.mark) for cells in columns]
+            units = (*layout.units, *[""] * width)
+            series = [_series(*each, layout.mark) for each in zip(columns, units, strict=False)]
         else:
             places.append(np.arange(first, index))
             series = [np.ascontiguousarray(values) for values in read.T]
@@ -354,9 +392,9 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
         is_text = any(values.dtype.kind != "f" for values in part)
         arrays[name] = np.concatenate([v.astype("S") for v in part] if is_text else part)
         part.clear()
-    units = {n: u for n, u in zip(layout.names, layout.units, strict=False) if u}
+    stated = {n: u for n, u in zip(layout.names, layout.units, strict=False) if u}
     repairs = {kind: count for kind, count in counts.items() if count > 0}
-    return ArrayTable(str(file), arrays, units, repairs=repairs, lines=np.concatenate(places) + 1)
+    return ArrayTable(str(file), arrays, stated, repairs=repairs, lines=np.concatenate(places) + 1)
 
 
 def _quickly(lines: list[str], layout: Layout) -> FloatArray | None:
@@ -426,11 +464,12 @@ def _cut(
     return samples
 
 
-def _series(cells: Sequence[str], mark: str) -> AnyArray:
+def _series(cells: Sequence[str], unit: str, mark: str) -> AnyArray:
     """Numbers, shape (n,), NaN for missing ones; text where a cell is none, other cells as Python
     writes numbers."""
     are_dates = is_date(cells[0])
-    numbers = [None if are_dates else number_in(cell, mark) for cell in cells]
+    bare = (c if c.lower() in MISSING else c.removesuffix(unit).rstrip() for c in cells)
+    numbers = [None if are_dates else number_in(cell, mark) for cell in bare]
     if None not in numbers:
         return np.array(numbers, dtype=float)
     texts = [

@@ -90,6 +90,7 @@ LEFT_OUT = {
     "a header again": with_line(",".join(NAMES)),
     "a line of text": with_line("stopped"),
     "units below": text(["s,rpm", *rows()]),
+    "units with a number below": text(["1 s,1 rpm", *rows()]),
     "brackets of units below": text(["[s],[rpm]", *rows()]),
     "a name over two lines": text(rows(), '"time_s\n",motor_speed_rpm'),
     "numbers of columns above": text([",".join(NAMES), *rows()], "1,2"),
@@ -101,6 +102,7 @@ MORE_COLUMNS = {
     "a tuple without quotes": text(
         [f"(1, 2),{row}" for row in rows()], "pose,time_s,motor_speed_rpm"
     ),
+    "units in the cells": text(rows('{t:.3f} sec,"{n:.3f} rpm"')),
     "a list": text([f"[1, 2, 3],{row}" for row in rows()], "pose,time_s,motor_speed_rpm"),
 }
 
@@ -134,6 +136,18 @@ def test_how_large_the_blocks_of_a_text_are_changes_nothing(
         np.testing.assert_array_equal(cut.time_s, whole.time_s, name)
         np.testing.assert_array_equal(cut.motor_speed_rpm, whole.motor_speed_rpm, name)
         assert (cut.notes, read_table(path).place(500, 0)) == (whole.notes, place), name
+
+
+def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows("{t:.3f} s,{n:.3f} rad/s"), "time,speed"))
+    columns = {c.channel: c for c in guess_columns(read_table(path)).columns}
+    assert (columns["motor_speed_rpm"].unit, columns["motor_speed_rpm"].sure) == ("rad/s", True)
+    # What a dashboard scales by itself: 0.999 s comes after 998 ms.
+    lines = [f"{1e3 * t:.0f} ms,{n:.3f}" if t < 0.3 else f"{t:.3f} s,{n:.3f}" for t, n in PAIRS]
+    path.write_text(text(lines))
+    with pytest.raises(RecordingError, match=r"in different units.*ms and s"):
+        read_recording(path)
 
 
 def test_units_count_in_a_line_above_the_names_as_in_one_below(tmp_path: Path) -> None:
@@ -773,6 +787,12 @@ def test_lists_in_parquet_are_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_recording(path, columns=columns).motor_speed_rpm, SPEED)
 
 
+def test_dates_may_be_without_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"2026-03-01 12:{i:02d},{n}" for i, n in enumerate(SPEED[:60])]))
+    np.testing.assert_array_equal(read_recording(path).time_s, 60.0 * np.arange(60))
+
+
 def test_the_form_of_a_date_is_no_unit_and_a_count_of_samples_is_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     lines = [f"{i},{clock(t, '%H:%M:%S.%f')},{n}" for i, (t, n) in enumerate(PAIRS)]
@@ -796,6 +816,39 @@ def test_a_table_of_few_rows_is_too_short_in_every_stage(count: int, tmp_path: P
 
 
 # Files of other people's tools
+
+
+def test_an_event_log_of_two_positions_is_held_until_the_next_event(tmp_path: Path) -> None:
+    start = np.datetime64("2020-12-08T16:17:33.317076", "us")
+    lines = []
+    for i in range(COUNT):
+        stamp = str(start + np.timedelta64(10_000 * i, "us")).replace("T", " ")
+        lines.append(f"IOC:Enc-PosAct {stamp} {0.5 * i}  ")
+        if i % 2 == 0:
+            lines.append(f"IOC:Axis1-PosAct          {stamp} {-float(i)} HIGH MINOR")
+    lines.insert(7, "IOC:Axis1-PosAct *** Disconnected")
+    path = tmp_path / "axis.log"
+    path.write_text("\n".join(lines))
+    columns = {
+        "motor_position_rad": ColumnSpec("IOC:Axis1-PosAct", "deg"),
+        "load_position_rad": ColumnSpec("IOC:Enc-PosAct", "deg"),
+    }
+    read = read_recording(path, columns=columns, even=False)
+    np.testing.assert_allclose(read.time_s, 0.01 * np.arange(COUNT), atol=1e-9)
+    steps = np.repeat(-np.arange(0.0, COUNT, 2.0), 2)
+    np.testing.assert_allclose(read.channels["motor_position_rad"], np.deg2rad(steps))
+    (note,) = (n for n in read.notes if "Put right" in n)
+    assert f"{COUNT // 2} × value of an event log" in note
+    assert "1 × line that is no event" in note
+
+
+def test_an_event_log_of_one_value_has_its_stamps_in_two_cells(tmp_path: Path) -> None:
+    lines = [f"2026-03-01 12:00:{t:06.3f} {n}" for t, n in PAIRS]
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(lines))
+    read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec("value")})
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-6)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
 
 
 RECORDS = [{"time_s": t, "joint": {"n": n, "pose": [n, 0.0]}, "note": "x"} for t, n in PAIRS]

@@ -1,4 +1,4 @@
-"""Text in any encoding: a table, or an export of TwinCAT Scope."""
+"""Text in any encoding: a table, a log of events, or an export of TwinCAT Scope."""
 
 from __future__ import annotations
 
@@ -34,9 +34,12 @@ _LONGEST_LINE = 4_000_000
 _SCOPE_TIMES = 12.0
 """Times its size that an export of Scope takes, whose cells are texts until all are there."""
 
+_EVENT_TIMES = 13.0
+"""The same of a log of events."""
+
 
 def read_csv(file: Path, data: bytes) -> ArrayTable:
-    """Find the table in a text, or read an export of TwinCAT Scope.
+    """Find the table in a text, or read an export of TwinCAT Scope or a log of events.
 
     Raises
     ------
@@ -44,6 +47,7 @@ def read_csv(file: Path, data: bytes) -> ArrayTable:
         If it is not text, or holds no table or no sample. Nothing of it is quoted before its lines
         have proved to be numbers.
     """
+    from bayesbl.recording.event_log import form_of_events, read_events
     from bayesbl.recording.text_table import EXPECTED, layout_of, lines_of, middle_of, table_of_text
 
     for begin in range(0, len(data), _LONGEST_LINE):
@@ -58,6 +62,9 @@ def read_csv(file: Path, data: bytes) -> ArrayTable:
     if is_scope_export("\n".join(head)):
         require_memory(file, _SCOPE_TIMES * len(data), "cells of text")
         return read_scope_export(file, list(lines_of(text)))
+    if form := form_of_events(head):
+        require_memory(file, _EVENT_TIMES * len(data), "events")
+        return read_events(file, lines_of(text), form)
     layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
     return table_of_text(file, text, layout, control)
 
