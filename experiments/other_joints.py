@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -283,15 +283,22 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
         bench = folder / "joint.toml"
         bench.write_text(dump_bench(sheet), encoding="utf-8")
-        grown = (gap, GREW * gap)
-        pair = [file(f"snapshot_{i}", own) for i, own in enumerate(grown)]
-        try:
-            result = bayesbl.compare(*pair, bench=bench, level=LEVEL, seed=1, workers=1)
-        except UserError as refusal:
-            print(f"{row.name} {index}: {refusal}", file=sys.stderr)
-            values["refused"] = 1.0
-            return values
-    truths = {"first": grown[0], "last": grown[1], "change": grown[1] - grown[0]}
+        gaps = (gap, GREW * gap)
+        pair = [file(f"snapshot_{i}", own) for i, own in enumerate(gaps)]
+        return values | compared(f"{row.name} {index}", pair, bench, gaps)
+
+
+def compared(
+    case: str, pair: Sequence[Path], bench: Path, gaps_rad: tuple[float, float]
+) -> dict[str, float]:
+    """What ``compare`` says of two recordings, beside the truth; each answer is printed."""
+    try:
+        result = bayesbl.compare(*pair, bench=bench, level=LEVEL, seed=1, workers=1)
+    except UserError as refusal:
+        print(f"{case}: {refusal}", file=sys.stderr)
+        return {"refused": 1.0}
+    values: dict[str, float] = {}
+    truths = {"first": gaps_rad[0], "last": gaps_rad[1], "change": gaps_rad[1] - gaps_rad[0]}
     summary: Any = result.summary
     tree: Any = result.to_xarray()
     for what, truth in truths.items():
@@ -316,7 +323,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
             told = "" if reason is None else f"{reason['code']}: {reason['text'][:160]}"
             of = found["delta_rad"] or {"median": math.nan, "low": math.nan, "high": math.nan}
             print(
-                f"{row.name} {index} {snapshot['name']} {route}: {1e3 * of['median']:.4f} "
+                f"{case} {snapshot['name']} {route}: {1e3 * of['median']:.4f} "
                 f"({1e3 * of['low']:.4f} to {1e3 * of['high']:.4f}) mrad "
                 f"{found.get('diagnostics', {}).get('outcome')} {told}",
                 file=sys.stderr,
