@@ -289,11 +289,15 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
 
 
 def compared(
-    case: str, pair: Sequence[Path], bench: Path, gaps_rad: tuple[float, float]
+    case: str,
+    pair: Sequence[Path],
+    bench: Path,
+    gaps_rad: tuple[float, float],
+    route: Literal["auto", "direct"] = "auto",
 ) -> dict[str, float]:
     """What ``compare`` says of two recordings, beside the truth; each answer is printed."""
     try:
-        result = bayesbl.compare(*pair, bench=bench, level=LEVEL, seed=1, workers=1)
+        result = bayesbl.compare(*pair, bench=bench, route=route, level=LEVEL, seed=1, workers=1)
     except UserError as refusal:
         print(f"{case}: {refusal}", file=sys.stderr)
         return {"refused": 1.0}
@@ -386,7 +390,7 @@ def written(recording: Recording, path: Path) -> Path:
     return path
 
 
-def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
+def summarise(row: BaseModel, cases: xr.Dataset) -> Mapping[str, float | str]:
     """Shares answered, covered and confidently wrong."""
     size = cases.sizes["case"]
     line: dict[str, float | str] = {"joints": float(size), "refused": _mean(cases["refused"])}

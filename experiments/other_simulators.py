@@ -136,7 +136,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
             clean = simulated(joint, own, rng.uniform(0.0, 2.0 * math.pi))
             recording = recorded(row, joint, clean, f"snapshot_{place}", rng)
             pair.append(written(recording, folder / f"snapshot_{place}.csv"))
-        return values | compared(f"{row.name} {index}", pair, bench, gaps)
+        return values | compared(f"{row.name} {index}", pair, bench, gaps, "direct")
 
 
 def summarise(row: Row, cases: xr.Dataset) -> Mapping[str, float | str]:
