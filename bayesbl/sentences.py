@@ -325,8 +325,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "add the part to the bench file to make δ sharper."
     ),
     "controller_period": (
-        "The speed controller seems to compute every {period_s:.3g} s; the bench states no period. "
-        "δ includes this. If you know the period, state it as sampled_control in the bench file."
+        "The speed controller seems to compute every {period_s:.3g} s, and δ is for this period. "
+        "The bench states none. If you know it, state it as sampled_control in the bench file."
     ),
     "counted_twice": (
         "The bench was identified from {name} as well, so this recording counts twice and its "

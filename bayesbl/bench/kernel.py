@@ -576,20 +576,25 @@ def next_to_act(y, c):  # type: ignore[no-untyped-def]
 
 
 @_jit
-def logged_torque(y, repeated, p, c):  # type: ignore[no-untyped-def]
+def logged_torque(y, repeated, dt, p, c):  # type: ignore[no-untyped-def]
     """Torque that a sampled drive shows at its tick, N m: what acts, or its mean till the next.
 
     The mean where the delay is longer than a period: so it is d periods old for any d above one,
     and smooth in d. A recorder that sees each torque for several samples shows what acts. Behind a
-    lag that is the mean of what flows.
+    lag that is the mean of what flows, till the torque changes or the next sample.
     """
-    held, following, share = y[HELD_TORQUE], y[HELD_TORQUE], 1.0
-    if not repeated and c.waiting > 0:
-        share = p[Slot.sampled_control__delay_periods] - c.waiting
+    delay, period = p[Slot.sampled_control__delay_periods], p[Slot.sampled_control__period_s]
+    held, following, share, span = y[HELD_TORQUE], y[HELD_TORQUE], 1.0, period
+    if repeated:
+        span = dt
+    elif c.waiting > 0:
+        share = delay - c.waiting
         following = next_to_act(y, c)
+    elif delay > 0.0:
+        span = delay * period
     shown = share * held + (1.0 - share) * following
     if p[Slot.current_loop_lag__time_s] > 0.0:
-        lag = p[Slot.current_loop_lag__time_s] / p[Slot.sampled_control__period_s]
+        lag = p[Slot.current_loop_lag__time_s] / span
         decay = math.exp(-share / lag)
         behind = y[DRIVE_TORQUE] - held
         shown += lag * behind * (1.0 - decay)
@@ -1215,7 +1220,12 @@ def is_repeated(period, dt):  # type: ignore[no-untyped-def]
 
 @_jit
 def emit_logged(since, until, p, row, first, start, moments, repeated, out, old, new):  # type: ignore[no-untyped-def]
-    """Samples between two times at which a sampled drive logs; returns the next sample's number."""
+    """Samples between two times at which a sampled drive logs; returns the next sample's number.
+
+    ``new`` is what is shown at the later time, or, where a recorder sees what is held for several
+    samples, what a lagging current goes towards meanwhile.
+    """
+    lag = p[Slot.current_loop_lag__time_s] if row == CURRENT else 0.0
     margin = AT_TICK * p[Slot.sampled_control__period_s]
     begin = start - p[FIRST_SKEW + row]
     place = row if out.shape[0] > 1 else 0
@@ -1223,7 +1233,9 @@ def emit_logged(since, until, p, row, first, start, moments, repeated, out, old,
         time = begin + moments[index]
         if time >= until - margin:
             return index
-        share = 0.0 if repeated else max(0.0, time - since) / (until - since)
+        share = max(0.0, time - since) / (until - since)
+        if repeated:
+            share = 1.0 - math.exp(-max(0.0, time - since) / lag) if lag > 0.0 else 0.0
         out[place, index] = old + share * (new - old)
     return out.shape[1]
 
@@ -1382,9 +1394,10 @@ def integrate(  # type: ignore[no-untyped-def]
         if due <= t:
             due = math.inf
     pause = min(piece_end, next_tick, due)
-    current, changed = 0.0, t
+    current, towards, changed = 0.0, 0.0, t
     if c.sampled:
-        current = logged_torque(y, repeated, p, c) / p[Slot.torque_constant_nm_per_a]
+        current = logged_torque(y, repeated, dt, p, c) / p[Slot.torque_constant_nm_per_a]
+        towards = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a]
     has_edges = c.gap > 0.0 and not c.rigid
     layer = max(softness_scale(p), 0.0 if c.hard else 1.0 / c.sharpness)
     margin = CLEAR * layer
@@ -1522,20 +1535,12 @@ def integrate(  # type: ignore[no-untyped-def]
                     )  # fmt: skip
             if logged and out.shape[0] == 3 and (repeated or ticks):
                 old = current
-                current = logged_torque(y, repeated, p, c) / p[Slot.torque_constant_nm_per_a]
+                current = logged_torque(y, repeated, dt, p, c) / p[Slot.torque_constant_nm_per_a]
                 next_sample[CURRENT] = emit_logged(
-                    changed,
-                    t,
-                    p,
-                    CURRENT,
-                    next_sample[CURRENT],
-                    start,
-                    moments,
-                    repeated,
-                    out,
-                    old,
-                    current,
-                )
+                    changed, t, p, CURRENT, next_sample[CURRENT], start, moments, repeated,
+                    out, old, towards if repeated else current,
+                )  # fmt: skip
+                towards = y[HELD_TORQUE] / p[Slot.torque_constant_nm_per_a]
                 changed = t
             for i in range(n, y.size):
                 y_new[i] = y[i]

@@ -65,6 +65,7 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.model_search.always_in import (
     Beside,
+    beside,
     directions,
     edge_variances,
     elastic_part,
@@ -387,12 +388,12 @@ def fit_jointly(
         return JointFit(fit, rest, changed_beside(fit, among), check)
     seeking = of_stage(progress, f"Seeking changes in {name}")
     naming, joint = find_changes(fit, among=among, progress=seeking)
-    fit, unnamed = naming.final.fit, naming.rest
-    if unnamed is not None and unnamed.has_discrepancy:
-        rest = unnamed
-    else:
-        # What stood in for what is named need not stand in for anything any more.
-        fit, rest = settled(fit, among)
+    fit, rest = naming.final.fit, naming.rest or beside(naming.final.fit, among)
+    if not rest.has_discrepancy:
+        # Lags that stood in for what is named need not stand in for anything any more.
+        free = settled(fit, among)
+        if all(u.recording is None for u in free[0].model.unknowns[len(fit.model.unknowns) :]):
+            fit, rest = free
     check = tuple(disagreements(rest.explained(fit)))
     return JointFit(fit, rest, joint, check, naming)
 

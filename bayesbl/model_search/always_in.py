@@ -42,7 +42,7 @@ from bayesbl.bench.parameters import (
     drift_of,
     simulated_range,
 )
-from bayesbl.errors import SimulationError
+from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
@@ -125,7 +125,8 @@ USUAL_PERIODS_S = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 """Of the speed controllers of drives and robots."""
 
 USUAL_DELAYS = (-0.5, 0.0, 1.0, 2.0)
-LEAST_DELAY = -1.0
+"""Periods of dead time from which a controller is fitted."""
+
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
@@ -372,12 +373,15 @@ class Beside:
         Their draws, shape (n, columns of all terms).
     residual
         Of the fit with all at their mean, shape (N,).
+    lag_s
+        By which the loop is late in the fit itself.
     """
 
     labels: tuple[Label, ...]
     posterior: ModelPosterior
     sizes: FloatArray
     residual: FloatArray
+    lag_s: float = 0.0
 
     def far(self) -> list[tuple[Label, FloatArray]]:
         """What data put far from where the fit has it, that by which alone χ² falls most first.
@@ -422,9 +426,10 @@ class Beside:
     def is_possible(self) -> bool:
         """Whether no law is surely less than none: then it stands for something else.
 
-        Lags are only so together: what one part of a loop compensates another is late by.
+        Lags are only so together, with what the fit has of them: what one part of a loop
+        compensates another is late by.
         """
-        sizes: dict[str, FloatArray] = {}
+        sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), self.lag_s)}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             if label.recording is None and label.directions[0].is_law:
                 kind = "lag" if label.is_lag else label.hypothesis
@@ -480,7 +485,15 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
         residual - jacobian @ shift - by @ size[own]
         for residual, jacobian, own, by in zip(residuals, jacobians, acting, columns, strict=True)
     ]
-    return Beside(labels, posterior, drawn.sizes, np.concatenate(left))
+    return Beside(labels, posterior, drawn.sizes, np.concatenate(left), _lag_s(fit))
+
+
+def _lag_s(fit: SimulatedFit) -> float:
+    """By which the fitted loop is late: lags, and the periods that a controller takes."""
+    vector = fit.model.vectors(fit.point[None], fit.model.recordings[0])[0]
+    periods = 1.0 + vector[Slot.sampled_control__delay_periods]
+    lags = vector[Slot.current_loop_lag__time_s] + vector[Slot.speed_sensor_lag__time_s]
+    return float(lags + periods * vector[Slot.sampled_control__period_s])
 
 
 def always_terms(
@@ -508,19 +521,21 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
     share the root mean square.
     """
     model = fit.model
-    names = {u.name for u in model.unknowns}
+    stated = {effect.name for effect in model.bench.effects}
+    # What a bench says of its viscous friction is of that alone.
+    open_to_all = {u.name for u in model.unknowns if u.recording is None and u.centre == 0.0}
     motor_rad_per_s = max(abs(seen.reference_speed_rpm) for seen in model.recordings) / RPM
     load_rad_per_s = motor_rad_per_s / model.bench.value("gear_ratio")
     for side, speed_rad_per_s in (("motor", motor_rad_per_s), ("load", load_rad_per_s)):
-        viscous = Slot[f"{side}_viscous_friction__coefficient_nm_s_per_rad"].name
-        dry = Slot[f"{side}_coulomb_friction__torque_nm"].name
-        if viscous in names and dry not in names:
+        effect, viscous = f"{side}_coulomb_friction", f"{side}_viscous_friction"
+        viscous = Slot[f"{viscous}__coefficient_nm_s_per_rad"].name
+        if viscous in open_to_all and effect not in stated:
             yield Direction(
-                dry,
+                Slot[f"{effect}__torque_nm"].name,
                 fit.value(viscous) * speed_rad_per_s / math.sqrt(3.0),
                 0.0,
                 positive=True,
-                effect=f"{side}_coulomb_friction",
+                effect=effect,
                 instead_of=viscous,
                 per_unit=1.0 / speed_rad_per_s,
             )
@@ -605,6 +620,7 @@ def _slopes(
         by = signs[pending] * steps[pending]
         points[np.arange(pending.size), own[pending]] = by
         points += by[:, None] * giving_way[pending]
+        # Rounding must not take what gives way below zero.
         points = np.clip(points, model.low, model.high)
         changes = np.nan_to_num(here - model.whitened_of(points, place), nan=0.0)
         slopes[pending] = changes / by[:, None]
@@ -642,7 +658,7 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
     nominal = fit, (rest := beside(fit, among))
     for _ in range(MOST_ROUNDS):
         nearer = _nearer(fit, rest, among)
-        if nearer is None or nearer.chi_square >= fit.chi_square:
+        if nearer is None:
             break
         fit = nearer
         rest = beside(fit, among)
@@ -652,18 +668,20 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
 def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
     """With one more of what is far among the unknowns; ``None`` where that leads nowhere.
 
-    What makes a loop late is much alike where all is linear: each is fitted, and the ticks of a
-    controller where the bench states none. Of other laws none is where all together leave more than
-    may agree.
+    Lags of the loop are much alike where all is linear. So all of them are fitted, and controllers
+    of usual periods where the bench states none. No other law is freed where even all together
+    leave too much.
     """
     far = rest.far()
     lags = [own for own in far if own[0].is_lag]
     if lags and far[0][0].is_lag:
         tried = [*(_freed(fit, *own) for own in lags), *_sampled_loops(fit, among)]
-        return min((f for f in tried if f is not None), key=_misfit, default=None)
+        best = min((f for f in tried if f is not None), key=lambda f: f.chi_square, default=None)
+        if best is not None and best.chi_square < fit.chi_square:
+            return best
     if rest.residual @ rest.residual > _goal(fit):
         return None
-    freed = (_freed(fit, *own) for own in far)
+    freed = (_freed(fit, *own) for own in far if not own[0].is_lag)
     return next((f for f in freed if f is not None and f.chi_square < fit.chi_square), None)
 
 
@@ -680,24 +698,23 @@ def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | N
     return _fitted_from(model, fit, [unknown.centre for unknown in own], move)
 
 
-def _misfit(fit: SimulatedFit) -> float:
-    """χ² with what the priors say of the point."""
-    return fit.chi_square - 2.0 * float(fit.model.log_prior(fit.point)[0])
-
-
 def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
     """Fits with controllers of usual periods, each with a dead time of its own.
 
     The one that promises most first, and from there the others, as late. A period that is free is
-    no unknown of a fit: χ² changes from tick to tick. None where the bench has such a controller.
+    no unknown of a fit: χ² changes from tick to tick. None where the bench has such a controller,
+    or in a motion, whose reference comes in steps too.
     """
-    if any(effect.name == SAMPLED for effect in fit.model.bench.effects):
+    moving = any(seen.motion is not None for seen in fit.model.recordings)
+    if moving or any(effect.name == SAMPLED for effect in fit.model.bench.effects):
         return []
+    delay_of = effect_named(SAMPLED).parameter("delay_periods")
     known, models, promises = _Known.of(fit, among), {}, []
     for period_s in USUAL_PERIODS_S:
-        ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
+        values = {"period_s": period_s, "delay_periods": delay_of.neutral}
+        ticks = BenchEffect(SAMPLED, {n: EffectParameterValue(v) for n, v in values.items()})
         bench = fit.model.bench.with_effects(*fit.model.bench.effects, ticks)
-        dead_time = Unknown(DEAD_TIME, LEAST_DELAY, centre=1.0, sd=UNSTATED_PERIODS)
+        dead_time = Unknown(DEAD_TIME, delay_of.low, centre=delay_of.neutral, sd=UNSTATED_PERIODS)
         models[period_s] = fit.model.beside(bench, [dead_time])
         for delay in USUAL_DELAYS:
             point = np.append(fit.point, delay)
@@ -713,10 +730,10 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     for period_s in sorted(models, key=lambda period_s: abs(math.log(period_s / first_s))):
         as_late = (1.0 + point[-1]) * first_s / period_s - 1.0
         start = np.append(point[:-1], point[-1] if period_s == first_s else as_late)
-        with suppress(SimulationError):
+        with suppress(BenchError):
             fits.append(fit_simulated(models[period_s], start, steps, goal=goal))
             if period_s == first_s:
-                point, steps, goal = fits[0].point, fits[0].steps, fits[0].chi_square
+                point, steps, goal = fits[0].point, fits[0].steps, min(goal, fits[0].chi_square)
     return fits
 
 
@@ -873,7 +890,7 @@ def elastic_part(
     least = min((e.fit.chi_square for e in rough), default=0.0)
     fitted = []
     for close in (e for e in rough if e.fit.chi_square < least + CLOSE):
-        with suppress(SimulationError):
+        with suppress(BenchError):
             fitted.append(polished(close))
     if not fitted:
         return None
@@ -909,7 +926,7 @@ def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> 
     )
     bench, fit = nominal.model.bench, found.fit
     stated = {own.name for own in bench.effects}
-    # Ticks are no law that stood in for the part.
+    # Ticks that were found are kept: they did not stand in for the part.
     ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
     kept = [
         *range(own),
