@@ -49,6 +49,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import FALSE_ALARM, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.catalogue import Candidate, candidates
+from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
 from bayesbl.model_search.refit import Explanation, columns_of, polished, refit
 from bayesbl.probabilities import chi2_isf, normal_isf
@@ -426,15 +427,20 @@ class Beside:
     def is_possible(self) -> bool:
         """Whether no law is surely less than none: then it stands for something else.
 
+        By more than its form may be off: all the rest is no law to the last digit either.
         Lags are only so together, with what the fit has of them: what one part of a loop
         compensates another is late by.
         """
         sizes: dict[str, FloatArray] = {"lag": np.full(len(self.sizes), self.lag_s)}
+        least: dict[str, float] = {}
         for label, drawn in zip(self.labels, self.by_label(), strict=True):
             if label.recording is None and label.directions[0].is_law:
                 kind = "lag" if label.is_lag else label.hypothesis
                 sizes[kind] = sizes.get(kind, 0.0) + drawn[:, 0] * label.scales[0]
-        return not any(size.mean() < -FAR * size.std() for size in sizes.values())
+                least[kind] = FORM_SHARE * label.scales[0]
+        return not any(
+            sizes[kind].mean() < -max(FAR * sizes[kind].std(), own) for kind, own in least.items()
+        )
 
     def explains(self, fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> bool:
         """Whether the fit with all this agrees with the recordings, and can be."""
