@@ -93,7 +93,8 @@ def _same(section: str, kept: Any, new: Any, exact: bool, elsewhere: float) -> b
     if section == "draws":
         return _same_draws(kept, new, exact)
     if exact or section == "names":
-        return _close(kept, new, EXACT)
+        # A share of a variance is a difference of two.
+        return _close(kept, new, EXACT, EXACT * (section == "chain"))
     if section == "intervals":
         return _same_interval(kept, new)
     return _close(kept, new, elsewhere)
