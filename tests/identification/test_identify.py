@@ -287,15 +287,13 @@ def test_no_gap_is_told_that_the_edge_of_a_tolerance_decides() -> None:
     assert withheld or abs(gap_deviations(found)) < 3.5
 
 
-def test_friction_that_the_data_sheet_lacks_is_named_and_the_gap_found() -> None:
-    """The gap within 3.5 standard deviations: fails by chance once in 2000 seeds."""
+def test_friction_that_the_data_sheet_lacks_is_no_reason_to_withhold() -> None:
+    """Dry or viscous, it is always in. The gap within 3.5 standard deviations."""
     torque = {"torque_nm": EffectParameterValue(0.15)}
     rubbing = joint().with_effects(BenchEffect("motor_coulomb_friction", torque))
     seen, sheet = recordings_of(rubbing), data_sheet()
     asked = Problem(sheet, seen, (), tuple(sheet.tolerances), "catalogue", (1e-4, 1e-2), True)
     found = identify(asked, SETTINGS, np.random.SeedSequence(4))
-    assert found.verdict == "missing_effect"
-    assert "motor_coulomb_friction" in found.missing[0]
     assert reason_of(found, asked) is None
     assert abs(gap_deviations(found)) < 3.5
 
