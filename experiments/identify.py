@@ -141,7 +141,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     values = {name: math.nan for name in COLUMNS}
     values |= {
         "identify_seconds": perf_counter() - begin,
-        "withheld": float(reason_of(found, problem) is not None),
+        "withheld": float(reason_of(found) is not None),
         "agrees": float(found.verdict == "agrees" and found.beyond is None),
     }
     if wrong is not None:

@@ -174,7 +174,8 @@ LONGEST_PHASE = 1.0
 SHORT_PHASE = 0.1
 # Widths of a smoothed edge or sign beyond which it bends no more than a step follows.
 CLEAR = 20.0
-# Widths of a smoothed edge within which a step is no longer than its width.
+# Widths of a smoothed edge within which a step is no longer than two: beyond, a flank bears what it
+# bears with a sharp edge, to e⁻¹⁰ of that of one width.
 LAYERS = 10.0
 # Of a gap that varies with the load angle: below it the teeth would jam.
 LEAST_GAP_SHARE = 0.01

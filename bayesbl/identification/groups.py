@@ -71,7 +71,7 @@ def identification_tree(
     """
     table = _disagreement(result, problem)
     bench = identified_bench(result, problem)
-    reason = reason_of(result, problem, level)
+    reason = reason_of(result)
     answer = _answer(result, problem, table, level, kind, withheld=reason is not None)
     tree = xr.DataTree.from_dict(
         {

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayesbl.bench.effects import with_bench_file_hint
-from bayesbl.identification.identify import BeyondDataSheet, Identification, Problem
+from bayesbl.identification.identify import BeyondDataSheet, Identification
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, standing_out
 from bayesbl.units import in_words
 
 
-def reason_of(result: Identification, problem: Problem, level: float = 0.9) -> str | None:
-    """Why gaps and bench are withheld; ``None`` where they are not. ``level``: of the interval."""
+def reason_of(result: Identification) -> str | None:
+    """Why gaps and bench are withheld; ``None`` where they are not."""
     if result.missing and not result.completed:
         return _lacking(result)
     if result.beyond is not None:
@@ -26,12 +26,11 @@ def reason_of(result: Identification, problem: Problem, level: float = 0.9) -> s
         )
     if result.posterior.diagnostics.outcome == "withheld":
         return " ".join(result.posterior.diagnostics.reasons)
-    gaps = [None] if problem.shares_gap else [seen.name for seen in problem.used]
-    for gap in gaps:
-        beyond = result.posterior.beyond_tolerance(gap, level)
-        if beyond is not None:
-            # The wrong value need not be the one that δ depends on: all at an edge are told.
-            return " ".join([beyond, *result.posterior.diagnostics.reasons])
+    # The bench is the answer: a value that its sheet excludes is none, whatever δ makes of it.
+    if contradicted := result.posterior.contradicted:
+        return " ".join(
+            [*contradicted, "Correct the data sheet, or widen this tolerance, and identify again."]
+        )
     return None
 
 

@@ -169,6 +169,11 @@ class DirectPosterior:
                 )
         return None
 
+    @property
+    def contradicted(self) -> list[str]:
+        """A sentence for each value of which the recordings contradict what is stated of it."""
+        return [sentence for *_, sentence in _contradicted(self.fit.model, self.draws)]
+
     def contradicted_together(self) -> list[str]:
         """Names of the stated values that the recordings contradict together, the worst left out.
 

@@ -151,15 +151,6 @@ class NamedCandidate:
 
 
 @dataclass(frozen=True, slots=True)
-class RankedCandidate:
-    """What one candidate alone gains over the bench as believed."""
-
-    candidate: str
-    chi_square_gain: float
-    log_evidence_gain: float
-
-
-@dataclass(frozen=True, slots=True)
 class Naming:
     """What a bench lacks.
 
@@ -190,19 +181,6 @@ class Naming:
     def alone(self) -> list[FittedSet]:
         """Each candidate that was fitted alone, most probable first."""
         return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
-
-    @property
-    def ranking(self) -> tuple[RankedCandidate, ...]:
-        """What each of ``alone`` gains over the nominal bench."""
-        nominal = next(own for own, _ in self.sets if not own.explanation.candidates)
-        return tuple(
-            RankedCandidate(
-                own.explanation.candidates[0].name,
-                nominal.fit.chi_square - own.fit.chi_square,
-                own.log_evidence - nominal.log_evidence,
-            )
-            for own in self.alone
-        )
 
 
 def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatArray:
