@@ -71,6 +71,7 @@ class Slot(IntEnum):
     backlash__gap_rad = auto()
     sampled_control__period_s = auto()
     sampled_control__delay_periods = auto()
+    sampled_control__instant_share = auto()
     motor_coulomb_friction__torque_nm = auto()
     motor_viscous_friction__coefficient_nm_s_per_rad = auto()
     motor_stribeck_friction__torque_nm = auto()
@@ -615,17 +616,15 @@ def filtered_angle(y, p, c):  # type: ignore[no-untyped-def]
 def instant_share(p):  # type: ignore[no-untyped-def]
     """How much of its speed a sampled controller has of the instant, not of a difference.
 
-    All of it at a delay of minus half a period, which is as much less late; twice at minus one.
+    A delay below none adds to it: all of it is half a period less late.
     """
-    return max(0.0, -2.0 * p[Slot.sampled_control__delay_periods])
+    share = p[Slot.sampled_control__instant_share]
+    return share + max(0.0, -2.0 * p[Slot.sampled_control__delay_periods])
 
 
 @_jit
 def tick(t, y, p, c):  # type: ignore[no-untyped-def]
-    """What a sampled controller does at its tick: a difference, a sum, a torque for later.
-
-    Where it is less late than that, its speed is nearer to the one of the instant, or ahead of it.
-    """
+    """What a sampled controller does at its tick: a difference, a sum, a torque for later."""
     period = p[Slot.sampled_control__period_s]
     instant = instant_share(p)
     for i in range(STATES + c.waiting - 1, STATES, -1):

@@ -100,8 +100,6 @@ TRANSMISSION = Group(
         harmonic_order (harmonic) | 1 | order of a transmission error
         harmonic_of_load (harmonic) | 1 | whether it is per turn of the load (1) or the motor (0)
         probability_of_play | 1 | that δ is not zero
-        log_odds | 1 | log evidence of a lag over none
-        coasts | 1 | probability that the load goes through the gap by itself
         counted | 1 | times that a misfit which repeats every cycle is counted
         reversals | 1 | of the motor
         noise_sd_rad | rad | white noise
@@ -112,7 +110,7 @@ TRANSMISSION = Group(
 
 GROUPS = (POSTERIOR, *shared.OF_EVERY_ROUTE, TRANSMISSION)
 
-SCALARS = ("probability_of_play", "log_odds", "coasts", "counted", "reversals")
+SCALARS = ("probability_of_play", "counted", "reversals")
 
 QUANTITIES = (
     "play_rad",

@@ -33,7 +33,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import EFFECTS, effect_named
+from bayesbl.bench.effects import EFFECTS, effect_named, sampled_lateness_s
 from bayesbl.bench.joint_size import search_scale
 from bayesbl.bench.kernel import RPM, Slot
 from bayesbl.bench.parameters import (
@@ -118,6 +118,10 @@ odds of e¹⁵."""
 
 SAMPLED = "sampled_control"
 DEAD_TIME = Slot.sampled_control__delay_periods.name
+INSTANT_SHARE = Slot.sampled_control__instant_share.name
+UNIFORM_SD = 1.0 / math.sqrt(3.0)
+"""Of a share of which nothing is known, between 0 and 1: its root mean square."""
+
 UNSTATED_PERIODS = 1.0
 """Of the dead time of a sampled controller: a manual states its period, and hardly what buses add.
 A judgement: one more stage that the same clock paces."""
@@ -125,9 +129,8 @@ A judgement: one more stage that the same clock paces."""
 USUAL_PERIODS_S = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3)
 """Of the speed controllers of drives and robots."""
 
-USUAL_DELAYS = (-0.5, 0.0, 1.0, 2.0)
-"""Periods of dead time from which a controller is fitted."""
-
+USUAL_DELAYS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Periods of dead time from which a controller is fitted, with its speed of the instant and not."""
 
 EDGE_VARIANCE = Slot.contact_softness__variance_rad2.name
 
@@ -233,6 +236,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
             if own.name == SAMPLED and "delay_periods" not in own.parameters:
                 least = effect_named(own.name).parameter("delay_periods").low
                 yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0, least=least)
+                if "instant_share" not in own.parameters:
+                    yield Direction(INSTANT_SHARE, UNIFORM_SD, 0.0, positive=True)
         elif effect.always_in:
             item, usual = effect.amplitudes[0], _usual(bench, effect.name)
             yield Direction(
@@ -349,9 +354,11 @@ class Label:
         for own, scale in zip(self.directions, self.scales, strict=True):
             value = float(vector[Slot[own.slot]])
             # Of a lag far from none there is at least what the simulator takes without tiny steps.
-            least = own.least if own.is_not_negative or value > 0.0 else -math.inf
+            is_bounded = own.is_not_negative or own.positive or value > 0.0
+            least = own.least if is_bounded else -math.inf
             if self.recording is None:
-                found.append(Unknown(own.slot, least, centre=value, sd=scale))
+                high = simulated_range(own.slot)[1]
+                found.append(Unknown(own.slot, least, high, centre=value, sd=scale))
                 continue
             # A change is as large as the recordings have it.
             sd = scale / CHANGED_SHARE if self.cause else scale
@@ -496,10 +503,9 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
 
 def _lag_s(fit: SimulatedFit) -> float:
     """By which the fitted loop is late: lags, and the periods that a controller takes."""
-    vector = fit.model.vectors(fit.point[None], fit.model.recordings[0])[0]
-    periods = 1.0 + vector[Slot.sampled_control__delay_periods]
-    lags = vector[Slot.current_loop_lag__time_s] + vector[Slot.speed_sensor_lag__time_s]
-    return float(lags + periods * vector[Slot.sampled_control__period_s])
+    matrix = fit.model.vectors(fit.point[None], fit.model.recordings[0])
+    lags = matrix[:, [Slot.current_loop_lag__time_s, Slot.speed_sensor_lag__time_s]]
+    return float(lags.sum() + sampled_lateness_s(matrix)[0])
 
 
 def always_terms(
@@ -523,8 +529,7 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
     """How much of each side's friction is dry, where a fit at one speed takes all for viscous.
 
     Dry friction brakes a load that crosses the gap no more where it crosses faster, and damps no
-    ringing of the motor. Half-normal, with 1/√3 of all friction as standard deviation: of a uniform
-    share the root mean square.
+    ringing of the motor. Half-normal.
     """
     model = fit.model
     stated = {effect.name for effect in model.bench.effects}
@@ -538,7 +543,7 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
         if viscous in open_to_all and effect not in stated:
             yield Direction(
                 Slot[f"{effect}__torque_nm"].name,
-                fit.value(viscous) * speed_rad_per_s / math.sqrt(3.0),
+                UNIFORM_SD * fit.value(viscous) * speed_rad_per_s,
                 0.0,
                 positive=True,
                 effect=effect,
@@ -674,14 +679,17 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
 def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
     """With one more of what is far among the unknowns; ``None`` where that leads nowhere.
 
-    Lags of the loop are much alike where all is linear. So all of them are fitted, and controllers
-    of usual periods where the bench states none. No other law is freed where even all together
-    leave too much.
+    Lags of the loop are much alike where all is linear. So where one of them promises most, or the
+    fit is far off, all of them are fitted, and controllers of usual periods; before them the dead
+    time of a controller that the bench states. No other law is freed where even all together leave
+    too much.
     """
     far = rest.far()
     lags = [own for own in far if own[0].is_lag]
-    if lags and far[0][0].is_lag:
-        tried = [*(_freed(fit, *own) for own in lags), *_sampled_loops(fit, among)]
+    if lags and (far[0][0].is_lag or fit.chi_square > _goal(fit)):
+        tried: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
+        if not tried or all(e.name != SAMPLED for e in fit.model.bench.effects):
+            tried += [_freed(fit, *own) for own in lags]
         best = min((f for f in tried if f is not None), key=lambda f: f.chi_square, default=None)
         if best is not None and best.chi_square < fit.chi_square:
             return best
@@ -698,46 +706,61 @@ def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | N
     by = sizes * far.scales
     model = fit.model.beside(bench, own)
     move = np.concatenate([np.zeros(fit.point.size), by])
-    for size, direction in zip(by, far.directions, strict=True):
+    for k, direction in enumerate(far.directions, fit.point.size):
         if direction.instead_of:
-            move[model.index(direction.instead_of)] -= size * direction.per_unit
+            other = model.index(direction.instead_of)
+            room = (fit.point[other] - model.low[other]) / direction.per_unit
+            move[k] = min(move[k], room)
+            move[other] = -move[k] * direction.per_unit
     return _fitted_from(model, fit, [unknown.centre for unknown in own], move)
 
 
 def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[SimulatedFit]:
-    """Fits with controllers of usual periods, each with a dead time of its own.
+    """Fits with a sampled controller, each with a dead time of its own: χ² has many minima in it.
 
-    The one that promises most first, and from there the others, as late. A period that is free is
-    no unknown of a fit: χ² changes from tick to tick. None where the bench has such a controller,
-    or in a motion, whose reference comes in steps too.
+    Of the period that the bench states, or else of usual ones, the one that promises most first,
+    and from there the others, as late. A period that is free is no unknown of a fit: χ² changes
+    from tick to tick. None where a dead time is stated or fitted already, nor of usual periods in a
+    motion, whose reference comes in steps too.
     """
     moving = any(seen.motion is not None for seen in fit.model.recordings)
-    if moving or any(effect.name == SAMPLED for effect in fit.model.bench.effects):
-        return []
-    delay_of = effect_named(SAMPLED).parameter("delay_periods")
+    stated = next((e for e in fit.model.bench.effects if e.name == SAMPLED), None)
+    taken = {unknown.name for unknown in fit.model.unknowns}
+    if stated is None:
+        periods_s: tuple[float, ...] = () if moving else USUAL_PERIODS_S
+    else:
+        is_known = DEAD_TIME in taken or "delay_periods" in stated.parameters
+        periods_s = () if is_known else (stated.complete()["period_s"],)
     known, models, promises = _Known.of(fit, among), {}, []
-    for period_s in USUAL_PERIODS_S:
-        values = {"period_s": period_s, "delay_periods": delay_of.neutral}
-        ticks = BenchEffect(SAMPLED, {n: EffectParameterValue(v) for n, v in values.items()})
-        bench = fit.model.bench.with_effects(*fit.model.bench.effects, ticks)
-        dead_time = Unknown(DEAD_TIME, delay_of.low, centre=delay_of.neutral, sd=UNSTATED_PERIODS)
-        models[period_s] = fit.model.beside(bench, [dead_time])
-        for delay in USUAL_DELAYS:
-            point = np.append(fit.point, delay)
+    for period_s in periods_s:
+        bench = fit.model.bench
+        if stated is None:
+            ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
+            bench = bench.with_effects(*bench.effects, ticks)
+        free = [d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - taken]
+        own = [unknown for d in free for unknown in Label((d,), None).unknowns(bench)]
+        models[period_s] = fit.model.beside(bench, own)
+        for loop in itertools.product(USUAL_DELAYS, (0.0, 1.0)[: len(own)]):
+            point = np.concatenate([fit.point, loop[: len(own)]])
             residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
                 left, shift = known.left(residual)
-                promises.append((left, period_s, point + np.append(shift, 0.0)))
+                point[: shift.size] += shift
+                promises.append((left, period_s, point))
     fits: list[SimulatedFit] = []
     if not promises:
         return fits
     _, first_s, point = min(promises, key=lambda promise: promise[:2])
-    steps, goal = fit.steps, _goal(fit)
+    steps, goal, delay = fit.steps, _goal(fit), fit.point.size
     for period_s in sorted(models, key=lambda period_s: abs(math.log(period_s / first_s))):
-        as_late = (1.0 + point[-1]) * first_s / period_s - 1.0
-        start = np.append(point[:-1], point[-1] if period_s == first_s else as_late)
+        model, start = models[period_s], point.copy()
+        late_s = sampled_lateness_s(models[first_s].vectors(point[None], model.recordings[0]))
+        later_s = late_s - sampled_lateness_s(model.vectors(point[None], model.recordings[0]))
+        start[delay] += later_s[0] / period_s
         with suppress(BenchError):
-            fits.append(fit_simulated(models[period_s], start, steps, goal=goal))
+            fits.append(
+                fit_simulated(model, np.clip(start, model.low, model.high), steps, goal=goal)
+            )
             if period_s == first_s:
                 point, steps, goal = fits[0].point, fits[0].steps, min(goal, fits[0].chi_square)
     return fits
@@ -932,11 +955,12 @@ def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> 
     )
     bench, fit = nominal.model.bench, found.fit
     stated = {own.name for own in bench.effects}
-    # Ticks that were found are kept: they did not stand in for the part.
+    # How the controller samples is kept: it did not stand in for the part.
     ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
+    of_ticks = {DEAD_TIME, INSTANT_SHARE}
     kept = [
         *range(own),
-        *(k for k, u in enumerate(fit.model.unknowns) if ticks and u.name == DEAD_TIME),
+        *(k for k, u in enumerate(fit.model.unknowns) if k >= own and u.name in of_ticks),
     ]
     model = nominal.model.beside(
         bench.with_effects(*bench.effects, *ticks, effect),

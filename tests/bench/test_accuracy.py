@@ -364,7 +364,7 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
     y, (held, coming, angle, speed, *older) = state[:8].copy(), state[HELD_TORQUE:]
     on_the_way = [coming, *older]  # the newest first
     late = max(0.0, delay) - len(older)
-    instant = max(0.0, -2.0 * delay)
+    instant = p[S.sampled_control__instant_share] + max(0.0, -2.0 * delay)
     y[2], y[3] = state[0] / n - state[2], state[1] / n - state[3]
     total, reference = state[4], p[S.reference_speed_rpm] / RPM
 
@@ -401,18 +401,20 @@ def sampled_reference(p: np.ndarray, state: np.ndarray, samples: int) -> np.ndar
 
 
 @pytest.mark.parametrize(
-    ("period_s", "delay"),
+    ("period_s", "delay", "share"),
     [
-        *[(2e-3, d) for d in (-0.8, -0.5, -0.2, 0.0, 0.4, 1.0)],
-        *[(2e-4, 0.4), (1e-3, 3.0), (1e-3, 1.6), (2e-4, 16.0)],
+        *[(2e-3, d, 0.0) for d in (-0.8, -0.5, -0.2, 0.0, 0.4, 1.0)],
+        *[(2e-4, 0.4, 0.0), (1e-3, 3.0, 0.0), (1e-3, 1.6, 0.0), (2e-4, 16.0, 0.0)],
+        *[(2e-3, 1.0, 1.0), (1e-3, 1.6, 0.4)],
     ],
 )
 @pytest.mark.parametrize("effects", [[], ["load_coulomb_friction", "gear_transmission_error"]])
 def test_a_sampled_controller_keeps_the_promise(
-    period_s: float, delay: float, effects: list[str]
+    period_s: float, delay: float, share: float, effects: list[str]
 ) -> None:
     parameters = with_effects(np.random.default_rng(6), effects)
     parameters[[S.sampled_control__period_s, S.sampled_control__delay_periods]] = period_s, delay
+    parameters[S.sampled_control__instant_share] = share
     parameters[S.start_angle_rad] = 3.0  # a flank changes soon
     samples = round(0.4 / period_s)
     channels = simulate_channels(parameters[None], samples, 1.0 / period_s)[0]

@@ -14,8 +14,6 @@ from bayesbl.cli import status
 from bayesbl.recording.guessing import guess_columns
 from bayesbl.recording.readers import read_table
 
-pytestmark = pytest.mark.long
-
 RATIO = 20.0
 
 
@@ -71,6 +69,7 @@ def test_a_load_of_another_joint_is_refused(tmp_path, capsys):
     assert "does not follow the motor" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_motor_that_wraps_faster_than_it_is_sampled_is_refused(tmp_path, capsys):
     file = write(
         tmp_path / "wraps.csv",

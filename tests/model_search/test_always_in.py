@@ -164,9 +164,9 @@ def test_dry_friction_at_one_speed_is_told_from_viscous_by_the_crossing() -> Non
         assert abs(fit.point[place] + shift[:, place].mean() - math.log(gap)) < 3.5 * sd
 
 
-@pytest.mark.parametrize("with_current", [True, False])
+@pytest.mark.parametrize(("delay", "with_current"), [(0.0, True), (0.0, False), (1.0, True)])
 def test_a_controller_that_reads_the_speed_of_the_instant_is_less_late(
-    independent: ModuleType, with_current: bool
+    independent: ModuleType, delay: float, with_current: bool
 ) -> None:
     """By half a period; δ within 3.5 standard deviations, on a sheet that is off."""
     period = EffectParameterValue(1e-3)
@@ -176,7 +176,7 @@ def test_a_controller_that_reads_the_speed_of_the_instant_is_less_late(
     bench = replace(off, parameters={**off.parameters, **known})
     bench = bench.with_effects(BenchEffect("sampled_control", {"period_s": period}))
     truth = {name: item.value for name, item in BENCH.parameters.items()}
-    truth |= {"sampled_control.period_s": 1e-3, "sampled_control.delay_periods": 0.0}
+    truth |= {"sampled_control.period_s": 1e-3, "sampled_control.delay_periods": delay}
     truth |= {"outside__speed_of_instant": 1.0, "start_angle_rad": 0.4}
     seen = by_ticks(independent, bench, truth, with_current)
     whole = fit_jointly(bench, seen, (1e-4, 1e-2), {})

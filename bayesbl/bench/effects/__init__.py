@@ -115,12 +115,15 @@ def lateness_rad(matrix: FloatArray) -> FloatArray:
     motor = matrix[:, Slot.motor_inertia_kg_m2] * matrix[:, Slot.gear_ratio] ** 2
     load = matrix[:, Slot.load_inertia_kg_m2]
     stiffness = matrix[:, Slot.shaft_stiffness_nm_per_rad]
-    return np.asarray(_late_s(matrix) * np.sqrt(stiffness * (1.0 / motor + 1.0 / load)))
+    return np.asarray(sampled_lateness_s(matrix) * np.sqrt(stiffness * (1.0 / motor + 1.0 / load)))
 
 
-def _late_s(matrix: FloatArray) -> FloatArray:
-    delay = 1.0 + matrix[:, Slot.sampled_control__delay_periods]
-    return np.asarray(delay * matrix[:, Slot.sampled_control__period_s])
+def sampled_lateness_s(matrix: FloatArray) -> FloatArray:
+    """By which a sampled loop is late: what it differentiates, computes and holds, (m, SLOTS) to
+    (m,)."""
+    periods = 1.0 + matrix[:, Slot.sampled_control__delay_periods]
+    periods -= 0.5 * matrix[:, Slot.sampled_control__instant_share]
+    return np.asarray(periods * matrix[:, Slot.sampled_control__period_s])
 
 
 def without_ticks(matrix: FloatArray) -> FloatArray:
@@ -133,7 +136,7 @@ def without_ticks(matrix: FloatArray) -> FloatArray:
     period = matrix[:, Slot.sampled_control__period_s]
     averaging = matrix[:, Slot.speed_averaging__time_s]
     # A short lag would cost the simulator tiny steps.
-    late = np.where(lateness_rad(matrix) > UNSEEN_RAD, _late_s(matrix), 0.0)
+    late = np.where(lateness_rad(matrix) > UNSEEN_RAD, sampled_lateness_s(matrix), 0.0)
     matrix[:, Slot.current_loop_lag__time_s] += late
     matrix[:, Slot.speed_gain_nm_s_per_rad] += (
         0.5 * period * matrix[:, Slot.integral_gain_nm_per_rad]

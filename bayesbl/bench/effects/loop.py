@@ -52,13 +52,15 @@ SPEED_SENSOR_LAG = Effect(
 # or torque filter is part of d, which may be any number of periods. Drives show speed and current
 # as they are at their ticks, with d above one the mean current from there to the next; a recording
 # begins with a tick. Most simulated controllers, and drives that observe the speed, read it of the
-# instant: T/2 less late, d = −1/2. Around that the speed is on the line through both: at d = −1 it
-# is ahead by what it is held, so the loop is not late.
+# instant, T/2 less late: a share s of the instant's speed, 1 − s of the difference. A delay below
+# none adds twice its size to the share: at d = −1 the speed is ahead by what it is held, and the
+# loop is not late.
 SAMPLED_CONTROL = Effect(
     place=195,
     name="sampled_control",
     sentence="A digital controller: it differentiates the encoder and holds its torque.",
-    equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = (θ_k − θ_{k−1})/T, held from (k + d) T on",
+    equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = s ω(kT) + (1 − s) (θ_k − θ_{k−1})/T, "
+    "held from (k + d) T on",
     parameters=(
         Amplitude(
             "period_s",
@@ -81,6 +83,15 @@ SAMPLED_CONTROL = Effect(
             # At 0 the torque is out at once, which no slope leads to. Then each four times as far,
             # as the periods that a search tries: dead times from 0.4 to 14 ms.
             starts=(0.0, 4.0, 16.0),
+        ),
+        Shape(
+            "instant_share",
+            "",
+            "share s of the speed that is read of the instant",
+            high=1.0,
+            typical=0.5,
+            bounded=True,
+            starts=(1.0,),
         ),
     ),
     enters="loop",
