@@ -73,6 +73,7 @@ class ResidualNoise:
         What a bench leaves comes in bursts, where the axis starts, slips or turns round.
         """
         power = uniform_filter1d(self.residual**2, min(AROUND, self.residual.size), mode="nearest")
+        power = np.maximum(power, 0.0)  # of its running sum rounding leaves less than none
         return np.asarray(self.strongest * np.sqrt(power) / max(self.sd, np.finfo(float).tiny))
 
 

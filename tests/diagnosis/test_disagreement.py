@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from bayesbl.config.diagnose import Method as Configured
 from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, residuals_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
+from bayesbl.diagnosis.disagreement import ResidualNoise, disagreement_table, piece_residuals
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.rigid.motion import LowPass
@@ -129,3 +129,11 @@ def test_where_a_floor_is_from_is_stored_beside_it() -> None:
 
 def test_every_method_that_may_be_configured_is_there_under_its_name() -> None:
     assert set(METHODS) == set(typing.get_args(Configured))
+
+
+def test_a_residual_that_comes_in_bursts_has_a_size_everywhere() -> None:
+    """An axis that rests to the last digit between its moves."""
+    bursts = np.random.default_rng(3).standard_normal(4000) * np.where(np.arange(4000) < 200, 1, 0)
+    bursts[200:] = 1e-12 * np.sin(np.arange(3800.0))
+    noise = ResidualNoise.of(bursts)
+    assert np.all(np.isfinite(noise.local)) and noise.local[:100].min() > 1e3 * noise.local[-1]
