@@ -391,8 +391,9 @@ class EffectEntry(Section):
 
     A digital drive has ``sampled_control``: ``parameters = {period_s = {value = 250e-6}}``, the
     period of its speed controller. Its torque acts ``delay_periods`` after the encoder was read, 17
-    with a dead time of 4 ms besides; −0.5 if the speed is that of the instant and the torque acts
-    at once. If not given it is 1, and fitted by the direct route and ``identify``.
+    with a dead time of 4 ms besides. Its speed is the encoder's difference over a period;
+    ``instant_share = 1`` is the speed of the instant. Without a delay both are fitted by the direct
+    route and ``identify``, from a delay of 1 and a difference.
     """
 
     name: Annotated[str, AfterValidator(effect_name)]
