@@ -31,7 +31,7 @@ from bayesbl.errors import BrokerError, ConfigError
 from bayesbl.fleet.message import REPLIES, name_of, replies
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import read_input
-from bayesbl.results.atomic import PrivateFolder, clear_away, replacing
+from bayesbl.results.atomic import PrivateFolder
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -169,11 +169,8 @@ def stays_known_by(folder: Path) -> str:
         If the folder cannot be written.
     """
     file = folder / _CLIENT
-    # Whoever was killed once the file was there has left what it wrote in, and nobody writes again.
-    clear_away(file)
     if not file.is_file():
-        with replacing(file, durable=True) as temporary:
-            temporary.write_text(f"bayesbl-{uuid.uuid4().hex}")
+        PrivateFolder(folder).write(_CLIENT, f"bayesbl-{uuid.uuid4().hex}".encode(), durable=True)
     return file.read_text()
 
 

@@ -1,12 +1,11 @@
 """Files and folders that appear whole or not at all, by one writer at a time, and are ours alone.
 
 What is being written is in a hidden folder beside its place and is renamed when it is whole. A
-process that is killed leaves at most such a folder, which the next writer of the same place clears
-away: one that is still in use is known by a lock, which the system drops with the process.
+process that is killed leaves at most such a folder, which the next writer of the same place takes:
+one that is still in use is known by a lock, which the system drops with the process.
 
-Others may be able to write beside an output folder. So each hidden folder is made exclusively, for
-this user alone; one that is there already is opened without following a link and used only if it is
-a folder of this user that nobody else can write. What is in it is reached through that open folder.
+Others may be able to write beside an output folder. So a hidden folder is made for this user alone,
+and one that is there already is used only if it is this user's and nobody else can write it.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +25,10 @@ from pathlib import Path
 from bayesbl.errors import ResultError
 
 _STAGING = ".staging"
+_REPLACED = ".replaced"
 _PART = ".part"
 _DEAD_AFTER_S = 3600.0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-_READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
 @contextmanager
@@ -45,15 +43,15 @@ def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     Raises
     ------
     ResultError
-        If nothing can be written there, or what is there is no file.
+        If nothing can be written there, what is there is no file, or another process writes it.
     """
     path = Path(path)
     require_replaceable(path)
-    with staging(path) as folder:
-        yield folder / path.name
+    with staging(path) as new:
+        yield new
         if durable:
-            _to_disk(folder / path.name)
-        os.replace(folder / path.name, path)
+            _to_disk(new)
+        os.replace(new, path)
     if durable:
         _to_disk(path.parent)
 
@@ -76,75 +74,50 @@ def require_replaceable(path: Path) -> None:
 
 @contextmanager
 def staging(path: Path) -> Iterator[Path]:
-    """A hidden folder beside ``path`` to write into; what is still in it at the end is deleted.
+    """A place in a hidden folder beside ``path``; what is still there at the end is deleted.
 
     Raises
     ------
     ResultError
-        If no folder can be made there.
+        If no folder can be made there, or another process has it.
     OSError
         What the system said in the block, a full disk say, of ``path``: the hidden folder is gone.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        clear_away(path)
-        folder, handle = _locked_new(path)
-    except OSError as error:
-        raise unwritable(path, error) from None
-    try:
-        yield folder
-    except OSError as error:
-        if error.errno is not None:
-            error.filename = str(path)
-        raise
-    finally:
-        if _is_still(folder, handle):
-            shutil.rmtree(folder, ignore_errors=True)
-        os.close(handle)
+    with locked_sibling(path, _STAGING) as folder:
+        _tidy(folder, path)
+        try:
+            yield folder / path.name
+        except OSError as error:
+            if error.errno is not None:
+                error.filename = str(path)
+            raise
+        finally:
+            _tidy(folder, path)
 
 
-def clear_away(path: Path) -> None:
-    """Delete what killed writers of this path left, and nothing of living ones."""
-    for left in left_behind(path, _STAGING):
-        shutil.rmtree(left, ignore_errors=True)
+def restore(path: Path) -> None:
+    """Give a folder its name back if :func:`replace_folder` was killed between its two renames."""
+    if os.path.lexists(sibling(path, _STAGING) / _REPLACED) and not os.path.lexists(path):
+        with staging(path):
+            pass
 
 
-def left_behind(path: Path, suffix: str) -> Iterator[Path]:
-    """Folders ``.<name>.<anything><suffix>`` of this user whose process has ended; each locked."""
-    try:
-        names = os.listdir(path.parent)
-    except OSError:
-        return
-    for name in names:
-        if name.startswith(f".{path.name}.") and name.endswith(suffix):
-            folder = path.with_name(name)
-            with suppress(OSError, ResultError), _own(folder) as handle:
-                if _lock(handle):
-                    yield folder
+def replace_folder(new: Path, path: Path, require: Callable[[Path], None]) -> None:
+    """Give a folder that was made in :func:`staging` its name, in place of one that has it.
 
-
-@contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """A folder that is locked, where it can be: it is not left behind by a process that ended."""
-    handle = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
-    try:
-        _lock(handle)
-        yield
-    finally:
-        os.close(handle)
-
-
-def make_readable(folder: Path) -> None:
-    """As readable as any folder that is made here: one that is being written is private."""
-    mask = os.umask(0)
-    os.umask(mask)
-    with _own(folder) as handle:
-        os.chmod(handle, 0o777 & ~mask)
+    ``require``: raises if the latter, once nobody finds it by its name, must be kept after all; as
+    wherever this fails or is killed, it then gets its name back.
+    """
+    if path.exists():
+        aside = new.with_name(_REPLACED)
+        path.rename(aside)
+        require(aside)
+    new.rename(path)
 
 
 @contextmanager
 def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
-    """The hidden folder ``.<name><suffix>`` beside an output folder, made, locked and kept.
+    """The hidden folder ``.<name><suffix>`` beside an output, made, locked and kept if not empty.
 
     Raises
     ------
@@ -168,7 +141,7 @@ def locked_sibling(output: Path, suffix: str) -> Iterator[Path]:
 
 
 def sibling(output: Path, suffix: str) -> Path:
-    """The hidden folder ``.<name><suffix>`` beside an output folder."""
+    """The hidden folder ``.<name><suffix>`` beside an output."""
     return output.with_name(f".{output.name}{suffix}")
 
 
@@ -176,45 +149,23 @@ def sibling(output: Path, suffix: str) -> Path:
 class PrivateFolder:
     """Small files in a folder of this user alone, each whole or absent; made when it is written.
 
-    Every method opens the folder anew and raises :class:`~bayesbl.errors.ResultError` if it is a
-    link, or others own it or can write it.
+    Every method raises :class:`~bayesbl.errors.ResultError` if it is a link, or others own it or
+    can write it.
     """
 
     path: Path
 
-    @property
-    def is_usable(self) -> bool:
-        """Whether it is this user's alone, or there is none yet."""
-        try:
-            with _own(self.path):
-                return True
-        except FileNotFoundError:
-            return True
-        except (OSError, ResultError):
-            return False
-
     def entries(self) -> dict[str, os.stat_result]:
-        """What is in it, by name, none if there is no folder; not what is being written."""
-        found = {}
-        with suppress(FileNotFoundError), _own(self.path) as handle:
-            for name in os.listdir(handle):
-                with suppress(FileNotFoundError):
-                    if not name.endswith(_PART):
-                        found[name] = os.stat(name, dir_fd=handle, follow_symlinks=False)
-        return found
+        """Files by name, none if there is no folder; not what is being written."""
+        return {name: found for name, found in self._files().items() if not name.endswith(_PART)}
 
     def read(self, name: str) -> bytes:
         """The content of a file; raises ``OSError`` where there is none."""
-        with (
-            _own(self.path) as handle,
-            open(os.open(name, _READ, dir_fd=handle), "rb") as stream,
-        ):
-            return stream.read()
+        require_own(self.path)
+        return (self.path / name).read_bytes()
 
-    def write(
-        self, name: str, content: bytes, *, replace: bool = True, durable: bool = False
-    ) -> None:
-        """A file, readable by this user alone; ``FileExistsError`` unless it may ``replace`` one.
+    def write(self, name: str, content: bytes, *, durable: bool = False) -> None:
+        """A file, in place of one that is there.
 
         Parameters
         ----------
@@ -232,53 +183,53 @@ class PrivateFolder:
                 self.path.mkdir(0o700)
         except OSError as error:
             raise unwritable(self.path, error) from None
-        with _own(self.path) as handle:
-            part = f"{secrets.token_hex(8)}{_PART}"
-            move = os.replace if replace else os.link
-            try:
-                with open(os.open(part, _NEW, 0o600, dir_fd=handle), "wb") as stream:
-                    stream.write(content)
-                    if durable:
-                        stream.flush()
-                        os.fsync(stream.fileno())
-                move(part, name, src_dir_fd=handle, dst_dir_fd=handle)
-            except OSError as error:
-                error.filename = str(self.path / name)
-                raise
-            finally:
-                with suppress(OSError):
-                    os.unlink(part, dir_fd=handle)
+        require_own(self.path)
+        # Several processes may write the same file, each with the same content.
+        part = self.path / f"{secrets.token_hex(8)}{_PART}"
+        try:
+            part.touch(0o600, exist_ok=False)
+            part.write_bytes(content)
             if durable:
-                os.fsync(handle)
+                _to_disk(part)
+            os.replace(part, self.path / name)
+        except OSError as error:
+            error.filename = str(self.path / name)
+            raise
+        finally:
+            part.unlink(missing_ok=True)
+        if durable:
+            _to_disk(self.path)
 
     def delete(self, name: str) -> None:
-        """A file, or a folder with all that is in it; what is gone already is no error."""
-        with suppress(FileNotFoundError), _own(self.path) as handle:
-            if stat.S_ISDIR(os.stat(name, dir_fd=handle, follow_symlinks=False).st_mode):
-                shutil.rmtree(name, ignore_errors=True, dir_fd=handle)
-            else:
-                os.unlink(name, dir_fd=handle)
+        """A file; one that is gone already is no error."""
+        require_own(self.path)
+        (self.path / name).unlink(missing_ok=True)
 
     def tidy(self) -> None:
         """Delete what writers that were killed have left: nobody writes for so long."""
-        with suppress(FileNotFoundError), _own(self.path) as handle:
-            for name in os.listdir(handle):
-                if name.endswith(_PART):
-                    with suppress(OSError):
-                        status = os.stat(name, dir_fd=handle, follow_symlinks=False)
-                        if time.time() - status.st_mtime > _DEAD_AFTER_S:
-                            os.unlink(name, dir_fd=handle)
-
-    def clear(self) -> None:
-        """Delete everything, what a killed writer left too."""
-        with suppress(FileNotFoundError), _own(self.path) as handle:
-            for name in os.listdir(handle):
+        for name, status in self._files().items():
+            if name.endswith(_PART) and time.time() - status.st_mtime > _DEAD_AFTER_S:
                 self.delete(name)
 
+    def clear(self) -> None:
+        """Delete every file, what a killed writer left too."""
+        for name in self._files():
+            self.delete(name)
 
-@contextmanager
-def _own(folder: Path) -> Iterator[int]:
-    """An open handle on a folder of this user alone.
+    def _files(self) -> dict[str, os.stat_result]:
+        found = {}
+        with suppress(FileNotFoundError):
+            require_own(self.path)
+            for entry in os.scandir(self.path):
+                with suppress(FileNotFoundError):
+                    if entry.is_file(follow_symlinks=False):
+                        found[entry.name] = entry.stat()
+        return found
+
+
+def require_own(folder: Path) -> None:
+    """A folder is of this user alone. Nobody else can exchange it then: its folder is sticky, or
+    whoever can write there could exchange every result too.
 
     Raises
     ------
@@ -287,26 +238,15 @@ def _own(folder: Path) -> Iterator[int]:
     ResultError
         If it is no folder, or one that others own or can write.
     """
-    handle = _open_own(folder)
-    try:
-        yield handle
-    finally:
-        os.close(handle)
-
-
-def _open_own(folder: Path) -> int:
-    try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except FileNotFoundError:
-        raise
-    except OSError:
-        raise _not_own(folder) from None
-    status = os.fstat(handle)
+    status = os.lstat(folder)
     private = status.st_uid == os.geteuid() and not status.st_mode & _OTHERS_WRITE
-    if not private and not _is_as_made_here(folder, status):
-        os.close(handle)
-        raise _not_own(folder)
-    return handle
+    if not stat.S_ISDIR(status.st_mode) or not (private or _is_as_made_here(folder, status)):
+        raise ResultError(
+            "This folder may be of somebody else, and is not used.",
+            file=folder,
+            found="a link, another user's, or one that others can write",
+            expected=f"nothing, or a folder of yours alone: move it away, or chmod 700 {folder}",
+        )
 
 
 def _is_as_made_here(folder: Path, status: os.stat_result) -> bool:
@@ -321,15 +261,6 @@ def _is_as_made_here(folder: Path, status: os.stat_result) -> bool:
     return status.st_uid == made.st_uid and not status.st_mode & ~made.st_mode & _OTHERS_WRITE
 
 
-def _not_own(folder: Path) -> ResultError:
-    return ResultError(
-        "This folder may be of somebody else, and is not used.",
-        file=folder,
-        found="a link, another user's, or one that others can write",
-        expected=f"nothing, or a folder of yours alone: move it away, or chmod 700 {folder}",
-    )
-
-
 def _locked(folder: Path, output: Path) -> int:
     """A handle that holds the lock of a folder, which is made."""
     while True:
@@ -337,51 +268,37 @@ def _locked(folder: Path, output: Path) -> int:
         with suppress(FileExistsError):
             folder.mkdir(0o700)
         try:
-            handle = _open_own(folder)
+            require_own(folder)
+            handle = os.open(folder, os.O_RDONLY)
         except FileNotFoundError:
             continue  # the run that held the lock has removed the folder
-        locked = _lock(handle)
-        if _is_still(folder, handle):
-            if locked is not False:
-                return handle
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
             os.close(handle)
             raise ResultError(
-                "Another run into this output folder is under way.",
+                "Another run into this output is under way.",
                 file=output,
                 expected="one at a time",
-            )
+            ) from None
+        except OSError:
+            pass  # some network file systems have no locks
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), os.lstat(folder)):
+                return handle
         os.close(handle)
 
 
-def _locked_new(path: Path) -> tuple[Path, int]:
-    """A new folder, locked before another writer of this path takes it for a leftover."""
-    while True:
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_STAGING, dir=path.parent))
-        try:
-            handle = _open_own(folder)
-        except FileNotFoundError:
-            continue
-        if _lock(handle) is not False and _is_still(folder, handle):
-            return folder, handle
-        os.close(handle)
-
-
-def _lock(handle: int) -> bool | None:
-    """Whether a folder is locked now, not by another process; ``None`` where there are no locks."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # some network file systems
-        return None
-    return True
-
-
-def _is_still(folder: Path, handle: int) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), os.lstat(folder))
-    except FileNotFoundError:
-        return False
+def _tidy(folder: Path, path: Path) -> None:
+    """Empty the hidden folder of a path; what was replaced by nothing gets its name back."""
+    aside = folder / _REPLACED
+    if os.path.lexists(aside) and not os.path.lexists(path):
+        aside.rename(path)
+    for entry in os.scandir(folder):
+        if entry.is_dir(follow_symlinks=False):
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            os.unlink(entry)
 
 
 def _to_disk(path: Path) -> None:

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import json
 import os
-import re
-import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError, shortened
-from bayesbl.results.atomic import held, left_behind, make_readable, staging, unwritable
+from bayesbl.results.atomic import replace_folder, restore, staging, unwritable
 
 
 def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
@@ -112,8 +111,6 @@ _WITHOUT_MANIFEST = frozenset({RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, AUGMENTED
 
 _MADE_LATER = frozenset({MANIFEST_FILE, "report.html", FIGURES})
 
-_REPLACED = ".replaced"
-
 
 def is_finished(path: str | Path) -> bool:
     """Whether a folder holds a result; as folders appear whole, its files are proof enough."""
@@ -133,26 +130,30 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
         a file at this path or above it.
     """
     path = Path(os.path.abspath(path))
-    _tidy(path)
+    restore(path)
     require_no_file(path)
     require_no_link(path)
     if not os.path.exists(path):  # Path.exists raises for a name that is too long
         return
-    if os.path.ismount(path) or os.path.realpath(path) in _mount_points():
+    if os.path.ismount(path):
         raise ResultError(
             "A file system is mounted here, so no folder can take this name.",
             file=path,
             expected=f"a folder below it: --out {path / 'result'}",
         )
-    present = _entries(path)
     if is_finished(path) and not force:
         raise ResultError(
             "This folder holds a finished result, which is not written over.",
             file=path,
-            found=_listed({name for name in present if "/" not in name}),
+            found=_listed(os.listdir(path)),
             expected="another folder (--out), or --force to replace the result",
         )
-    foreign = present - _own(path) if is_finished(path) else present
+    _require_only_own(path, path)
+
+
+def _require_only_own(folder: Path, path: Path) -> None:
+    """Nothing is in a folder, that has or had this path, but an earlier result."""
+    foreign = _entries(folder) - (_own(folder) if is_finished(folder) else set())
     if foreign:
         raise ResultError(
             "This folder holds files that are not part of a result, and is left as it is.",
@@ -216,12 +217,12 @@ def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     path = Path(os.path.abspath(path))
     require_free(path, force=force)
     with staging(path) as folder:
+        folder.mkdir()
         yield folder
         require_free(path, force=force)
         text = json.dumps({"files": sorted(_entries(folder))}, indent=1, ensure_ascii=False)
         (folder / MANIFEST_FILE).write_text(text + "\n", encoding="utf-8")
-        make_readable(folder)
-        _put_in_place(folder, path)
+        replace_folder(folder, path, partial(_require_only_own, path=path))
 
 
 def figure_title(name: str) -> str:
@@ -254,58 +255,5 @@ def _entries(folder: Path) -> set[str]:
     }
 
 
-def _delete(folder: Path) -> None:
-    """The result in a folder, and the folder unless a user has put something into it."""
-    own = _own(folder)
-    for name in (SUMMARY_FILE, RESULT_FILE):  # half a result must not pass for one
-        with suppress(OSError):
-            os.unlink(folder / name)
-    for root, folders, files, handle in os.fwalk(folder, topdown=False):
-        for remove, names in ((os.unlink, files), (os.rmdir, folders)):
-            for name in names:
-                if Path(root, name).relative_to(folder).as_posix() in own - {MANIFEST_FILE}:
-                    with suppress(OSError):
-                        remove(name, dir_fd=handle)
-    for remove, place in ((os.unlink, folder / MANIFEST_FILE), (os.rmdir, folder)):
-        with suppress(OSError):
-            remove(place)
-
-
 def _listed(names: Collection[str]) -> str:
     return ", ".join(sorted(names)[:5]) + (", …" if len(names) > 5 else "")
-
-
-def _put_in_place(folder: Path, path: Path) -> None:
-    """Rename; a folder that is in the way steps aside first, and back if that fails."""
-    if not path.exists():
-        folder.rename(path)
-        return
-    with held(path):
-        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_REPLACED, dir=path.parent))
-        path.rename(aside)
-        try:
-            folder.rename(path)
-        except BaseException:
-            aside.rename(path)
-            raise
-        _delete(aside)
-
-
-def _tidy(path: Path) -> None:
-    """What a run that was killed between or after the two renames has left of an earlier result."""
-    for aside in left_behind(path, _REPLACED):
-        if os.path.lexists(path) or not is_finished(aside):
-            _delete(aside)
-        else:
-            with suppress(OSError):
-                aside.rename(path)
-
-
-def _mount_points() -> set[str]:
-    """Those that differ from what they are mounted on by nothing else, where the system says."""
-    try:
-        text = os.fsdecode(Path("/proc/self/mountinfo").read_bytes())
-    except OSError:
-        return set()
-    places = (line.split(" ")[4] for line in text.splitlines())
-    return {re.sub(r"\\(\d{3})", lambda code: chr(int(code[1], 8)), place) for place in places}

@@ -2,12 +2,9 @@
 
 The address is the SHA-256 of all that decides the numbers: the inputs, and the code that makes
 them. An entry is one file that appears whole or not at all, so a run that is killed loses the work
-in flight and nothing else, and the same command goes on to the same numbers. What is damaged, is of
-another address, was not made by this user or cannot be read counts as not finished.
-
-Whoever writes an entry decides numbers. So each holds the address of what it was made from and a
-code that only the owner of a key can make, which lies with this user's own state: an entry that
-came with a folder from elsewhere is made again.
+in flight and nothing else, and the same command goes on to the same numbers. What is damaged, of
+another address, or cannot be read counts as not finished. Whoever writes an entry decides numbers,
+so the folder is this user's alone.
 
 What is kept are frozen dataclasses. A value is numbers, texts, ``None``, arrays, and tuples,
 mappings and dataclasses of these. Its JSON and its arrays are stored in one ``.npz``, nothing that
@@ -21,16 +18,13 @@ A field that cannot be given on construction (``init=False``) or is no part of w
 from __future__ import annotations
 
 import hashlib
-import hmac
 import io
 import json
 import math
 import os
 import platform
-import secrets
-import stat
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
 from functools import cache
@@ -41,7 +35,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import PrivateFolder, locked_sibling
+from bayesbl.results.atomic import PrivateFolder, locked_sibling, require_own
 from bayesbl.results.provenance import code_sha256, dependency_versions
 
 T = TypeVar("T")
@@ -146,9 +140,6 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
 
 _UNFINISHED = ".unfinished"
 
-_KEY_FILE = "key"
-_KEY_BYTES = 32
-
 
 def code_identity() -> str:
     """All code that numbers come from: this package's, Python's, the dependencies'."""
@@ -192,7 +183,13 @@ class WorkStore:
     @classmethod
     def shared(cls, folder: Path, *, fresh: bool = False) -> WorkStore:
         """What may be made again at any time; nothing is kept where it is not this user's alone."""
-        return cls(folder if PrivateFolder(folder).is_usable else None, fresh)
+        try:
+            require_own(folder)
+        except FileNotFoundError:
+            pass  # it is made when it is written
+        except (OSError, ResultError):
+            return cls(None, fresh)
+        return cls(folder, fresh)
 
     @property
     def holds_work(self) -> bool:
@@ -225,7 +222,7 @@ class WorkStore:
         key, decoded = self.address_of(what, inputs), decoder(kind)  # type: ignore[arg-type]
         try:
             head, _, content = PrivateFolder(self.folder).read(key).partition(b"\n")
-            return decoded(content) if hmac.compare_digest(head, _head(key, content)) else None
+            return decoded(content) if head == _head(key, content) else None
         except Exception:
             # What is damaged fails in any way; then the work is made again.
             return None
@@ -273,8 +270,7 @@ class WorkStore:
 
     def _entries(self) -> dict[str, os.stat_result]:
         """Files in the folder, by name."""
-        found = {} if self.folder is None else PrivateFolder(self.folder).entries()
-        return {name: status for name, status in found.items() if stat.S_ISREG(status.st_mode)}
+        return {} if self.folder is None else PrivateFolder(self.folder).entries()
 
     def address_of(self, what: str, inputs: object) -> str:
         """Where finished work of these inputs is kept."""
@@ -286,25 +282,5 @@ NOTHING_KEPT = WorkStore(code="")
 
 
 def _head(key: str, content: bytes) -> bytes:
-    """First line of an entry: damage shows, that it is of another address, and who made it."""
-    return hmac.new(_own_key(), key.encode() + content, hashlib.sha256).hexdigest().encode()
-
-
-@cache
-def _own_key() -> bytes:
-    """Of this user at this machine; empty where none can be kept, as without a home folder."""
-    state = os.environ.get("XDG_STATE_HOME", "")
-    try:
-        folder = PrivateFolder(
-            Path(state if os.path.isabs(state) else Path.home() / ".local/state") / "bayesbl"
-        )
-        with suppress(FileNotFoundError):
-            key = folder.read(_KEY_FILE)
-            if len(key) == _KEY_BYTES:
-                return key
-            folder.delete(_KEY_FILE)
-        with suppress(FileExistsError):  # another process has just made it
-            folder.write(_KEY_FILE, secrets.token_bytes(_KEY_BYTES), replace=False)
-        return folder.read(_KEY_FILE)
-    except (OSError, RuntimeError, ResultError):
-        return b""
+    """First line of an entry: shows damage, and that it is of another address."""
+    return hashlib.sha256(key.encode() + content).hexdigest().encode()

@@ -66,10 +66,3 @@ def test_credentials_that_cannot_be_used_are_told_without_them(tmp_path, text, m
 
 def test_a_client_keeps_its_name(tmp_path):
     assert stays_known_by(tmp_path) == stays_known_by(tmp_path)
-
-
-def test_what_a_killed_client_wrote_its_name_in_is_cleared_away(tmp_path):
-    name = stays_known_by(tmp_path)
-    (tmp_path / ".client.killed.staging").mkdir(mode=0o700)
-    assert stays_known_by(tmp_path) == name
-    assert not list(tmp_path.glob(".*.staging"))

@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -93,8 +92,9 @@ def test_force_replaces_a_result_only_by_a_complete_one(tmp_path: Path) -> None:
 
 def test_of_two_runs_into_one_folder_the_slower_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "wear"
+    finish(tmp_path / "other", "quicker")
     with pytest.raises(ResultError, match="finished result"), new_result(path):
-        finish(path, "quicker")
+        (tmp_path / "other").rename(path)
     assert mark_of(path) == "quicker"
     assert names(tmp_path) == ["wear"]
 
@@ -138,23 +138,6 @@ def test_force_deletes_nothing_that_a_user_put_among_the_figures(tmp_path: Path)
     assert mark_of(path) == "second"
 
 
-def test_a_new_folder_that_another_writer_clears_away_is_made_again(tmp_path, monkeypatch) -> None:
-    made = tempfile.mkdtemp
-    cleared = []
-
-    def made_and_cleared(**options: object) -> str:
-        folder = made(**options)
-        if not cleared:
-            cleared.append(folder)
-            os.rmdir(folder)
-        return folder
-
-    monkeypatch.setattr(tempfile, "mkdtemp", made_and_cleared)
-    finish(tmp_path / "wear", "here")
-    assert cleared
-    assert mark_of(tmp_path / "wear") == "here"
-
-
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "wear").touch()
     for path in (tmp_path / "wear", tmp_path / "wear" / "inside"):
@@ -174,24 +157,32 @@ def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path) -> None:
 
 
 def test_leftovers_of_dead_runs_are_cleared_and_those_of_living_runs_kept(tmp_path: Path) -> None:
-    dead = tmp_path / ".wear.abc.staging"
-    dead.mkdir()
+    dead = tmp_path / ".wear.staging/wear"
+    dead.mkdir(parents=True)
+    dead.parent.chmod(0o700)
     (dead / "result.nc").touch()
     with new_result(tmp_path / "wear") as living:
-        assert not dead.exists()
+        assert not (dead / "result.nc").exists()
         require_free(tmp_path / "wear")
         finish(tmp_path / "other", "beside")
-        with pytest.raises(RuntimeError):
-            fail(tmp_path / "wear")
-        assert living.exists()
+        with pytest.raises(ResultError, match="under way"):
+            finish(tmp_path / "wear", "second")
         write_json({"mark": "living"}, living / "summary.json")
     assert mark_of(tmp_path / "wear") == "living"
+    assert names(tmp_path) == ["other", "wear"]
+
+
+def aside_of(path: Path) -> Path:
+    """Where a result is put that another one replaces."""
+    folder = path.with_name(f".{path.name}.staging")
+    folder.mkdir(0o700)
+    return folder / ".replaced"
 
 
 def test_a_run_killed_between_the_two_renames_gives_the_old_result_back(tmp_path: Path) -> None:
     path = tmp_path / "wear"
     finish(path, "old")
-    path.rename(tmp_path / ".wear.abc.replaced")
+    path.rename(aside_of(path))
     with pytest.raises(ResultError, match="finished result"):
         require_free(path)
     assert mark_of(path) == "old"
@@ -200,9 +191,9 @@ def test_a_run_killed_between_the_two_renames_gives_the_old_result_back(tmp_path
 def test_a_run_killed_while_it_deletes_the_old_result_is_tidied_up(tmp_path: Path) -> None:
     path = tmp_path / "wear"
     finish(path, "new")
-    aside = tmp_path / ".wear.abc.replaced"
-    finish(aside, "old")
-    (aside / "summary.json").unlink()
+    aside = aside_of(path)
+    aside.mkdir()
+    (aside / "manifest.json").touch()  # the rest is deleted already
     finish(path, "newer", force=True)
     assert mark_of(path) == "newer"
     assert names(tmp_path) == ["wear"]
@@ -254,7 +245,7 @@ def test_a_failed_rename_puts_the_old_result_back(
     real = Path.rename
 
     def fails_for_staging(source: Path, target: Path) -> Path:
-        if source.name.endswith(".staging"):
+        if source.parent.name.endswith(".staging") and source.name == "wear":
             raise OSError("disk full")
         return real(source, target)
 
