@@ -112,7 +112,7 @@ def integrated_time(chain: FloatArray) -> float:
 
     The largest over the symbols; infinite where a walker does not move. 1 + 2 Σ ρ_k, ρ the mean of
     the walkers' autocorrelations, up to the first lag k ≥ 5 times the sum so far (Sokal 1997), as
-    :func:`emcee.autocorr.integrated_time` has it for one walker after the other.
+    :func:`emcee.autocorr.integrated_time` has it; but that gives 1 where no lag is.
     """
     steps = len(chain)
     moved = chain - chain.mean(axis=0)
