@@ -221,7 +221,7 @@ def diagnose(
     UserError
         If configuration, bench or recordings cannot be used.
     """
-    from bayesbl.runs.first_diagnosis import diagnosis_of
+    from bayesbl.runs.diagnose import diagnosis_of
 
     given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
     found: DiagnosisResult

@@ -572,7 +572,7 @@ def diagnose_command(inputs: Inputs, bench: BelievedBench = None, **given: Any) 
         return
     if bench is None and config is None:
         raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
-    from bayesbl.runs.first_diagnosis import diagnosis_of
+    from bayesbl.runs.diagnose import diagnosis_of
 
     with guessing_columns(inputs[:1], config):
         loaded, guess = diagnosis_of(inputs, config, bench=bench, **given)

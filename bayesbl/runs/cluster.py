@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import as_completed as completed
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -47,50 +46,32 @@ J = TypeVar("J", bound=InWords)
 R = TypeVar("R")
 
 
-@dataclass(frozen=True, slots=True)
-class Common:
-    """What a worker must have in common with the process that starts the run.
+Facts = tuple[tuple[str, str], ...]
+"""What numbers depend on beside the jobs, by name."""
 
-    Attributes
-    ----------
-    versions
-        Name and version of this package, Python and all that numbers depend on.
-    code
-        SHA-256 of this package's code.
-    files
-        Path and SHA-256 of every file that all jobs read.
-    """
 
-    versions: tuple[tuple[str, str], ...]
-    code: str
-    files: tuple[tuple[str, str], ...]
+def facts(files: Iterable[str]) -> Facts:
+    """Of this process: versions, the package's code, threads of linear algebra, files' content."""
+    threads = os.environ.get(_LINEAR_ALGEBRA[0], "not set")
+    return (
+        *code_versions().items(),
+        ("SHA-256 of the code of bayesbl", code_sha256()),
+        *((name, os.environ.get(name, threads)) for name in _LINEAR_ALGEBRA),
+        *((file, _content(file)) for file in dict.fromkeys(files)),
+    )
 
-    @classmethod
-    def of(cls, files: Iterable[str]) -> Common:
-        """Of this process."""
-        digests = tuple((path, file_sha256(path)) for path in dict.fromkeys(files))
-        return cls(tuple(code_versions().items()), code_sha256(), digests)
 
-    def differences(self) -> list[str]:
-        """What differs in this process, which is a worker's, in words."""
-        own = code_versions()
-        found = [
-            f"{name} {own.get(name)} in place of {version}"
-            for name, version in self.versions
-            if own.get(name) != version
-        ]
-        if not found and code_sha256() != self.code:
-            found.append("the code of bayesbl differs, or did when the worker started")
-        for path, sha256 in self.files:
-            try:
-                if file_sha256(path) != sha256:
-                    found.append(f"{path} holds something else there")
-            except OSError as error:
-                found.append(f"{path} cannot be read there ({error.strerror})")
-        every = os.environ.get(_LINEAR_ALGEBRA[0])
-        if any(os.environ.get(name, every) != "1" for name in _LINEAR_ALGEBRA):
-            found.append("linear algebra on many threads rounds differently; set OMP_NUM_THREADS=1")
-        return found
+def _content(file: str) -> str:
+    try:
+        return f"with SHA-256 {file_sha256(file)}"
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+
+
+def differences(wanted: Facts, files: Sequence[str]) -> list[str]:
+    """What is otherwise in this process, which is a worker's, in words."""
+    own = dict(facts(files))
+    return [f"{name} {own.get(name)} in place of {v}" for name, v in wanted if own.get(name) != v]
 
 
 def run_jobs(
@@ -145,14 +126,16 @@ def _on_cluster(
         from distributed.client import FutureCancelledError
         from distributed.comm import CommClosedError
 
-        common = Common.of(files)
-        count = _require_common(client, common, scheduler)
+        files = tuple(files)
+        # Of one thread, however many are free here: a worker process has one.
+        wanted = tuple(dict(facts(files), **dict.fromkeys(_LINEAR_ALGEBRA, "1")).items())
+        count = _require_common(client, wanted, files, scheduler)
         say(
             f"{len(jobs)} {what} run on {count} workers of {scheduler}."
             if count
             else f"{scheduler} has no workers yet; {len(jobs)} {what} wait for them."
         )
-        futures = {client.submit(_run, common, run, job, pure=False): job for job in jobs}
+        futures = {client.submit(_run, wanted, files, run, job, pure=False): job for job in jobs}
         for future in as_completed(futures, loop=client.loop):
             job = futures[future]
             try:
@@ -175,19 +158,19 @@ def _on_cluster(
             future.release()
 
 
-def _run(common: Common, run: Callable[[J], R], job: J) -> R:
+def _run(wanted: Facts, files: tuple[str, ...], run: Callable[[J], R], job: J) -> R:
     """A job, in a worker."""
     with _one_job:
-        _require_here(common)
+        _require_here(wanted, files)
         return run(job)
 
 
 @cache
-def _require_here(common: Common) -> None:
+def _require_here(wanted: Facts, files: tuple[str, ...]) -> None:
     """This worker differs in nothing, asked again as workers may join later."""
     from distributed import get_worker
 
-    different = common.differences()
+    different = differences(wanted, files)
     if different:
         raise _refusal({get_worker().address: different}, None)
 
@@ -248,17 +231,16 @@ def _unanswered(scheduler: str, found: str) -> ClusterError:
     )
 
 
-def _require_common(client: Client, common: Common, scheduler: str) -> int:
+def _require_common(client: Client, wanted: Facts, files: tuple[str, ...], scheduler: str) -> int:
     """The number of workers there are, none of which differs."""
-    plain = astuple(common)
 
     # Sent as code, not by name: it must arrive where the package is not.
     def look() -> list[str]:
         try:
-            from bayesbl.runs.cluster import Common
+            from bayesbl.runs.cluster import differences
         except ImportError as error:
             return [f"bayesbl cannot be imported there ({error})"]
-        return Common(*plain).differences()
+        return differences(wanted, files)
 
     found: dict[str, list[str]] = client.run(look)
     different = {worker: what for worker, what in found.items() if what}

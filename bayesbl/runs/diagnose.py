@@ -1,21 +1,48 @@
-"""Recordings and the bench believed behind them in; what is missing, and the model error, out."""
+"""Recordings and the bench believed behind them in; what is missing, and the model error, out.
+
+How recordings are compared is guessed where no file says it, each choice with its reason.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
 
+import numpy as np
 import xarray as xr
 
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.bench.bench import Bench
+from bayesbl.config.diagnose import Compared, DiagnoseConfig, Method
+from bayesbl.config.loading import config_from_options
+from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
+from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import declared_groups, diagnosis_tree
 from bayesbl.diagnosis.methods import METHODS
+from bayesbl.diagnosis.rigid.free_motion import CHANNELS as FREE_MOTION
+from bayesbl.diagnosis.rigid.inverse import CHANNELS as INVERSE
+from bayesbl.diagnosis.rigid.inverse import MOTION_ALONE
+from bayesbl.diagnosis.rigid.speed_loop import LOOP_PARAMETERS
 from bayesbl.diagnosis.summary import summarise_diagnosis as summarise
-from bayesbl.diagnosis.task import Task
+from bayesbl.diagnosis.task import INERTIAS, Task
 from bayesbl.errors import RecordingError
+from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.channels import ColumnSpec
+from bayesbl.recording.checks import is_constant, with_speed
+from bayesbl.recording.moving import is_one_speed, moves
 from bayesbl.recording.readers import read_recording
-from bayesbl.recording.types import Recording
+from bayesbl.recording.types import (
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    MOTOR_TORQUE,
+    Recording,
+)
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
@@ -73,3 +100,290 @@ def _recordings(config: DiagnoseConfig) -> Iterator[Recording]:
                 expected=f"at least {FEWEST_SAMPLES} to fit on, and as many to predict",
             )
         yield recording
+
+
+FEWEST_SETTINGS = 3
+"""Directions and speeds to fit on: Coulomb friction, viscous friction and an offset of the torque
+take three."""
+
+SAME_SPEED = 0.01
+"""Relative: recordings nearer than this are of one speed."""
+
+FITTED = "effects are fitted on it"
+
+SPLIT_ROTATIONS = 4.0
+"""Of the load, in a recording in the closed loop that is split: two in each half."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A value that was guessed for a field, and why.
+
+    ``place``: the section and the key; for an entry of ``[[recordings]]`` the recording's name
+    and the key.
+    """
+
+    place: tuple[str, str]
+    value: object
+    reason: str
+
+    @property
+    def told(self) -> str:
+        """``[comparison] method = "forward": …``."""
+        section, key = self.place
+        where = f"[{section}] " if section in ("comparison", "unknowns") else f"{section}: "
+        return f"{where}{key} = {toml(self.value)}: {self.reason}"
+
+
+def guess_diagnosis(
+    bench: Bench, recordings: Sequence[Recording], given: DiagnoseConfig | None = None
+) -> list[Choice]:
+    """Method, channels, unknowns, and what each recording is for.
+
+    Parameters
+    ----------
+    given
+        A configuration that says some of it already; the rest follows from that.
+
+    Raises
+    ------
+    RecordingError
+        If no method suits these recordings and this bench.
+    """
+    compared = Compared() if given is None else given.comparison
+    said = compared.model_fields_set | (given.unknowns.model_fields_set if given else set())
+    motor_rpm = [_with_speed(recording).motor_speed_rpm for recording in recordings]
+    # The reference does not vary, nor do parts of the recording differ.
+    steady = [
+        not moves(recording) and is_one_speed(rpm, recording.sampling_period_s)
+        for recording, rpm in zip(recordings, motor_rpm, strict=True)
+    ]
+    found = []
+    method, channels = compared.method, compared.channels
+    if "method" not in said:
+        method, why = _method(bench, recordings, steady)
+        found.append(Choice(("comparison", "method"), method, why))
+    if not channels:
+        channels, why = _channels(bench, method, recordings)
+        found.append(Choice(("comparison", "channels"), channels, why))
+    found += [c for c in _unknowns(bench, method, channels) if c.place[1] not in said]
+    speeds = [float(rpm.mean()) for rpm in motor_rpm]
+    for i, (use, why) in enumerate(_uses(bench, method, recordings, all(steady), speeds)):
+        name = recordings[i].name
+        found.append(Choice((name, "use"), use, why))
+        if method == "forward" and bench.drive == "two_mass":
+            asked, told = asked_speed(recordings[i], bench)
+            if asked is not None:
+                found.append(Choice((name, "reference_speed_rpm"), asked, told))
+    return found
+
+
+def completed(config: DiagnoseConfig, guess: Sequence[Choice]) -> DiagnoseConfig:
+    """A configuration with what was guessed, but for what it gives itself."""
+    sections = {name: getattr(config, name) for name in ("comparison", "unknowns")}
+    entries = {entry.name: entry for entry in config.recordings}
+    for choice in guess:
+        owner, key = choice.place
+        group = sections if owner in sections else entries
+        group[owner] = group[owner].model_copy(update={key: choice.value})
+    return config.model_copy(update={**sections, "recordings": tuple(entries.values())})
+
+
+def toml(value: object) -> str:
+    """A value as TOML has it."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(toml, value))}]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _with_speed(recording: Recording) -> Recording:
+    """The recording with the motor's speed, or that of its position.
+
+    Raises
+    ------
+    RecordingError
+        If there is neither speed nor position.
+    """
+    found = with_speed(recording)
+    if MOTOR_SPEED not in found.channels:
+        raise RecordingError(
+            "There is neither position nor speed of the motor, so nothing to compare a bench with.",
+            file=recording.place,
+            found=", ".join(recording.channels),
+            expected=f"{MOTOR_SPEED} or {MOTOR_POSITION}; `bayesbl init RECORDING` looks for them "
+            "under other names",
+        )
+    return found
+
+
+def _everywhere(recordings: Sequence[Recording], channels: Sequence[str]) -> list[str]:
+    """Channels that every recording holds; a flag or a dead channel is none."""
+    return [
+        channel
+        for channel in channels
+        if all(
+            channel in recording.channels and not is_constant(recording.channels[channel])
+            for recording in recordings
+        )
+    ]
+
+
+def _method(
+    bench: Bench, recordings: Sequence[Recording], steady: Sequence[bool]
+) -> tuple[Method, str]:
+    if bench.drive == "two_mass":
+        moving = [r for r, even in zip(recordings, steady, strict=True) if not even]
+        if moving:
+            raise RecordingError(
+                "This bench has a shaft with a gap, and is compared with recordings of one speed "
+                "each.",
+                file=moving[0].place,
+                found="a speed that varies",
+                expected="recordings of one speed each; or `bayesbl identify RECORDINGS --bench "
+                "FILE --effects catalogue`, which finds wrong values and what is missing from "
+                'motions; or drive = "rigid" in a copy of the bench, for motions slower than the '
+                "shaft",
+            )
+        return "forward", "the bench has a shaft with a gap, and each recording is of one speed"
+    if _everywhere(recordings, (MOTOR_TORQUE, MOTOR_CURRENT)):
+        return "inverse", "the bench is rigid, and torque or current is recorded with the motion"
+    if _everywhere(recordings, (LOAD_POSITION,)):
+        return "inverse", "the bench is rigid, and two encoders show the motor and the load"
+    if all(steady):
+        return "forward", (
+            "the bench is rigid, neither torque nor current is recorded, and each speed is "
+            "constant: the controller's gains say what torque the speed's ripple takes"
+        )
+    driven = [recording for recording in recordings if moves(recording)]
+    if driven:
+        raise RecordingError(
+            MOTION_ALONE,
+            file=driven[0].place,
+            found=", ".join(driven[0].channels),
+            expected="one of " + ", ".join(INVERSE),
+        )
+    return "free_motion", (
+        "the bench is rigid, and nothing drives the motor that is recorded: taken for let go with "
+        "the motor off"
+    )
+
+
+def _channels(
+    bench: Bench, method: Method, recordings: Sequence[Recording]
+) -> tuple[tuple[str, ...], str]:
+    if method == "forward" and bench.drive == "two_mass":
+        found = _everywhere(recordings, CLOSED_LOOP)
+        why = "all that the simulation gives and every recording holds"
+        return tuple(found or CLOSED_LOOP[:1]), why
+    if method == "forward":
+        return (MOTOR_SPEED,), "there is neither torque nor current"
+    possible = INVERSE if method == "inverse" else FREE_MOTION
+    found = _everywhere(recordings, possible)[:1]
+    why = "the first of " + ", ".join(possible) + " that every recording holds"
+    return tuple(found or possible[:1]), why
+
+
+def _unknowns(bench: Bench, method: Method, channels: Sequence[str]) -> Iterator[Choice]:
+    toleranced = tuple(bench.tolerances)
+    if bench.drive == "two_mass" and method == "forward":
+        why = "half the play that joints have; wider for a worn one"
+        yield Choice(("unknowns", "gap_rad"), DEFAULT_GAP_RAD, why)
+    elif method == "forward":
+        toleranced = tuple(name for name in toleranced if name in LOOP_PARAMETERS)
+    else:
+        # Only the sum of the inertias shows: the one that is known worse at the motor is free.
+        ratio = bench.value("gear_ratio")
+        at_motor = dict(zip(INERTIAS, (1.0, ratio**-2), strict=True))
+        free = [name for name in INERTIAS if name in toleranced and LOAD_POSITION not in channels]
+        free.sort(key=lambda name: -bench.tolerances[name] * at_motor[name])
+        toleranced = tuple(free[:1])
+    if toleranced:
+        why = "known within a tolerance only"
+        yield Choice(("unknowns", "bench_parameters"), toleranced, why)
+
+
+def _uses(
+    bench: Bench,
+    method: Method,
+    recordings: Sequence[Recording],
+    steady: bool,
+    speeds: Sequence[float],
+) -> list[tuple[str, str]]:
+    """What each recording is for, with the reason."""
+    count = len(recordings)
+    halves = ("split", "its first half is fitted on, and its second predicted")
+    if not steady:
+        if count == 1:
+            return [halves]
+        last = ("hold_out", "predicted, by what the other motions show")
+        return [("fit", FITTED)] * (count - 1) + [last]
+    held = _spare(speeds)
+    why = "predicted, by what the others show of both directions and other speeds"
+    if held is None and method == "forward" and bench.drive == "two_mass":
+        short = [
+            abs(speed) / 60.0 / bench.value("gear_ratio") * r.samples * r.sampling_period_s
+            < SPLIT_ROTATIONS - 2.0 * ROUNDING
+            for r, speed in zip(recordings, speeds, strict=True)
+        ]
+        if all(short) and count > 1:
+            held, why = count - 1, "predicted: all are too short to be split"
+        elif count > 1:
+            whole = ("fit", f"{FITTED}: too short to be split")
+            return [whole if less else halves for less in short]
+    if held is None:
+        return [halves] * count
+    return [("hold_out", why) if i == held else ("fit", FITTED) for i in range(count)]
+
+
+def _spare(speeds: Sequence[float]) -> int | None:
+    """The recording without which the others still tell friction's laws apart; rather one between.
+
+    The others must hold every direction and enough speeds, or all speeds that there are.
+    """
+    # A number for each recording, the same for those of one speed and direction.
+    settings = [
+        next(i for i, other in enumerate(speeds) if abs(speed - other) <= SAME_SPEED * abs(other))
+        for speed in speeds
+    ]
+    possible = []
+    for i, speed in enumerate(speeds):
+        others = [other for k, other in enumerate(speeds) if k != i]
+        left = {setting for k, setting in enumerate(settings) if k != i}
+        same = any(math.copysign(1.0, other) == math.copysign(1.0, speed) for other in others)
+        if same and len(left) >= FEWEST_SETTINGS:
+            possible.append(i)
+    sizes = np.abs(speeds)
+    middle = float(np.median(sizes))
+
+    def preference(i: int) -> tuple[bool, float, int]:
+        ends = np.array([sizes.min(), sizes.max()])
+        at_end = bool(np.any(np.abs(sizes[i] / ends - 1.0) <= SAME_SPEED))
+        return at_end, abs(float(sizes[i]) - middle), -i
+
+    return min(possible, key=preference, default=None)
+
+
+def diagnosis_of(
+    recordings: Sequence[str | Path], config: str | Path | None = None, **options: object
+) -> tuple[DiagnoseConfig, list[Choice]]:
+    """The configuration that recordings and options make, and what of it was guessed.
+
+    Parameters
+    ----------
+    config
+        A configuration to start from: of a diagnosis, or of a measurement with its columns.
+    options
+        As :func:`bayesbl.config.loading.config_from_options` takes them, ``bench`` among them.
+
+    Raises
+    ------
+    UserError
+        If anything given cannot be used, or no method suits recordings and bench.
+    """
+    made = cast(DiagnoseConfig, config_from_options("diagnose", recordings, config, (), **options))
+    read = [
+        read_recording(entry.file, name=entry.name, columns=made.column_specs)
+        for entry in made.recordings
+    ]
+    guess = guess_diagnosis(bench_from(made.bench), read, made)
+    return completed(made, guess), guess

@@ -19,11 +19,11 @@ from bayesbl.arguments import Tree, checked
 from bayesbl.config.files import require_text_names
 from bayesbl.config.loading import config_from_options, files_of, load_config
 from bayesbl.config.sections import RunConfig
-from bayesbl.errors import ConfigError, ResultError
+from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.recording.input_bytes import read_input
-from bayesbl.results.folder import CONFIG_FILE, require_apart
+from bayesbl.results.folder import AUGMENTED_BENCH, CONFIG_FILE, IDENTIFIED_BENCH, require_apart
 from bayesbl.results.work import NOTHING_KEPT
-from bayesbl.runs.workflow import Options, Plan, require_output, run_into_folder
+from bayesbl.runs.workflow import Options, Plan, require_output, work_of, write_result
 from bayesbl.sentences import with_sentences
 
 if TYPE_CHECKING:
@@ -112,6 +112,8 @@ def kind_of(path: str | Path) -> str:
 def run(config: RunConfig, options: Options, file: Path | None = None) -> Summary:
     """Run a configuration and write its output folder; the summary that was stored.
 
+    What an unfinished run has of the same problem is not made again.
+
     Parameters
     ----------
     file
@@ -131,9 +133,25 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
         options.say(sentence)
     options = replace(options, recordings=plan.recordings)
     if hasattr(workflow, "run"):
-        summary: Summary = workflow.run(config, options)
-        return summary
-    return run_into_folder(config, options, workflow.make, summarise)
+        written: Summary = workflow.run(config, options)
+        return written
+    with work_of(config, options) as work:
+        if work.holds_work:
+            options.say("What an unfinished run has of the same problem is not done again.")
+        try:
+            tree = workflow.make(config, options, work)
+        except ResultError:
+            raise  # a full disk may have room the next time
+        except UserError:
+            work.clear()  # it would end the same way again
+            raise
+        texts = {
+            AUGMENTED_BENCH: tree.attrs.get("augmented_bench", ""),
+            IDENTIFIED_BENCH: tree.attrs.get("identified_bench", ""),
+        }
+        summary = summarise(tree)
+        write_result(tree, summary, config, options, texts, work)
+    return summary
 
 
 def result_of_run(config: RunConfig, progress: StageProgress | None = None) -> xr.DataTree:

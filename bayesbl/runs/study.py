@@ -165,8 +165,8 @@ class Study:
     def definition(self, table: Table, seed: int) -> str:
         """SHA-256 of what decides a row's cases: its table, the code that runs them, the seed.
 
-        Files that a row names count with their content, wherever they are; comments, docstrings
-        and what is done with finished cases do not count.
+        Files that a row names count with their content, wherever they are; comments and what is
+        done with finished cases do not count.
         """
         said = {key: _content(value) for key, value in table.items()}
         parts = [said, self._code_of_cases, seed]
@@ -176,11 +176,6 @@ class Study:
     def _code_of_cases(self) -> str:
         tree = ast.parse(self.path.read_text(encoding="utf-8"))
         tree.body = [node for node in tree.body if not _names(node) & AFTER_THE_CASES]
-        for node in ast.walk(tree):
-            body = getattr(node, "body", None)
-            if isinstance(body, list):
-                # Strings on their own are docstrings; a body needs something in their place.
-                node.body = [item for item in body if not _is_text(item)] or [ast.Pass()]  # type: ignore[attr-defined]
         return ast.unparse(tree)
 
 
@@ -260,14 +255,6 @@ def _names(node: ast.stmt) -> set[str]:
         case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
             return {name}
     return set()
-
-
-def _is_text(node: ast.stmt) -> bool:
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
 
 
 def _line_of(error: BaseException, path: Path) -> str | None:

@@ -8,17 +8,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.results.atomic import unwritable
 from bayesbl.results.folder import (
-    AUGMENTED_BENCH,
     CONFIG_FILE,
     FIGURES,
-    IDENTIFIED_BENCH,
     SUMMARY_FILE,
     is_finished,
     new_result,
@@ -39,9 +37,6 @@ Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]
 
 Passed in, as figures are made from results.
 """
-
-S = TypeVar("S", bound=Mapping[str, Any])
-"""A summary."""
 
 LONGEST_S = 7 * 24 * 3600.0
 """Of a run."""
@@ -95,44 +90,6 @@ class Plan:
         else:
             if line is not None:
                 self.lines.append((label, line))
-
-
-def run_into_folder(
-    config: RunConfig,
-    options: Options,
-    make: Callable[[RunConfig, Options, WorkStore], xr.DataTree],
-    summarise: Callable[[xr.DataTree], S],
-) -> S:
-    """Make a result, with what an unfinished run has of the same problem, and write it.
-
-    Parameters
-    ----------
-    make
-        As of :class:`bayesbl.runs.kinds.Kind`.
-    summarise
-        From the result to its ``summary.json``.
-
-    Raises
-    ------
-    UserError
-        If the folder may not be written, or anything in the configuration cannot be used.
-    """
-    with work_of(config, options) as work:
-        if work.holds_work:
-            options.say("What an unfinished run has of the same problem is not done again.")
-        try:
-            tree = make(config, options, work)
-        except ResultError:
-            raise  # a full disk may have room the next time
-        except UserError:
-            work.clear()  # it would end the same way again
-            raise
-        texts = {AUGMENTED_BENCH: tree.attrs.get("augmented_bench", "")}
-        if "identified_bench" in tree.attrs:
-            texts[IDENTIFIED_BENCH] = tree.attrs["identified_bench"]
-        summary = summarise(tree)
-        write_result(tree, summary, config, options, texts, work)
-    return summary
 
 
 @contextmanager

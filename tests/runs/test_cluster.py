@@ -22,7 +22,7 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import ClusterError
 from bayesbl.results.store import read_tree
 from bayesbl.runs import cluster as clusters
-from bayesbl.runs.cluster import Common
+from bayesbl.runs.cluster import differences, facts
 from bayesbl.runs.simulate import recording_csv
 from bayesbl.runs.study import Job, files_of_study, prepare
 from bayesbl.runs.study import run as run_study
@@ -267,37 +267,36 @@ def test_a_worker_that_joins_later_is_asked_too(folder, monkeypatch):
             said.append(text)
             cluster.scale(1)
 
-        with pytest.raises(ClusterError, match=r"tcp://.*set OMP_NUM_THREADS=1"):
+        with pytest.raises(ClusterError, match=r"tcp://.*OMP_NUM_THREADS 2 in place of 1"):
             run_study(config, Options(say=say))
     assert said == [f"{config.run.scheduler} has no workers yet; 12 cases wait for them."]
 
 
-def common(folder: Path) -> Common:
+def files_of(folder: Path) -> list[str]:
     study, rows = prepare(load_config(configure(folder, "out", "workers = 1")))
-    return Common.of(files_of_study(study, [Job(row.table, 0, 1) for row in rows]))
+    return files_of_study(study, [Job(row.table, 0, 1) for row in rows])
 
 
-def test_a_worker_tells_what_it_has_otherwise(folder, monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    wanted = common(folder)
-    assert wanted.differences() == []
+def test_a_worker_tells_what_it_has_otherwise(folder):
+    files = files_of(folder)
+    wanted = facts(files)
+    assert differences(wanted, files) == []
     (folder / "note.txt").write_text("Another file at the same path.")
     (folder / "study.py").unlink()
-    gone, other = wanted.differences()
-    assert str(folder / "study.py") in gone
-    assert "No such file" in gone
-    assert f"{folder / 'note.txt'} holds something else" in other
+    gone, other = differences(wanted, files)
+    assert f"{folder / 'study.py'} cannot be read (No such file" in gone
+    assert other.startswith(f"{folder / 'note.txt'} with SHA-256 ")
 
 
-def test_linear_algebra_on_many_threads_is_told(folder, monkeypatch):
+def test_linear_algebra_on_many_threads_is_told(monkeypatch):
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
-    [told] = common(folder).differences()
-    assert "OMP_NUM_THREADS=1" in told
+    assert ("OMP_NUM_THREADS", "not set") in facts(())
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert common(folder).differences() == []
+    wanted = facts(())
+    assert ("MKL_NUM_THREADS", "1") in wanted
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
-    assert len(common(folder).differences()) == 1
+    assert differences(wanted, ()) == ["OPENBLAS_NUM_THREADS 2 in place of 1"]
 
 
 def test_a_scheduler_that_does_not_answer_is_told(folder, monkeypatch, capsys):

@@ -22,7 +22,7 @@ from bayesbl.recording.types import (
     REFERENCE_SPEED,
     Recording,
 )
-from bayesbl.runs.first_diagnosis import diagnosis_of, guess_diagnosis
+from bayesbl.runs.diagnose import diagnosis_of, guess_diagnosis
 
 RIGID = """
 schema = 1
