@@ -639,16 +639,11 @@ def inspect_command(result: ResultPath, **given: Any) -> None:
         print_summary(tree, make_console())
 
 
-def cite_command(
-    bibtex: Annotated[bool, typer.Option("--bibtex", help="Print BibTeX, nothing else.")] = False,
-) -> None:
-    """Print what to cite, as text and as BibTeX."""
-    from bayesbl.presentation.citations import all_bibtex, cited
+def cite_command() -> None:
+    """Print what to cite, as BibTeX, with what each work did."""
+    from bayesbl.presentation.citations import all_bibtex
     from bayesbl.presentation.terminal import say
 
-    if not bibtex:
-        for line in cited():
-            say(f"{line}\n")
     say(all_bibtex())
 
 

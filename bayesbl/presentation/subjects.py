@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import answer, diagnosis, estimates, fleet, identification
 from bayesbl.presentation.answer import GAP_EXPLAINED
@@ -20,7 +20,6 @@ from bayesbl.units import number
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayesbl.measurement.summary_types import MeasuredSummary
     from bayesbl.runs.kinds import Summary
     from bayesbl.runs.plan import PlannedEntry, PlanSummary
     from bayesbl.runs.study import StudySummary
@@ -242,13 +241,9 @@ def study_advice(summary: StudySummary) -> Advice:
     return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))
 
 
-S = TypeVar("S", contravariant=True)
-"""The summary of one kind of result."""
-
-
 @dataclass(frozen=True, slots=True)
-class Subject(Generic[S]):
-    """How one kind of result is presented.
+class Subject:
+    """How one kind of result is presented, each from its summary.
 
     Attributes
     ----------
@@ -261,15 +256,15 @@ class Subject(Generic[S]):
     """
 
     title: str
-    headline: Callable[[S], str]
-    blocks: Callable[[S], Iterator[Block]]
-    advice: Callable[[S], Advice]
-    assumptions: Callable[[S], Iterable[str]]
-    details: Callable[[xr.DataTree, S], Iterator[Block]] = lambda tree, summary: iter(())
+    headline: Callable[[Any], str]
+    blocks: Callable[[Any], Iterator[Block]]
+    advice: Callable[[Any], Advice]
+    assumptions: Callable[[Any], Iterable[str]]
+    details: Callable[[xr.DataTree, Any], Iterator[Block]] = lambda tree, summary: iter(())
     warning_label: str = "Warning"
 
 
-def _measured(title: str) -> Subject[MeasuredSummary]:
+def _measured(title: str) -> Subject:
     return Subject(
         title,
         lambda summary: next(answer.lead(summary)),
@@ -280,7 +275,7 @@ def _measured(title: str) -> Subject[MeasuredSummary]:
     )
 
 
-SUBJECTS: Mapping[str, Subject[Any]] = MappingProxyType(
+SUBJECTS: Mapping[str, Subject] = MappingProxyType(
     {
         "diagnose": Subject(
             "What a bench lacks",

@@ -215,17 +215,10 @@ def _require_whole(file: Path) -> None:
 
 
 def _require_this_version(tree: xr.DataTree, file: Path) -> None:
-    version = tree.attrs[RESULT_MARK]
-    if version > FORMAT_VERSION:
+    if tree.attrs[RESULT_MARK] != FORMAT_VERSION:
         raise ResultError(
-            "This result was written by a later version of bayesbl.",
-            file=file,
-            found=f"{RESULT_MARK} {version}",
-            expected=f"at most {FORMAT_VERSION}",
-        )
-    if version < FORMAT_VERSION:
-        raise ResultError(
-            "This result was written by an earlier version of bayesbl, in another layout.",
+            "This result was written by an earlier or a later version of bayesbl, in another "
+            "layout.",
             file=file,
             found=f"version {tree.attrs.get('bayesbl_version', 'unknown')}",
             expected=f"one of this version; `bayesbl run "

@@ -8,8 +8,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
@@ -52,6 +50,8 @@ def _signal(snapshot: Snapshot) -> _Signal:
 def signal(tree: xr.DataTree) -> Figure:
     """One block per snapshot: the whole recording, a positive and a negative pulse."""
     parts = snapshots(tree, "predictive/model_rpm")
+    band = interval_name(tree).replace("interval", "predictive band")
+    band = band.replace("HDI", "predictive band")
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.65 + _BLOCK_IN * len(parts))
     spec = style.grid(figure, len(parts), 1, top=0.45, between=(0.55, 0.0))
     heads: list[Axes] = []
@@ -71,10 +71,12 @@ def signal(tree: xr.DataTree) -> Figure:
             begin, end = start - 0.4 * (stop - start), stop + 0.4 * (stop - start)
             top, bottom = panels[:, column]
             inside = (data.time >= begin) & (data.time <= end)
-            _draw_part(top, bottom, _Signal(*(part[inside] for part in data)))
-            for edge in edges:
+            _draw_part(top, bottom, _Signal(*(part[inside] for part in data)), band)
+            for edge, label in zip(edges, ("window of the fit", None), strict=True):
                 for axes in (top, bottom):
-                    axes.axvline(edge, color=style.NEUTRAL, linewidth=0.6, linestyle=":")
+                    axes.axvline(
+                        edge, color=style.NEUTRAL, linewidth=0.6, linestyle=":", label=label
+                    )
             for axes in (upper, lower):
                 style.shade(axes, begin, end)
             heads.append(top)
@@ -84,7 +86,7 @@ def signal(tree: xr.DataTree) -> Figure:
         for axes in (upper, lower):
             axes.yaxis.set_label_coords(-0.125, 0.5)
     style.head_panels(heads, titles)
-    _legend(figure, interval_name(tree))
+    style.legend_over(figure, heads[1])
     return figure
 
 
@@ -106,27 +108,27 @@ def _draw_whole(upper: Axes, lower: Axes, data: _Signal) -> None:
     """Outlines of the dense traces: every extreme is on the page, not every sample."""
     time, _, band_high = style.envelope(data.time, data.high, _BINS)
     _, band_low, _ = style.envelope(data.time, data.low, _BINS)
-    upper.fill_between(time, band_low, band_high, color=style.BAND, linewidth=0.0, label="band")
-    _outline(upper, data.time, data.speed, style.MEASURED, "measured")
-    _outline(upper, data.time, data.model, style.MODEL, "model")
-    _outline(lower, data.time, data.residual, style.MEASURED, "residual")
+    upper.fill_between(time, band_low, band_high, color=style.BAND, linewidth=0.0)
+    _outline(upper, data.time, data.speed, style.MEASURED)
+    _outline(upper, data.time, data.model, style.MODEL)
+    _outline(lower, data.time, data.residual, style.MEASURED)
     lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
     lower.set_xlim(data.time[0], data.time[-1])
     lower.set_xlabel("Time (s)")
 
 
-def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str, label: str) -> None:
+def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str) -> None:
     middle, low, high = style.envelope(time, values, _BINS)
-    axes.fill_between(middle, low, high, color=colour, linewidth=0.5, label=label)
+    axes.fill_between(middle, low, high, color=colour, linewidth=0.5)
 
 
-def _draw_part(top: Axes, bottom: Axes, data: _Signal) -> None:
+def _draw_part(top: Axes, bottom: Axes, data: _Signal, band: str) -> None:
     """Every sample of a short stretch."""
-    top.fill_between(data.time, data.low, data.high, color=style.BAND, linewidth=0.0, label="band")
+    top.fill_between(data.time, data.low, data.high, color=style.BAND, linewidth=0.0, label=band)
     top.plot(data.time, data.speed, color=style.MEASURED, linewidth=0.7, label="measured")
     top.plot(data.time, data.model, color=style.MODEL, linewidth=1.1, label="model")
     low, high = data.low - data.model, data.high - data.model
-    bottom.fill_between(data.time, low, high, color=style.BAND, linewidth=0.0, label="band")
+    bottom.fill_between(data.time, low, high, color=style.BAND, linewidth=0.0)
     bottom.plot(data.time, data.residual, color=style.MEASURED, linewidth=0.7, label="residual")
     bottom.axhline(0.0, color=style.MODEL, linewidth=0.8)
     bottom.set_xlim(data.time[0], data.time[-1])
@@ -134,24 +136,6 @@ def _draw_part(top: Axes, bottom: Axes, data: _Signal) -> None:
     bottom.locator_params(axis="x", nbins=3)
 
 
-def _legend(figure: Figure, interval: str) -> None:
-    band = interval.replace("interval", "predictive band").replace("HDI", "predictive band")
-    figure.legend(
-        handles=[
-            Line2D([], [], color=style.MEASURED, label="measured"),
-            Line2D([], [], color=style.MODEL, label="model at the optimum"),
-            Patch(color=style.BAND, label=band),
-            Line2D([], [], color=style.NEUTRAL, linestyle=":", label="window of the fit"),
-        ],
-        loc="upper center",
-        ncols=4,
-    )
-
-
-_LOOKS = {
-    "measured": {"color": style.MEASURED},
-    "simulated at the optimum": {"color": style.MODEL},
-}
 _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
 
 
@@ -181,7 +165,7 @@ def overlay(tree: xr.DataTree) -> Figure:
             moves = "flank_changes" in snapshot.groups["predictive"]
             titles.append(f"{snapshot.name}: one {'cycle' if moves else 'load rotation'}")
     style.head_panels(heads, titles)
-    style.legend_of(figure, _LOOKS)
+    style.legend_over(figure, heads[0])
     return figure
 
 
@@ -196,9 +180,10 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
     begin = time[0] + 0.5 * max(0.0, time[-1] - time[0] - period)
     inside = (time >= begin) & (time <= begin + period)
     measured = snapshot.channel(channel)[inside]
-    upper.plot(time[inside], measured, color=style.MEASURED, linewidth=0.6)
+    upper.plot(time[inside], measured, color=style.MEASURED, linewidth=0.6, label="measured")
     simulated = snapshot.values("predictive", f"simulated_{channel}")[inside]
-    upper.plot(time[inside], simulated, color=style.MODEL, linewidth=0.9)
+    label = "simulated at the optimum"
+    upper.plot(time[inside], simulated, color=style.MODEL, linewidth=0.9, label=label)
     residual = snapshot.values("predictive", f"residual_{channel}")[inside]
     lower.plot(time[inside], residual, color=style.MEASURED, linewidth=0.6)
     lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)

@@ -18,7 +18,7 @@ from markupsafe import Markup
 
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block
-from bayesbl.presentation.citations import all_bibtex, citations
+from bayesbl.presentation.citations import all_bibtex
 from bayesbl.presentation.figures.stored_figure import drawn
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.results.folder import FIGURES
@@ -102,7 +102,6 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "origin": [(label, tree.attrs[key]) for key, label in _ORIGIN.items() if key in tree.attrs],
         "inputs": json.loads(tree.attrs.get("input_sha256", "{}")),
         "versions": json.loads(tree.attrs.get("dependency_versions", "{}")),
-        "citations": citations(),
         "bibtex": all_bibtex(),
     }
 
