@@ -22,6 +22,16 @@ _SHOWN = 10
 
 _MEASURED = ("converged", "usable")
 
+OUTCOMES = {
+    "converged": "measured",
+    "usable": "measured, with notes",
+    "withheld": "withheld",
+    "no_curve": "without a bench or a curve",
+    "refused": "refused",
+    "failed": "failed by a bug",
+}
+"""Of recordings, in words."""
+
 
 def headline(summary: Row) -> str:
     """How many joints and recordings, and how many joints are over their limit."""
@@ -94,7 +104,7 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
     counted = summary["recordings"]
     left = {k: n for k, n in counted.items() if k not in _MEASURED}
     if left:
-        told = ", ".join(f"{n} {_LEFT[outcome]}" for outcome, n in left.items())
+        told = ", ".join(f"{n} {OUTCOMES[outcome]}" for outcome, n in left.items())
         yield Sentence(f"{told}: see reason in recordings.parquet.", "warning", "Left out")
     if summary["alarms"]:
         names = ", ".join(summary["alarms"][:_SHOWN])
@@ -105,14 +115,6 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
             "warning",
             "Called over their limit",
         )
-
-
-_LEFT = {
-    "withheld": "withheld",
-    "no_curve": "without a bench or a curve",
-    "refused": "refused",
-    "failed": "failed by a bug",
-}
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import json
-import math
 import os
 import shlex
 from collections.abc import Iterable, Mapping
@@ -20,6 +18,7 @@ from typing import Any, BinaryIO, TypedDict
 
 import numpy as np
 import xarray as xr
+from pydantic_core import to_json
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError
@@ -140,7 +139,7 @@ def write_json(content: Mapping[str, Any], path: str | Path) -> None:
 
 def json_text(content: Mapping[str, Any]) -> str:
     """Plain JSON; numpy values become plain ones, and what is not finite becomes null."""
-    return json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return to_json(content, indent=2, inf_nan_mode="null", fallback=_plain).decode() + "\n"
 
 
 def texts(attribute: str | Iterable[object] | None) -> list[str]:
@@ -226,20 +225,13 @@ def _require_this_version(tree: xr.DataTree, file: Path) -> None:
         )
 
 
-def _plain(value: Any) -> Any:
-    match value:
-        case Mapping():
-            return {str(key): _plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_plain(item) for item in value]
-        case np.ndarray() | np.generic():
-            return _plain(value.tolist())
-        case float():
-            return value if math.isfinite(value) else None
-        case Path():
-            return str(value)
-        case _:
-            return value
+def _plain(value: object) -> Any:
+    """What pydantic asks for of a value that it does not know."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is not for JSON")
 
 
 class Origin(TypedDict):

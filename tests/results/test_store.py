@@ -401,7 +401,7 @@ def test_a_result_that_was_read_can_be_written_again(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
     path = tmp_path / "summary.json"
     write_json({"a": 1}, path)
-    with pytest.raises(TypeError):
+    with pytest.raises(ValueError, match="object is not for JSON"):
         write_json({"a": object()}, path)
     with pytest.raises(UnicodeEncodeError):
         write_text("\ud800", path)

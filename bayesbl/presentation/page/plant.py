@@ -18,6 +18,7 @@ from urllib.parse import quote
 
 from bayesbl.presentation import words
 from bayesbl.presentation.fleet import (
+    OUTCOMES,
     Cell,
     Row,
     headline,
@@ -94,16 +95,6 @@ def picture(rows: Sequence[Row], limit_rad: float | None, *, axes: bool = False)
     )
     box = f'viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{said}"'
     return Markup(f"<svg {kind} {box}>{drawn}</svg>")
-
-
-_OUTCOMES = {
-    "converged": "measured",
-    "usable": "measured, with notes",
-    "withheld": "withheld",
-    "no_curve": "no curve",
-    "refused": "refused",
-    "failed": "failed: a bug",
-}
 
 
 def write_pages(folder: Path) -> list[Path]:
@@ -184,7 +175,7 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
                 "date": one["date"],
                 "file": one["file"],
                 "gap": in_mrad(one, "delta_rad", summary),
-                "outcome": _OUTCOMES.get(str(one["outcome"]), str(one["outcome"])),
+                "outcome": OUTCOMES[str(one["outcome"])],
                 "told": one["reason"] or one["notes"] or "",
                 "used": one["used"],
             }
