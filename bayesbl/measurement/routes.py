@@ -7,7 +7,7 @@ which gives its :class:`bayesbl.measurement.measurement.Measurer`; and its row i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 
@@ -21,6 +21,7 @@ from bayesbl.measurement.shared_groups import CHANGE, GAP
 from bayesbl.measurement.stored import measurement_tree, routes_of
 from bayesbl.measurement.wear import WEAR
 from bayesbl.progress import StageProgress
+from bayesbl.recording.types import Recording
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.optimum import EarlierOptimum
@@ -82,6 +83,7 @@ def measure(
     swept: WorkStore = NOTHING_KEPT,
     seeds: Seeds | None = None,
     earlier: Mapping[str, EarlierOptimum] | None = None,
+    recordings: Sequence[Recording] = (),
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
@@ -91,6 +93,8 @@ def measure(
         As of :class:`bayesbl.measurement.measurement.Task`.
     seeds
         Those of the configuration by default.
+    recordings
+        Those of the configuration as this route reads them; read here by default.
 
     Returns
     -------
@@ -105,7 +109,7 @@ def measure(
     """
     measurer = measurer_of(config)
     require_plausible_limit(limit_rad_of(config), measurer.gap_range_rad)
-    recordings = tuple(map(measurer.read, config.recordings))
+    recordings = tuple(recordings or map(measurer.read, config.recordings))
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -130,6 +131,7 @@ def run(config: RunConfig, options: Options, file: Path | None = None) -> Summar
         raise plan.problems[0]
     for sentence in plan.withheld:
         options.say(sentence)
+    options = replace(options, recordings=plan.recordings)
     if hasattr(workflow, "run"):
         written: Summary = workflow.run(config, options)
         return written

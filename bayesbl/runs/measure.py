@@ -11,7 +11,6 @@ from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_li
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.routes import declared_groups, measure, measurer_of
 from bayesbl.measurement.stored import summary_of as summarise
-from bayesbl.recording.types import Recording
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
 from bayesbl.sentences import sentence
@@ -31,13 +30,14 @@ def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTr
         options.say(
             f"{config.run.output.parent / STORE} may be of somebody else: no curves are kept."
         )
-    return measure(config, options.progress, work, options.say, swept)
+    return measure(
+        config, options.progress, work, options.say, swept, recordings=options.recordings
+    )
 
 
 def describe(config: SnapshotConfig, plan: Plan) -> None:
     """What would be measured, and by what."""
     measurer = measurer_of(config)
-    recordings: list[Recording] = []
     interval = f"{100.0 * config.interval.level:g} %, {config.interval.kind}"
     plan.add("interval", lambda: interval)
     for label, text in measurer.describe():
@@ -47,7 +47,7 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         recording = measurer.read(entry)
         measurer.require_usable(recording)
         rate = 1.0 / recording.sampling_period_s
-        recordings.append(recording)
+        plan.recordings.append(recording)
         plan.warnings += [f"{entry.name}: {note}" for note in recording.notes]
         doubts = (reason.stored for reason in measurer.doubts(recording))
         plan.withheld += [f"{entry.name}: {sentence(why)}" for why in doubts]
@@ -57,8 +57,8 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
 
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
-    plan.warnings += [*plan.withheld, *same_files(recordings), *measurer.notes()]
-    plan.add("speed", partial(measurer.require_together, recordings))
+    plan.warnings += [*plan.withheld, *same_files(plan.recordings), *measurer.notes()]
+    plan.add("speed", partial(measurer.require_together, plan.recordings))
     if config.joint.limit_rad is not None or config.joint.limit is not None:
         plan.add("limit", partial(_limit, config, measurer.gap_range_rad))
 

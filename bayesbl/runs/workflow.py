@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from bayesbl.config.sections import RunConfig
     from bayesbl.progress import StageProgress
+    from bayesbl.recording.types import Recording
 
 Draw = Callable[["xr.DataTree", Path, Sequence[str]], object]
 """Draws the figures of a result into a folder in the formats given, png and pdf.
@@ -51,6 +52,8 @@ class Options:
         Replace a finished result; start over where a run was left unfinished.
     say
         Called with sentences for the user.
+    recordings
+        Of a fit or a comparison, as they were read to be described.
     """
 
     draw: Draw = lambda tree, folder, formats: None
@@ -58,6 +61,7 @@ class Options:
     progress: StageProgress | None = None
     say: Callable[[str], None] = print
     formats: Sequence[str] = ("png",)
+    recordings: Sequence[Recording] = ()
 
 
 @dataclass(slots=True)
@@ -65,7 +69,7 @@ class Plan:
     """What a configuration would do, in pairs of label and text, and what speaks against it.
 
     ``withheld``: why an answer would be withheld, where that is known beforehand. ``file`` is named
-    by problems that name no other.
+    by problems that name no other. ``recordings``: what was read, so that a run need not.
     """
 
     file: str | Path | None = None
@@ -73,6 +77,7 @@ class Plan:
     warnings: list[str] = field(default_factory=list)
     withheld: list[str] = field(default_factory=list)
     problems: list[UserError] = field(default_factory=list)
+    recordings: list[Recording] = field(default_factory=list)
 
     def add(self, label: str, text: Callable[[], str | None]) -> None:
         """A line, or the problem that making it met; no line for ``None``."""
