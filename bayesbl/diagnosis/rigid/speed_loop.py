@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
-from scipy.special import logsumexp
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER
@@ -56,14 +55,12 @@ from bayesbl.diagnosis.task import (
     wanted,
 )
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT
 from bayesbl.model_search.linear import (
     DiscrepancyGroup,
     Linearised,
     MisfitBand,
     Priors,
     Term,
-    confounded,
     search,
 )
 from bayesbl.progress import StageProgress
@@ -271,6 +268,9 @@ ANGLE_ERROR, BETWEEN, TIME = "error of the angle", "angle between both", "line i
 TORQUE, ANGLE, BOTH = range(3)
 """Columns of :func:`law_powers`."""
 
+LOWEST_SIZE = np.array([0.0, 0.0, -np.inf])
+"""Of each."""
+
 GAINS = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad")
 SCALES = ("motor_inertia_kg_m2", *GAINS)
 """Of the loop, that may be wrong: their ratios show."""
@@ -290,9 +290,6 @@ LINE_LAW = 0.5
 
 LAW_SHARE = 0.1
 """Usual share of its own power that a line is off its law by: no loop is quite as its equation."""
-
-MOST_LAWS, MOST_LOOPS = 3, 4
-"""Sets of laws that are fitted in full, and of loops beside each, besides one change alone."""
 
 MOST_BESIDE = 3
 """Changes of the loop beside the laws of the lines."""
@@ -379,20 +376,18 @@ class LoopFit:
         Those of them that are hypotheses.
     sizes
         Coefficients of :func:`law_powers`, (m, 3); 0 where the law lacks a part.
-    deviations
-        Standard deviations, of changes by name and of sizes by place and part.
-    log_evidence
-        Of the loop (Laplace), but for what is the same for all loops with lines of these laws.
+    changes_sd, sizes_sd
+        Standard deviations.
     """
 
     lines: Lines
     believed: Values
     priors: Mapping[str, float]
     changes: Mapping[str, float]
-    beside: frozenset[str]
     sizes: FloatArray
-    deviations: Mapping[object, float] = field(default_factory=dict)
-    log_evidence: float = 0.0
+    beside: frozenset[str] = frozenset()
+    changes_sd: Mapping[str, float] = field(default_factory=dict)
+    sizes_sd: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def values(self) -> dict[str, float]:
@@ -405,9 +400,17 @@ class LoopFit:
         return {n: 0.0 if n in self.beside else change for n, change in self.changes.items()}
 
     @property
-    def parts(self) -> list[list[int]]:
-        """Of every order's law."""
-        return [np.flatnonzero(row).tolist() for row in self.sizes]
+    def parts(self) -> BoolArray:
+        """Which each order's law has, (m, 3)."""
+        return np.asarray(self.sizes != 0.0)
+
+    def usual(self, name: str) -> float:
+        """Size of a change of the loop that is a hypothesis."""
+        gain = self.believed[GAINS[0]]
+        if name == FRICTION:
+            return WRONG * gain
+        inertia = float(mechanics(self.believed, np.ones(1))[0].imag)
+        return LAG * inertia / gain if name in LOOP_EFFECTS else WRONG
 
     def changed(self, changes: Mapping[str, float]) -> dict[str, float]:
         """The loop with these changes."""
@@ -418,30 +421,34 @@ class LoopFit:
             for name, value in self.believed.items()
         }
 
-    def power(self, changes: Mapping[str, float], sizes: FloatArray | None = None) -> FloatArray:
-        """Of every line, rpm², (r, m); with sizes of its own, or others."""
-        laws = law_powers(self.changed(changes), self.lines.orders, self.lines.speeds)
-        return np.asarray(np.einsum("rmk,mk->rm", laws, self.sizes if sizes is None else sizes))
+    def laws(self, changes: Mapping[str, float]) -> FloatArray:
+        """:func:`law_powers` with these changes, (r, m, 3)."""
+        return law_powers(self.changed(changes), self.lines.orders, self.lines.speeds)
 
     @property
     def expected(self) -> FloatArray:
         """Power by the laws, as measured where there is none, (r, m)."""
-        power = np.where(self.sizes.any(axis=1), self.power(self.changes), self.lines.measured)
-        return np.asarray(np.maximum(power, 0.0))
+        power = np.einsum("rmk,mk->rm", self.laws(self.changes), self.sizes)
+        return np.maximum(np.where(self.parts.any(axis=1), power, self.lines.measured), 0.0)
 
-    def sizes_with(
-        self, changes: Mapping[str, float], parts: Sequence[Sequence[int]]
-    ) -> FloatArray:
+    def sizes_with(self, changes: Mapping[str, float], parts: BoolArray) -> FloatArray:
         """Sizes of these parts that fit best with the loop so changed, none below 0, (m, 3)."""
-        lines = self.lines
-        laws = law_powers(self.changed(changes), lines.orders, lines.speeds)
+        lines, laws = self.lines, self.laws(changes)
         weight, sizes = 1.0 / lines.sd(self.expected), np.zeros((len(lines.orders), 3))
         for k, chosen in enumerate(parts):
             shown = lines.shown[:, k]
             rows = (laws[shown, k].T * weight[shown, k]).T[:, chosen]
-            low = np.where(np.asarray(chosen) == BOTH, -np.inf, 0.0)
+            low = LOWEST_SIZE[chosen]
             sizes[k, chosen] = bounded_least_squares(rows, (lines.power * weight)[shown, k], low)
         return sizes
+
+    def best(self, changes: Mapping[str, float]) -> FloatArray:
+        """Powers with such a loop by the same laws, of the sizes that fit best then, (r, m).
+
+        What is the same at all speeds is a size, so that no change of the loop makes lines.
+        """
+        sizes = self.sizes_with(changes, self.parts)
+        return np.asarray(np.einsum("rmk,mk->rm", self.laws(changes), sizes))
 
     def predicted(self, place: int, speeds: FloatArray) -> FloatArray:
         """Size of a line at these speeds, rpm, shape (r,)."""
@@ -451,80 +458,72 @@ class LoopFit:
     def size(self, place: int, part: int) -> Estimate:
         """A torque in N m, or an angle in rad."""
         size = math.sqrt(max(float(self.sizes[place, part]), np.finfo(float).tiny))
-        return Estimate(size, 0.5 * self.deviations[place, part] / size)
+        return Estimate(size, 0.5 * float(self.sizes_sd[place, part]) / size)
 
     def logarithm(self, name: str) -> Estimate:
         """Of a parameter's value."""
-        return Estimate(math.log(self.values[name]), self.deviations[name], logarithmic=True)
+        return Estimate(math.log(self.values[name]), self.changes_sd[name], logarithmic=True)
 
-    def in_full(
-        self,
-        changes: Mapping[str, float],
-        usual: Mapping[str, float],
-        parts: Sequence[Sequence[int]],
-        share: float,
-    ) -> LoopFit:
-        """Changes and sizes, fitted from here.
+    def in_full(self, beside: Mapping[str, float], parts: BoolArray, share: float) -> LoopFit:
+        """Fitted from here with these changes that are hypotheses, from these sizes of them.
 
         Parameters
         ----------
-        usual
-            Standard deviation beforehand of changes that are hypotheses.
         parts
             Of every order's law.
         share
             Of its power that a line is off its law by.
         """
-        lines, names = self.lines, list(changes)
-        every = [(k, part) for k, chosen in enumerate(parts) for part in chosen]
-        places = tuple(np.array(every, dtype=int).reshape(-1, 2).T)
-        laws = law_powers(self.changed(changes), lines.orders, lines.speeds)
+        lines = self.lines
+        changes = {n: self.changes.get(n, 0.0) for n in self.priors} | dict(beside)
+        names = list(changes)
+        sds = np.array([self.usual(n) if n in beside else self.priors[n] for n in names])
+        laws = self.laws(changes)
         one = np.abs(lines.measured).max(axis=0)[:, None] / np.abs(laws).max(axis=0)
-        units = np.concatenate([np.ones(len(names)), one[places]])
-        for i, name in enumerate(names):
-            units[i] = abs(changes[name]) if name in LOOP_EFFECTS else 1.0
+        units = np.concatenate([sds, one[parts]])
         sd = np.hypot(lines.sd(self.expected), share * self.expected)
-        kept = lines.shown & np.array([bool(chosen) for chosen in parts])
-        beside, sds = frozenset(usual), np.array([{**self.priors, **usual}[n] for n in names])
+        kept = lines.shown & parts.any(axis=1)
 
         def unpacked(x: FloatArray) -> tuple[dict[str, float], FloatArray]:
-            own = np.zeros((len(parts), 3))
-            own[places] = (x * units)[len(names) :]
-            return dict(zip(names, (x * units).tolist(), strict=False)), own
+            sizes = np.zeros(parts.shape)
+            sizes[parts] = (x * units)[len(names) :]
+            return dict(zip(names, (x * units).tolist(), strict=False)), sizes
 
         def misfit(x: FloatArray) -> FloatArray:
-            left = (lines.power - self.power(*unpacked(x))) / sd
-            return np.concatenate([(x * units)[: len(names)] / sds, left[kept]])
+            own, sizes = unpacked(x)
+            power = np.einsum("rmk,mk->rm", self.laws(own), sizes)
+            return np.concatenate([x[: len(names)], ((lines.power - power) / sd)[kept]])
 
-        sizes = self.sizes_with(changes, parts)
-        start = np.concatenate([[changes[n] for n in names], sizes[places]]) / units
-        signed = [name not in LOOP_EFFECTS for name in names] + [part == BOTH for _, part in every]
-        low = np.where(signed, -np.inf, 0.0)
-        if not start.size:
-            return replace(self, changes={}, beside=beside, sizes=sizes, deviations={})
-        start = np.maximum(start, low + LEAST)
-        found = least_squares(misfit, start, bounds=(low, np.inf), x_scale="jac")
-        covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
-        spread = np.sqrt(np.diag(covariance)) * units
-        keys: list[object] = [*names, *every]
-        deviations = dict(zip(keys, spread.tolist(), strict=True))
-        changes, sizes = unpacked(found.x)
-        fit = replace(self, changes=changes, beside=beside, sizes=sizes, deviations=deviations)
-        volume = float(np.linalg.slogdet(covariance)[1]) + 2.0 * float(np.log(units).sum())
-        evidence = 0.5 * volume - float(found.cost) - float(np.log(sds).sum())
-        evidence += math.log(2.0) * len(beside & LOOP_EFFECTS.keys())
-        evidence += math.log(EXPECTED_HYPOTHESES / (len(LOOP_EFFECTS) + len(SCALES))) * len(beside)
-        return replace(fit, log_evidence=evidence)
+        lowest = [0.0 if name in LOOP_EFFECTS else -np.inf for name in names]
+        low = np.concatenate([lowest, np.tile(LOWEST_SIZE, (len(parts), 1))[parts]])
+        start = np.concatenate([list(changes.values()), self.sizes_with(changes, parts)[parts]])
+        x, spread = np.zeros(0), np.zeros(0)
+        if start.size:
+            start = np.maximum(start / units, low + LEAST)
+            found = least_squares(misfit, start, bounds=(low, np.inf), x_scale="jac")
+            covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
+            x, spread = found.x, np.sqrt(np.diag(covariance))
+        changes, sizes = unpacked(x)
+        changes_sd, sizes_sd = unpacked(spread)
+        return replace(
+            self,
+            changes=changes,
+            sizes=sizes,
+            beside=frozenset(beside),
+            changes_sd=changes_sd,
+            sizes_sd=sizes_sd,
+        )
 
 
 def first_fit(lines: Lines, believed: Values, priors: Mapping[str, float]) -> LoopFit:
     """The loop as believed, each line by that one law which fits it better."""
     nothing, m = dict.fromkeys(priors, 0.0), len(lines.orders)
-    fit = LoopFit(lines, believed, priors, nothing, frozenset(), np.zeros((m, 3)))
-    sizes = np.stack([fit.sizes_with(nothing, [[part]] * m) for part in (TORQUE, ANGLE)])
-    left = [(lines.power - fit.power(nothing, own)) / lines.sd(lines.measured) for own in sizes]
-    better = np.argmin(np.nansum(np.square(left), axis=1), axis=0)
-    return replace(fit, sizes=sizes[better, np.arange(m)])
+    fit, own, left = LoopFit(lines, believed, priors, nothing, np.zeros((m, 3))), [], []
+    for part in (TORQUE, ANGLE):
+        own.append(fit.sizes_with(nothing, np.tile(np.arange(3) == part, (m, 1))))
+        power = np.einsum("rmk,mk->rm", fit.laws(nothing), own[-1])
+        left.append(np.nansum(((lines.power - power) / lines.sd(lines.measured)) ** 2, axis=0))
+    return replace(fit, sizes=np.stack(own)[np.argmin(left, axis=0), np.arange(m)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -545,15 +544,6 @@ class Hypothesis:
     def label(self) -> str:
         """The same of all terms of one hypothesis."""
         return self.name if self.place is None else f"{self.name}, {self.place}"
-
-
-@dataclass(frozen=True, slots=True)
-class FittedSet:
-    """Labels of hypotheses that are there together, their probability, and their fit in full."""
-
-    labels: frozenset[str]
-    probability: float
-    fit: LoopFit
 
 
 class LoopSearch:
@@ -586,7 +576,6 @@ class LoopSearch:
         laws = {h.label: LINE_LAW for h in self.hypotheses if h.place is not None}
         most = len(fit.lines.orders) + MOST_BESIDE
         self.posterior = search(linearised, Priors(probability=laws), most)
-        self.share = self.posterior.discrepancy_sd(0)
 
     def _rows(self, power: FloatArray) -> FloatArray:
         """Powers (r, m) in units of their noise, order by order, those that show, (n,)."""
@@ -595,14 +584,7 @@ class LoopSearch:
     def _slope(self, name: str) -> FloatArray:
         fit, step = self.fit, 1e-4
         moved = {**fit.changes, name: fit.changes[name] + step}
-        return self._rows(self._best(moved) - self._best(fit.changes)) / step
-
-    def _best(self, changes: Mapping[str, float]) -> FloatArray:
-        """Powers with such a loop by the same laws, of the sizes that fit best then, (r, m).
-
-        What is the same at all speeds is a size, so that no change of the loop makes lines.
-        """
-        return self.fit.power(changes, self.fit.sizes_with(changes, self.fit.parts))
+        return self._rows(fit.best(moved) - fit.best(fit.changes)) / step
 
     def _term(
         self, hypothesis: Hypothesis, column: FloatArray, positive: bool, **more: Any
@@ -611,8 +593,7 @@ class LoopSearch:
         return Term(hypothesis.label, column[:, None], positive, **more)
 
     def _of_lines(self) -> Iterator[Term]:
-        lines = self.fit.lines
-        laws = law_powers(self.fit.changed(self.fit.without), lines.orders, lines.speeds)
+        lines, laws = self.fit.lines, self.fit.laws(self.fit.without)
         for k, order in enumerate(lines.orders):
             names = {TORQUE: RIPPLE, ANGLE: ANGLE_ERROR}
             if order == 1.0:
@@ -640,110 +621,42 @@ class LoopSearch:
                 Hypothesis(TIME, group[0][1], lines=tuple(group)), self._rows(power), True
             )
 
-    def _usual(self, name: str) -> float:
-        """Size of a change of the loop."""
-        gain = self.fit.believed[GAINS[0]]
-        if name == FRICTION:
-            return WRONG * gain
-        inertia = float(mechanics(self.fit.believed, np.ones(1))[0].imag)
-        return LAG * inertia / gain if name in LOOP_EFFECTS else WRONG
-
     def _of_loop(self) -> Iterator[Term]:
-        """Secants, so that all that the fit has makes its own prediction."""
-        fit, base = self.fit, self.fit.without
+        """Secants: exact for a change that the fit has, of usual sizes for others."""
+        fit = self.fit
+        origin = fit.best(fit.without)
         for name in (*LOOP_EFFECTS, *SCALES):
             effect = name in LOOP_EFFECTS
             if (effect and name not in self._candidates) or not (effect or fit.believed[name]):
                 continue
-            usual = self._usual(name)
+            usual = fit.usual(name)
+            sizes = [usual * start for start in (STARTS if effect else (1.0, -1.0))]
             if name in fit.beside:
-                changed = {**base, name: fit.changes[name]}
-                secants = [(fit.changes[name], self._best(changed) - self._best(base))]
-                base = changed
-            else:
-                # In place of what the fit has as well as beside it.
-                origins = [fit.without, fit.changes] if fit.beside else [fit.changes]
-                secants = []
-                for size in (usual * start for start in (STARTS if effect else (1.0, -1.0))):
-                    for origin in origins:
-                        changed = {**origin, name: origin.get(name, 0.0) + size}
-                        secants.append((size, self._best(changed) - self._best(origin)))
-            for size, secant in secants:
+                sizes = [fit.changes[name]]
+            for size in sizes:
+                secant = fit.best({**fit.without, name: size}) - origin
                 column = self._rows(secant) * (usual / size)
                 hypothesis = Hypothesis(name, size=size)
-                yield self._term(hypothesis, column, effect, prior_weight=1.0 / len(secants))
+                yield self._term(hypothesis, column, effect, prior_weight=1.0 / len(sizes))
 
     def fitted(self, terms: Iterable[int]) -> LoopFit:
         """These terms, fitted in full."""
-        fit, chosen = self.fit, [self.hypotheses[k] for k in terms]
-        beside = {h.name: h.size for h in chosen if h.place is None}
-        changes = dict.fromkeys(fit.priors, 0.0)
-        changes |= {n: c for n, c in fit.changes.items() if n in fit.priors}
-        for name, size in beside.items():
-            changes[name] = size if name in fit.beside else changes.get(name, 0.0) + size
-        parts: list[list[int]] = [[] for _ in fit.lines.orders]
+        chosen = [self.hypotheses[k] for k in terms]
+        parts = np.zeros_like(self.fit.parts)
         for hypothesis in chosen:
             if hypothesis.place is not None and hypothesis.name != TIME:
-                parts[hypothesis.place].append(hypothesis.part)
-        usual = {name: self._usual(name) for name in beside}
-        return fit.in_full(changes, usual, parts, self.share)
-
-    @cached_property
-    def sets(self) -> list[FittedSet]:
-        """The likely laws of lines, each with the likely loops, fitted in full, the best first.
-
-        Of the same laws the fits say which loop it is: far from its fit a linearisation does not.
-        """
-        every: dict[frozenset[str], tuple[int, ...]] = {}
-        loops, held = list[int](), dict[frozenset[str], float]()
-        for h in dict.fromkeys(h.label for h in self.hypotheses if h.place is None):
-            loops.append(self.posterior.likeliest(h))
-        of_loop = {self.hypotheses[k].label for k in loops}
-        for terms, p in self.posterior.sets.items():
-            labels = self.posterior.labels(terms)
-            every.setdefault(labels, terms)
-            held[labels - of_loop] = held.get(labels - of_loop, 0.0) + p
-        found = []
-        for lines, p in sorted(held.items(), key=lambda item: -item[1])[:MOST_LAWS]:
-            own = [terms for labels, terms in every.items() if labels - of_loop == lines]
-            laws = tuple(k for k in own[0] if self.hypotheses[k].label not in of_loop)
-            tried = [laws, *((*laws, k) for k in loops), *own[:MOST_LOOPS]]
-            fits = {self.posterior.labels(terms): self.fitted(terms) for terms in tried}
-            total = float(logsumexp([fit.log_evidence for fit in fits.values()]))
-            for labels, fit in fits.items():
-                found.append(FittedSet(labels, p * math.exp(fit.log_evidence - total), fit))
-        return sorted(found, key=lambda one: -one.probability)
-
-    def probability(self, labels: Iterable[str]) -> float:
-        """That one of them is there."""
-        held = sum(one.probability for one in self.sets if one.labels & set(labels))
-        return held / sum(one.probability for one in self.sets)
-
-    def size(self, place: int, part: int) -> Estimate:
-        """A torque in N m, or an angle in rad, over the loops that are told."""
-        told = {h.name for members in self.sure for h in members if h.place is None}
-        every = [x for x in self.sets if x.fit.sizes[place, part] and x.fit.beside <= told]
-        weight = np.array([one.probability for one in every])
-        value, sd = np.transpose(
-            [(e.value, e.sd) for e in (one.fit.size(place, part) for one in every)]
-        )
-        mean = float(weight @ value / weight.sum())
-        variance = float(weight @ (sd**2 + (value - mean) ** 2) / weight.sum())
-        return Estimate(mean, math.sqrt(variance))
+                parts[hypothesis.place, hypothesis.part] = True
+        beside = {h.name: h.size for h in chosen if h.place is None}
+        return self.fit.in_full(beside, parts, self.posterior.discrepancy_sd(0))
 
     @cached_property
     def sure(self) -> list[list[Hypothesis]]:
-        """Hypotheses that are there almost surely, alone or one of several; first what the most
-        probable set has."""
-        best = self.sets[0].labels
-        labels = list(dict.fromkeys(h.label for h in self.hypotheses))
-        labels.sort(key=lambda label: label not in best)
-        named = [label for label in labels if self.probability([label]) >= NAMED_AT]
-        total = sum(one.probability for one in self.sets)
-        shared = confounded([(one.labels, one.probability / total) for one in self.sets], named)
-        every = {n: self.hypotheses[self.posterior.likeliest(n)] for n in labels}
-        sets = [*([label] for label in named), *shared]
-        found = [[h for n, h in every.items() if n in own and h.part != BOTH] for own in sets]
+        """Hypotheses that are there almost surely, alone or one of several."""
+        sets = [*([label] for label in self.posterior.named), *self.posterior.confounded]
+        every = {
+            h.label: self.hypotheses[self.posterior.likeliest(h.label)] for h in self.hypotheses
+        }
+        found = [[every[n] for n in own if every[n].part != BOTH] for own in sets]
         return [members for members in found if members]
 
 
@@ -754,11 +667,12 @@ def searched(
     found = LoopSearch(first_fit(lines, believed, priors), candidates)
     known: list[frozenset[str]] = []
     for _ in range(ROUNDS):
-        best = found.sets[0]
-        if best.labels in known:
+        best = next(iter(found.posterior.sets))
+        labels = found.posterior.labels(best)
+        if labels in known:
             break
-        known.append(best.labels)
-        found = LoopSearch(best.fit, candidates)
+        known.append(labels)
+        found = LoopSearch(found.fitted(best), candidates)
     return found
 
 
@@ -999,7 +913,7 @@ class _Answer:
 
         Over the measured angle a torque of order n has sidebands of n ε/2 of its size.
         """
-        laws = [k for k, parts in enumerate(fit.parts) if parts]
+        laws = np.flatnonzero(fit.parts.any(axis=1)).tolist()
         first = [k for k in laws if self.found[k].order == 1.0 and fit.sizes[k, ANGLE]]
         if self.true_angle or not first or len(laws) == 1:
             return None
@@ -1026,16 +940,16 @@ class _Answer:
     ) -> NamedEffect:
         name, place = first.name, first.place
         if place is None:
-            size = Estimate(fit.values[name], fit.deviations[name])
+            size = Estimate(fit.values[name], fit.changes_sd[name])
             parameters = {LOOP_EFFECTS[name]: size}
         else:
-            size, line = search.size(place, first.part), self.found[place]
+            size, line = fit.size(place, first.part), self.found[place]
             parameters = {"angle_rad": size}
             if first.part == TORQUE:
                 held = line.order == round(line.order)
                 order = Estimate(line.order, math.nan if held else line.sd)
                 parameters = {"torque_nm": size, "order": order}
-        chance = search.probability(h.label for h in (first, *rivals))
+        chance = search.posterior.probability(h.label for h in (first, *rivals))
         others = tuple(dict.fromkeys(h.name for h in rivals))
         return NamedEffect(name, parameters, chance, abs(size.value) / size.sd, others)
 
@@ -1066,7 +980,7 @@ class _Answer:
         before = [item.predicted((), np.zeros(0)) for item in every]
         after = before
         if fit is not None:
-            places = [place for place, parts in enumerate(fit.parts) if parts]
+            places = np.flatnonzero(fit.parts.any(axis=1)).tolist()
             orders = [self.found[place].order for place in places]
             speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
             sizes = np.reshape([fit.predicted(k, speeds) for k in places], (-1, len(every)))
