@@ -16,7 +16,7 @@ from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
 from bayesbl.config.diagnose import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.rigid.orders import OrderedRest, strongest
+from bayesbl.diagnosis.rigid.orders import OrderedRest, clearest
 from bayesbl.diagnosis.rigid.speed_loop import (
     ANGLE,
     CANDIDATES,
@@ -318,6 +318,6 @@ def test_noise_alone_stands_out_as_rarely_as_it_is_said_to() -> None:
             )
             for k, (speed, t) in enumerate((s, np.arange(2000) * 2e-3) for s in (15.0, 40.0, 90.0))
         ]  # fmt: skip
-        peak = next(strongest(lambda rests=pieces: rests, False, highest=64.0, coloured=True))
+        peak = clearest(pieces, (), False, highest=64.0, coloured=True)
         alarms += peak.log_chance < math.log(0.1)
     assert alarms <= 12

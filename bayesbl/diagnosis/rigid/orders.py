@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -310,31 +310,28 @@ class Peak:
         return float(self.spectrum.orders[1] - self.spectrum.orders[0])
 
 
-def strongest(
-    rests: Callable[[], Sequence[OrderedRest]],
+def clearest(
+    rests: Sequence[OrderedRest],
+    known: Iterable[float],
     shared: bool,
     *,
     highest: float = math.inf,
     coloured: bool = False,
-) -> Iterator[Peak]:
-    """Orders that stand out, the clearest first.
+) -> Peak | None:
+    """The order that stands out most of what the known ones leave; ``None`` if none can be seen.
 
-    ``rests``: what those that were given leave; the others as :func:`spectrum_of`.
+    The other parameters are those of :func:`spectrum_of`.
     """
-    known: list[float] = []
-    while True:
-        left = rests()
-        spectrum = spectrum_of(left, shared, highest=highest, coloured=coloured)
-        if not spectrum.orders.size:
-            return
-        chance = spectrum.log_chance()
-        for order in known:
-            near = np.abs(spectrum.orders - order) <= 2.0 / turns_of(left, shared)
-            chance[near] = math.inf
-        k = int(np.argmin(chance))
-        order, sd, behind = _sharp(left, shared, spectrum, k)
-        known.append(order)
-        yield Peak(order, sd, float(spectrum.scores[k]), float(chance[k]), behind, spectrum)
+    spectrum = spectrum_of(rests, shared, highest=highest, coloured=coloured)
+    if not spectrum.orders.size:
+        return None
+    chance = spectrum.log_chance()
+    for order in known:
+        near = np.abs(spectrum.orders - order) <= 2.0 / turns_of(rests, shared)
+        chance[near] = math.inf
+    k = int(np.argmin(chance))
+    order, sd, behind = _sharp(rests, shared, spectrum, k)
+    return Peak(order, sd, float(spectrum.scores[k]), float(chance[k]), behind, spectrum)
 
 
 def peaks(
@@ -346,9 +343,10 @@ def peaks(
     ``whole`` ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
     """
     found: list[Line] = []
-    left = [rests]
-    for peak in strongest(lambda: left[-1], shared):
-        if len(found) == most or peak.log_chance > math.log(CHANCE):
+    known: list[float] = []
+    while len(found) < most:
+        peak = clearest(rests, known, shared)
+        if peak is None or peak.log_chance > math.log(CHANCE):
             break
         order, sd, nearest = peak.order, peak.sd, round(peak.order)
         near = whole and nearest > 0 and abs(order - nearest) < peak.step and sd < WHOLE
@@ -357,7 +355,8 @@ def peaks(
         special = 0.5 / max(1.0, float(peak.spectrum.orders[-1])) if near else 0.0
         anywhere = min(1.0, share / peak.spectrum.independent)
         found.append(Line.around(order, sd, anywhere, special))
-        left.append([_without(item, order) for item in left[-1]])
+        known.append(order)
+        rests = [_without(item, order) for item in rests]
     return found
 
 

@@ -41,7 +41,7 @@ from bayesbl.diagnosis.disagreement import DisagreementTable, Use
 from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals
 from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
-from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, spectrum_of, strongest
+from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, clearest, spectrum_of
 from bayesbl.diagnosis.task import (
     USES_OF,
     Comparison,
@@ -249,14 +249,12 @@ def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> li
     whole order within the errors is the whole one, unless every order is near one.
     """
     found: list[Peak] = []
-
-    def rests() -> list[OrderedRest]:
-        orders = [peak.order for peak in found]
-        return [item.rest(item.fit(orders)[1]) for item in turning]
-
-    for peak in strongest(rests, False, highest=HIGHEST_ORDER, coloured=True):
+    while len(found) < most:
+        known = [peak.order for peak in found]
+        rests = [item.rest(item.fit(known)[1]) for item in turning]
+        peak = clearest(rests, known, False, highest=HIGHEST_ORDER, coloured=True)
         bound = math.log(false_alarm) - (len(found) + 1) * math.log(2.0)
-        if len(found) == most or peak.log_chance > bound:
+        if peak is None or peak.log_chance > bound:
             break
         whole = peak.behind < WHOLE**2 and peak.order > 0.5 and WHOLE * peak.sd < 0.5
         found.append(replace(peak, order=float(round(peak.order))) if whole else peak)
@@ -298,7 +296,7 @@ LEAST = 1e-6
 """Of a line, that a part of its law makes where a fit begins."""
 
 ROUNDS = 4
-"""Of search and fit."""
+"""Of search and fit at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,12 +370,12 @@ class LoopFit:
         of logarithms.
     changes
         Of the loop: logarithm of a parameter's factor, or what is added to an effect.
-    beside
-        Those of them that are hypotheses.
     sizes
         Coefficients of :func:`law_powers`, (m, 3); 0 where the law lacks a part.
     changes_sd, sizes_sd
         Standard deviations.
+    beside
+        Changes that are hypotheses.
     """
 
     lines: Lines
@@ -385,9 +383,15 @@ class LoopFit:
     priors: Mapping[str, float]
     changes: Mapping[str, float]
     sizes: FloatArray
+    changes_sd: Mapping[str, float]
+    sizes_sd: FloatArray
     beside: frozenset[str] = frozenset()
-    changes_sd: Mapping[str, float] = field(default_factory=dict)
-    sizes_sd: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @classmethod
+    def nothing(cls, lines: Lines, believed: Values, priors: Mapping[str, float]) -> LoopFit:
+        """The loop as believed, and no line with a law."""
+        none, sizes = dict.fromkeys(priors, 0.0), np.zeros((len(lines.orders), 3))
+        return cls(lines, believed, priors, none, sizes, none, sizes)
 
     @property
     def values(self) -> dict[str, float]:
@@ -515,17 +519,6 @@ class LoopFit:
         )
 
 
-def first_fit(lines: Lines, believed: Values, priors: Mapping[str, float]) -> LoopFit:
-    """The loop as believed, each line by that one law which fits it better."""
-    nothing, m = dict.fromkeys(priors, 0.0), len(lines.orders)
-    fit, own, left = LoopFit(lines, believed, priors, nothing, np.zeros((m, 3))), [], []
-    for part in (TORQUE, ANGLE):
-        own.append(fit.sizes_with(nothing, np.tile(np.arange(3) == part, (m, 1))))
-        power = np.einsum("rmk,mk->rm", fit.laws(nothing), own[-1])
-        left.append(np.nansum(((lines.power - power) / lines.sd(lines.measured)) ** 2, axis=0))
-    return replace(fit, sizes=np.stack(own)[np.argmin(left, axis=0), np.arange(m)])
-
-
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
     """What a term stands for: a part of a line's law, or a change of the loop.
@@ -639,14 +632,15 @@ class LoopSearch:
                 hypothesis = Hypothesis(name, size=size)
                 yield self._term(hypothesis, column, effect, prior_weight=1.0 / len(sizes))
 
-    def fitted(self, terms: Iterable[int]) -> LoopFit:
-        """These terms, fitted in full."""
-        chosen = [self.hypotheses[k] for k in terms]
-        parts = np.zeros_like(self.fit.parts)
+    def fitted(self, chosen: Iterable[Hypothesis]) -> LoopFit:
+        """These hypotheses, fitted in full."""
+        parts, beside = np.zeros_like(self.fit.parts), {}
         for hypothesis in chosen:
-            if hypothesis.place is not None and hypothesis.name != TIME:
+            if hypothesis.place is None:
+                beside[hypothesis.name] = hypothesis.size
+            elif hypothesis.name != TIME:
                 parts[hypothesis.place, hypothesis.part] = True
-        beside = {h.name: h.size for h in chosen if h.place is None}
+        parts[:, BOTH] = parts[:, TORQUE] & parts[:, ANGLE]
         return self.fit.in_full(beside, parts, self.posterior.discrepancy_sd(0))
 
     @cached_property
@@ -664,16 +658,15 @@ def searched(
     lines: Lines, believed: Values, priors: Mapping[str, float], candidates: Sequence[str]
 ) -> LoopSearch:
     """Around the fit of the most probable set."""
-    found = LoopSearch(first_fit(lines, believed, priors), candidates)
-    known: list[frozenset[str]] = []
-    for _ in range(ROUNDS):
+    fit, known = LoopFit.nothing(lines, believed, priors), list[frozenset[str]]()
+    while True:
+        found = LoopSearch(fit, candidates)
         best = next(iter(found.posterior.sets))
         labels = found.posterior.labels(best)
-        if labels in known:
-            break
+        if labels in known or len(known) == ROUNDS:
+            return found
         known.append(labels)
-        found = LoopSearch(found.fitted(best), candidates)
-    return found
+        fit = found.fitted(found.hypotheses[k] for k in best)
 
 
 CANDIDATES = (RIPPLE, ECCENTRICITY, *LOOP_EFFECTS)
@@ -849,14 +842,7 @@ class _Answer:
             told = self._told(search, notes)
             periodic = [m[0].lines for m in search.sure if m[0].name == TIME]
             firsts = [members[0] for members in told]
-            laws = [search.posterior.likeliest(h.label) for h in firsts]
-            parts = [h.place for h in firsts]
-            laws += [
-                k
-                for k, h in enumerate(search.hypotheses)
-                if h.part == BOTH and parts.count(h.place) == 2
-            ]
-            fit = search.fitted(laws)
+            fit = search.fitted(firsts)
             if (again := self._by_true_angle(fit)) is not None:
                 return again.diagnosis()
             unnamed -= {h.place for h in firsts if h.place is not None}
