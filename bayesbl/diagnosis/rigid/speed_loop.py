@@ -178,12 +178,6 @@ class Turning:
         """Whether an order turns often enough, and not too fast for the sampling."""
         return order < self.highest_order and order * self.turns >= FEWEST_CYCLES
 
-    def waves(self, orders: Sequence[float]) -> FloatArray:
-        """Cosine and sine of each order that shows, then what is fitted apart, (k, p)."""
-        slow = [] if self.load_order is None else [self.load_order]
-        waves = [self._answer(o) for o in (*(o for o in orders if self.shows(o)), *slow)]
-        return self.piece.kept(np.column_stack([*waves, np.ones(self.angle.size)]))
-
     def _answer(self, order: float) -> FloatArray:
         """The loop's answer to cos n θ and sin n θ, 1 at the mean speed, shape (n, 2).
 
@@ -211,28 +205,31 @@ class Turning:
 
         Shapes (m,) and (k,).
         """
-        found, matrix = self._waves_fitted(orders)
+        found, matrix = self._fitted(orders)
         lines = np.full(len(orders), complex(math.nan, math.nan))
         shown = np.array([self.shows(order) for order in orders], bool)
         pairs = found[: 2 * int(shown.sum())]
         lines[shown] = pairs[0::2] - 1j * pairs[1::2]
-        return lines, self.piece.kept(self.piece.measured) - matrix @ found
+        return lines, self.piece.kept(self.piece.measured - matrix @ found)
 
-    def _waves_fitted(self, orders: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-        """Coefficients of the waves, (p,), and the waves, (k, p)."""
-        matrix = self.waves(orders)
-        found = np.linalg.lstsq(matrix, self.piece.kept(self.piece.measured), rcond=1e-10)[0]
+    def _fitted(self, orders: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+        """Coefficients, (p,), of cosine and sine of each order that shows and of what is fitted
+        apart, and these waves, (n, p)."""
+        slow = [] if self.load_order is None else [self.load_order]
+        waves = map(self._answer, (*filter(self.shows, orders), *slow))
+        matrix = np.column_stack([*waves, np.ones(self.angle.size)])
+        kept = self.piece.kept
+        found = np.linalg.lstsq(kept(matrix), kept(self.piece.measured), rcond=1e-10)[0]
         return np.asarray(found), matrix
 
     def predicted(self, orders: Sequence[float], sizes: FloatArray) -> FloatArray:
         """The speed with lines of these sizes, rpm, shape (n,); phases and the rest as they fit."""
-        shown = [order for order in orders if self.shows(order)]
-        found, _ = self._waves_fitted(shown)
-        for k, order in enumerate(shown):
+        found, matrix = self._fitted(orders)
+        shown = [size for order, size in zip(orders, sizes, strict=True) if self.shows(order)]
+        for k, size in enumerate(shown):
             pair = found[2 * k : 2 * k + 2]
-            pair *= sizes[list(orders).index(order)] / max(float(np.hypot(*pair)), 1e-300)
-        whole = replace(self, piece=replace(self.piece, excluded=None))
-        return whole.waves(shown) @ found
+            pair *= size / max(float(np.hypot(*pair)), 1e-300)
+        return np.asarray(matrix @ found)
 
     def rest(self, left: FloatArray) -> OrderedRest:
         """What lines leave, (k,), to be searched for orders."""
@@ -327,20 +324,16 @@ class Lines:
     def in_time(self) -> list[list[tuple[int, int]]]:
         """Recording and order of lines that have one frequency, each where it is strongest."""
         signal = np.where(self.shown, self.measured / self.noise, -np.inf)
-        at = np.argmax(signal, axis=0).tolist()
+        at = np.argmax(signal, axis=0)
         hertz = np.asarray(self.orders) * np.abs(self.speeds[at]) / (2.0 * math.pi)
-        left, groups = list(range(len(at))), []
-        while left:
-            alike = [left.pop(0)]
-            for k in list(left):
-                lasting = min(self.lasting_s[at[alike[0]]], self.lasting_s[at[k]])
-                apart = abs(hertz[k] - hertz[alike[0]]) * lasting
-                if apart < 1.0 and at[k] not in [at[j] for j in alike]:
-                    alike.append(k)
-                    left.remove(k)
-            if len(alike) > 1:
-                groups.append([(at[k], k) for k in alike])
-        return groups
+        by_hertz = np.argsort(hertz)
+        apart = np.diff(hertz[by_hertz]) * self.lasting_s[at].min() >= 1.0
+        groups = np.split(by_hertz, np.flatnonzero(apart) + 1)
+        return [
+            [(int(at[k]), int(k)) for k in group]
+            for group in groups
+            if np.unique(at[group]).size > 1
+        ]
 
     def sd(self, power: FloatArray) -> FloatArray:
         """Standard deviation of a measured power where this is the true one, (r, m)."""
