@@ -162,8 +162,8 @@ def required_torque(motion: Motion, bench: Bench) -> FloatArray:
 WIDTH_GRID = tuple(np.geomspace(1e-3, 0.3, 13))
 """In RMS speeds: narrower, the samples in between are few; wider, dry friction would be viscous."""
 
-DELAYS = (1.0, 4.0, 16.0)
-"""Usual skews, in sampling periods."""
+DELAY = 4.0
+"""Usual skew, in sampling periods."""
 
 QUIET = 0.5
 """Of the torque's noise: so much in the motion makes a standard deviation an eighth too small."""
@@ -451,7 +451,9 @@ class InverseView:
             amplitude = (law.amplitude,)
             if name == SKEW:
                 if self.slope:
-                    yield candidate_of(law, name, amplitude, tuple(self._delays()))
+                    period = self.parts[0].window.low_pass.period_s
+                    look = Look({}, self._every(lambda i: self.slope[i]), size=DELAY * period)
+                    yield candidate_of(law, name, amplitude, (look,))
             elif law.scanned == ORDER:
                 for line in self.orders:
                     looks = self._alternatives(ORDER, line, self._ripples, above=True)
@@ -476,15 +478,6 @@ class InverseView:
                 # What a motion excites has one phase in all recordings that begin with it.
                 excludes = frozenset({label})
                 yield replace(apart, label=f"{label}, in phase", own_phase=False, excludes=excludes)
-
-    def _delays(self) -> Iterator[Look]:
-        """A skew of some sampling periods is usual, longer ones ever rarer: normals whose mixture
-        falls off as 1/τ², as a Cauchy distribution does."""
-        columns = self._every(lambda i: self.slope[i])
-        period = self.parts[0].window.low_pass.period_s
-        total = sum(1.0 / times for times in DELAYS)
-        for times in DELAYS:
-            yield Look({}, columns, 1.0 / times / total, times * period)
 
     def _alternatives(
         self,
@@ -722,28 +715,12 @@ class InverseView:
                 continue
             if law.scanned is None and not law.linear:
                 columns[name] = self._signal(i, name, {law.amplitude: 1.0})
-        if not self.load:
-            columns |= self._position_dependent(i)
         if self._ripple is not None:
             for line in self.orders:
                 order = line.middle
                 sine, cosine = self._ripples(i, order).T
                 columns |= {f"sine {order}@{where}": sine, f"cosine {order}@{where}": cosine}
         return columns
-
-    def _position_dependent(self, i: int) -> dict[str, FloatArray]:
-        """Dry friction that varies over the load's angle: else the width of its sign takes that."""
-        period, ratio = self._load_period, self.bench.value("gear_ratio")
-
-        def varying(motion: Motion, wave: Any, k: int) -> FloatArray:
-            phase = 2.0 * math.pi * k * motion.angle / ratio / period
-            return np.asarray(wave(phase) * direction(motion))
-
-        every = {f"friction {w.__name__} {k}": (w, k) for k in (1, 2) for w in (np.cos, np.sin)}
-        return {
-            key: self._seen(i, key, partial(varying, wave=wave, k=k), self.width)
-            for key, (wave, k) in every.items()
-        }
 
     def _linear(self, places: Sequence[int]) -> AffineModel:
         """Pieces below the cut-off with all that is linear as what is fitted anyway."""
