@@ -154,6 +154,22 @@ def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
     return f"By the amplitude of the ringing, as the direct route has no answer: {why}"
 
 
+def routes_disagree(names: Sequence[str], witness: bool = False) -> str:
+    """Two routes answer, and not alike; the second may be a ``witness`` that needs no bench."""
+    where = f"disagree beyond their intervals in {', '.join(names)}"
+    if witness:
+        return (
+            f"The answer and both encoders, of motor and load, {where}, so the change is withheld: "
+            "bench or curve is not of this joint (`bayesbl diagnose` looks for what is missing), "
+            "or an encoder is loose or of another joint."
+        )
+    return (
+        f"Simulation of the bench and the ringing's amplitude {where}, although both use one "
+        "bench, so the change is withheld: the bench lacks an effect or has wrong values "
+        "(`bayesbl diagnose` looks for what is missing)."
+    )
+
+
 def one_date(count: int, repaired: bool) -> str:
     """A rate needs two dates."""
     what = {0: "There is no snapshot with a gap", 1: "There is only one snapshot"}.get(
@@ -226,6 +242,7 @@ def torque_offset(low_nm: float, high_nm: float) -> str:
 SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Which route answers.
     "only_route": "It is the only route that was asked for.",
+    "witnessed": "it is the route that was asked for; the load's encoder is a witness beside it",
     "sharper_and_checked": "it uses the whole recording and passes its checks against the bench",
     "sharper": "it uses the whole recording, and allows for what the bench lacks",
     "direct_withheld": "it uses the whole recording, and its checks against the bench decide",
@@ -296,11 +313,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "The change by the amplitude does not include what [joint] may_drift allows, so it is "
         "withheld."
     ),
-    "routes_disagree": (
-        "Simulation of the bench and the ringing's amplitude disagree beyond their intervals in "
-        "{names}, although both use one bench, so the change is withheld: the bench "
-        "lacks an effect or has wrong values (`bayesbl diagnose` looks for what is missing)."
-    ),
+    "routes_disagree": routes_disagree,
     # What limits an answer.
     "by_amplitude_instead": by_amplitude_instead,
     "no_current": (

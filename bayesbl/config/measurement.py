@@ -167,7 +167,8 @@ class Estimator(Section):
     pass. ``gap_rad`` is the range of the direct route's prior: log-uniform, or uniform in
     ln(δ + 0.01 mrad) if it begins at zero. ``torque_ramp`` reads ramps of the motor's torque with
     the output held, ``two_encoders`` the positions of motor and load over any motion with
-    reversals; both need neither bench nor curve.
+    reversals; both need neither bench nor curve. Where the load's position is recorded, two
+    encoders stand as a witness beside the answer of the other routes.
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"

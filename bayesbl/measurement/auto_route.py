@@ -113,7 +113,7 @@ class AutoMeasurer(Measurer):
         # A drift moves the amplitude's gaps, and its curve does not know of it.
         comparable = self.amplitude.source.is_of_bench and not self.config.joint.may_drift
         if comparable and found.change_reason is None:
-            found = replace(found, change_reason=_disagreement(direct, amplitude))
+            found = replace(found, change_reason=disagreement(direct, amplitude))
         return found
 
     def _by_amplitude(self, amplitude: Measurement, because: Sequence[Reason]) -> Measurement:
@@ -155,11 +155,11 @@ def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measur
     return replace(amplitude, answers=answers)
 
 
-def _disagreement(direct: Measurement, amplitude: Measurement) -> Reason | None:
-    """Why the change is withheld: both routes answer, and not alike."""
+def disagreement(first: Measurement, second: Measurement, **told: object) -> Reason | None:
+    """Why the change is withheld: both routes answer, and not alike; ``told`` to its sentence."""
     pairs = [
         (seen.name, seen.delta_rad, answer.delta_rad)
-        for seen, answer in zip(direct.answers, amplitude.answers, strict=True)
+        for seen, answer in zip(first.answers, second.answers, strict=True)
         if not (seen.is_withheld or answer.is_withheld)
         if seen.delta_rad is not None and answer.delta_rad is not None
     ]
@@ -167,7 +167,7 @@ def _disagreement(direct: Measurement, amplitude: Measurement) -> Reason | None:
         return None
     bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
     apart = [name for name, *gaps in pairs if abs(_standard_difference(*gaps)) > bound]
-    return Reason("routes_disagree", {"names": apart}) if apart else None
+    return Reason("routes_disagree", {"names": apart, **told}) if apart else None
 
 
 def _standard_difference(first: FloatArray, second: FloatArray) -> float:

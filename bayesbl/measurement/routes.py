@@ -2,7 +2,8 @@
 
 A route is a module with ``GROUPS``, which it stores in a group of its own name, and ``prepare``,
 which gives its :class:`bayesbl.measurement.measurement.Measurer`; and its row in :data:`ROUTES`.
-``auto`` is of two routes, one of which answers: its results are that one's.
+``auto`` is of two routes, one of which answers: its results are that one's. Where the load's
+position is recorded, two encoders stand beside routes that go by the motor alone.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from importlib import import_module
 
 import xarray as xr
 
-from bayesbl.config.measurement import SnapshotConfig
+from bayesbl.config.measurement import WITHOUT_BENCH, SnapshotConfig
 from bayesbl.errors import ResultError
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit
 from bayesbl.measurement.measurement import Measurer, Seeds, Task
@@ -21,7 +22,7 @@ from bayesbl.measurement.shared_groups import CHANGE, GAP
 from bayesbl.measurement.stored import measurement_tree, routes_of
 from bayesbl.measurement.wear import WEAR
 from bayesbl.progress import StageProgress
-from bayesbl.recording.types import Recording
+from bayesbl.recording.types import LOAD_POSITION, Recording
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.optimum import EarlierOptimum
@@ -115,4 +116,8 @@ def measure(
         measurer.require_usable(recording)
     seeds = seeds or Seeds.spawn(config.run.seed, len(recordings))
     task = Task(config, recordings, seeds, progress, work, say, swept, earlier or {})
-    return measurement_tree(measurer.measure(task), task)
+    measured = measurer.measure(task)
+    has_load = all(LOAD_POSITION in recording.channels for recording in recordings)
+    if has_load and measured.route not in WITHOUT_BENCH:
+        measured = import_module("bayesbl.measurement.load_encoder").with_witness(measured, task)
+    return measurement_tree(measured, task)

@@ -191,7 +191,8 @@ class StatedLimit(TypedDict):
 class RouteSummary(_FromRinging, _FromSimulation, _FromRamps, _FromTwoEncoders):
     """One recording by one route; every route has the keys here, and some of its own.
 
-    A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone.
+    A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone. Recordings of
+    the load's position have ``two_encoders`` beside the route that answers, as a witness.
     ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
     gap.
     """

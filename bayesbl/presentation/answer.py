@@ -185,7 +185,7 @@ def _ringing_headline(summary: MeasuredSummary) -> str:
 def which(summary: MeasuredSummary) -> str | None:
     """Which route's answer is the answer, why, and what each rests on; ``None`` for one alone."""
     first = snapshots(summary)[0][1]
-    if len(first["routes"]) < 2:
+    if len(first["routes"]) < 2 or summary["answer"]["code"] == "only_route":
         return None
     own = summary["answer"]
     uses = "; ".join(f"{route_in_words(part['route'])} {_uses(part)}" for part in answering(first))
@@ -197,6 +197,8 @@ def which(summary: MeasuredSummary) -> str | None:
 
 
 def _uses(route: RouteSummary) -> str:
+    if "reversals" in route:
+        return "compare the positions of motor and load, without a bench"
     if "rmse_rpm" not in route:
         return "compares speed and current of the whole recording with the bench"
     if route["curve"] is None:
@@ -212,7 +214,8 @@ def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]
         listed = [reason["code"] for reason in part["diagnostics"]["reasons"]]
         for route, found in part["routes"].items():
             reason = found["reason"]
-            if route == part["route"] or reason is None or "by_amplitude_instead" in listed:
+            is_told = route == "direct" and "by_amplitude_instead" in listed
+            if route == part["route"] or reason is None or is_told:
                 continue
             reasons.setdefault((route, reason["text"]), []).append(name)
     for (route, why), names in reasons.items():
