@@ -44,6 +44,8 @@ from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transm
 
 NAME = "two_encoders"
 
+CHANNELS = (MOTOR_POSITION, LOAD_POSITION)
+
 FEWEST_SAMPLES, FEWEST_REVERSALS, FEW_REVERSALS = 100, 1, 4
 
 LIKELY = 0.5
@@ -144,8 +146,8 @@ class TwoEncoderMeasurer(Measurer):
         recording = read_recording(
             entry.file, name=entry.name, columns=self.config.column_specs, even=False
         )
-        require_channels(recording, [MOTOR_POSITION, LOAD_POSITION])
-        require_alive(recording, [MOTOR_POSITION, LOAD_POSITION])
+        require_channels(recording, CHANNELS)
+        require_alive(recording, CHANNELS)
         return recording
 
     def require_usable(self, recording: Recording) -> None:
@@ -172,7 +174,7 @@ class TwoEncoderMeasurer(Measurer):
             raise RecordingError(
                 "The load does not follow the motor.",
                 file=recording.place,
-                where=f"{MOTOR_POSITION}, {LOAD_POSITION}",
+                where=", ".join(CHANNELS),
                 found=f"{100.0 * follows:.0f} % of the load's motion",
                 expected="both encoders of one joint, and a motion larger than the play",
             )
@@ -316,9 +318,7 @@ def groups_of(
     noise = found.noise
     return {
         "posterior": dataset(POSTERIOR, draws, shared.numbered(shape)),
-        **shared.common_groups(
-            recording, (MOTOR_POSITION, LOAD_POSITION), _sampled(found), _budget(found)
-        ),
+        **shared.common_groups(recording, CHANNELS, _sampled(found), _budget(found)),
         "transmission": dataset(
             TRANSMISSION,
             {
