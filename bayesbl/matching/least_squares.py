@@ -181,9 +181,7 @@ def fit_simulated(
                 for u, x in zip(model.unknowns, point, strict=True)
             ),
         )
-    near = model.near(point, residual)
     value = _objective(model, point, residual)
-    based = point, residual, value
     damping = 1e-3
     normal = model.normal_prior.precision
     least, share = CONVERGED, CONVERGED_SHARE
@@ -200,7 +198,7 @@ def fit_simulated(
         while damping < 1e8:
             move = _bounded_step(point, gradient, shape, damping, model.low, model.high)
             trial = point + move
-            trial_residual = near.whitened(trial)[0]
+            trial_residual = model.whitened(trial)[0]
             trial_value = _objective(model, trial, trial_residual)
             if trial_value < value:
                 gained, promised = value - trial_value, _promised(gradient, shape, move)
@@ -219,19 +217,7 @@ def fit_simulated(
             # Derivatives of elsewhere may see no way on where there is one.
             holds = False
         elif ended:
-            if near is model:
-                break
-            exact = model.whitened(point)[0]
-            expected, value = value, _objective(model, point, exact)
-            if not math.isfinite(value):
-                # Only without its ticks can the loop be simulated here.
-                near, (point, residual, value) = model, based
-                continue
-            residual = exact
-            rounds += 1
-            if abs(value - expected) < enough or rounds >= MOST_ROUNDS:
-                break
-            near, based, holds = model.near(point, exact), (point, exact, value), True
+            break
         if not holds:
             if rounds >= MOST_ROUNDS:
                 break
@@ -372,13 +358,8 @@ def _jacobian(
 
     Steps whose change is not of the order of the noise are tried again: the simulator's own error
     drowns a shorter one, curvature spoils a longer one. Central differences unless ``one_sided``.
-    A sampled controller gives way to a continuous one but in the columns of laws of the loop: the
-    optimum found by these columns is off by the angle between them and the true ones, in standard
-    deviations (a tenth at a period of 1 ms).
     """
-    swift = model.for_differences(point)
     d = point.size
-    of_ticks = np.array([u.is_of_loop for u in model.unknowns])
     columns = np.empty((d, model.size)).T
     pending = np.arange(0 if known is None else known.shape[1], d)
     if known is not None:
@@ -392,11 +373,7 @@ def _jacobian(
             ends[0][row, i] = min(point[i] + steps[i], model.high[i])
             if not one_sided or ends[0][row, i] <= point[i]:
                 ends[1][row, i] = max(point[i] - steps[i], model.low[i])
-        z = np.empty((len(moved), model.size))
-        slow = np.tile(of_ticks[pending] | (swift is model), 2)
-        for comparison, rows in ((model, slow), (swift, ~slow)):
-            if rows.any():
-                z[rows] = comparison.whitened(moved[rows])
+        z = model.whitened(moved)
         again = []
         for row, i in enumerate(pending):
             distance = ends[0][row, i] - ends[1][row, i]

@@ -19,7 +19,7 @@ import numpy as np
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.matching.impacts import scattered
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.signals import GAP, SAMPLED, SimulatedSignals
+from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.matching.surrogate import Surrogate, points_needed, regress, simulated_chi_square
 from bayesbl.probabilities import chi2_sf
 from bayesbl.progress import Progress, silent
@@ -273,10 +273,8 @@ def sample_direct(
         return _unsimulated(about, fit, settings, design_seed)
     local = _Local(fit.point, fit.peak(), fit.covariance)
     points = local.drawn(points_needed(model), (model.low, model.high), design_seed)
-    # How far that is from the sampled controllers' χ², the check below tells.
-    near = model.near(fit.point, fit.residual)
     chi_square, surrogate = regress(
-        near, points, points.mean(axis=0), _covariance(points), simulating
+        model, points, points.mean(axis=0), _covariance(points), simulating
     )
     failed = float(np.mean(~np.isfinite(chi_square)))
     best: _Weighted | None = None
@@ -533,7 +531,7 @@ def _ticks_decide(fit: SimulatedFit, generator: np.random.Generator) -> bool:
     Of the normal distribution about the optimum, the ticks as they are there.
     """
     model = fit.model
-    free = [k for k, u in enumerate(model.unknowns) if not u.name.startswith(SAMPLED)]
+    free = [k for k, u in enumerate(model.unknowns) if not u.name.startswith("sampled_control__")]
     if len(free) == len(model.unknowns):
         return False
     precision = np.linalg.inv(fit.covariance)[np.ix_(free, free)]

@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import EFFECT_BY_NAME, after, effect_named, lateness_rad, without_ticks
+from bayesbl.bench.effects import after, effect_named
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.parameters import FURTHEST, PARAMETER_INFO, simulated_range
 from bayesbl.matching.as_observed import accuracy_rpm, continued, in_whole_ticks, repeats, simulated
@@ -42,15 +42,6 @@ TURN_SD_RAD = 2.0 * math.pi / math.sqrt(12.0)
 
 FEW_POINTS = 16
 """Below which recordings are simulated at once."""
-
-SAMPLED = "sampled_control__"
-"""Begins the names of what only the ticks of a controller tell."""
-COARSER = 4.0
-"""Error allowed to a simulation without ticks, over that with: it is only subtracted from another
-that has nearly the same error. It costs or saves time, and fits end at the ticks themselves."""
-LATEST_RAD = 0.5
-"""Phase of the ringing by which a sampled loop may be late and pass for continuous in differences:
-beyond it, fits take longer than they save (T of 2 ms on the reference bench)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +82,6 @@ class Unknown:
     def key(self) -> tuple[str, str | None]:
         """Name and recording."""
         return self.name, self.recording
-
-    @property
-    def is_of_loop(self) -> bool:
-        """Of a law within the speed loop, of which ticks make something else than a continuous
-        controller does: a lag beside one moved the signals in another direction (cosine 0.4)."""
-        effect, _, _ = self.name.partition("__")
-        return effect in EFFECT_BY_NAME and EFFECT_BY_NAME[effect].enters == "loop"
 
     @property
     def label(self) -> str:
@@ -250,8 +234,6 @@ class SimulatedSignals:
         What is known besides the bench, by name, such as ``gap_rad``.
     recent
         Simulations that another comparison of the same recordings has made.
-    continuous
-        Sampled controllers give way to continuous ones that are as late.
     white_recordings
         Whitened channels of each recording, from another comparison under the same noise.
     normal_prior
@@ -270,7 +252,6 @@ class SimulatedSignals:
     workers: int = field(default=1, compare=False)
     settings: Mapping[str, float] = field(default_factory=dict)
     recent: RecentSimulations = field(default_factory=RecentSimulations, compare=False)
-    continuous: bool = False
     white_recordings: InitVar[Sequence[FloatArray] | None] = None
 
     def __post_init__(self, white_recordings: Sequence[FloatArray] | None) -> None:
@@ -326,32 +307,6 @@ class SimulatedSignals:
         """Whitened residuals of all recordings, N."""
         return sum(seen.size for seen in self._white_recordings)
 
-    def for_differences(self, point: FloatArray) -> SimulatedSignals:
-        """The same without the ticks of a sampled controller, where points near (d,) allow it."""
-        matrix = self.vectors(point[None], self.recordings[0])
-        if 0.0 < lateness_rad(matrix)[0] < LATEST_RAD:
-            return replace(self, continuous=True, white_recordings=self._white_recordings)
-        return self
-
-    def near(self, point: FloatArray, white: FloatArray) -> SimulatedSignals:
-        """The same with continuous controllers, agreeing at a point (d,) with its ``white``, (N,).
-
-        What ticks add to a signal hardly changes near a point: over the posterior of a joint with a
-        period of 0.5 ms by less than a third of a standard deviation in all samples together.
-        Points far from it, and unknown ticks, need the sampled controllers themselves.
-        """
-        swift = self.for_differences(point)
-        if swift is self or any(u.is_of_loop for u in self.unknowns):
-            return self
-        shift = white - swift.whitened(point)[0]
-        if not np.all(np.isfinite(shift)):
-            return self
-        moved = [
-            own + part
-            for own, part in zip(self._white_recordings, self.by_recording(shift), strict=True)
-        ]
-        return replace(swift, white_recordings=moved)
-
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
         """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
         return continued(self.stretch(points, recording), self.recordings[recording].samples)
@@ -363,7 +318,7 @@ class SimulatedSignals:
         matrix, place = np.unique(
             self._benches(np.atleast_2d(points), seen), axis=0, return_inverse=True
         )
-        accuracy = accuracy_rpm(self.noise[recording], seen) * (COARSER if self.continuous else 1.0)
+        accuracy = accuracy_rpm(self.noise[recording], seen)
         samples = seen.lag if repeats(matrix, seen) else seen.samples
         stretches = self.recent.signals(
             matrix,
@@ -394,8 +349,7 @@ class SimulatedSignals:
         matrix = self.vectors(points, seen)
         if seen.begin_s:
             matrix = after(matrix, seen.begin_s)
-        matrix = self.bench.measurement.seen_by(matrix, seen.sampling_hz)
-        return without_ticks(matrix) if self.continuous else in_whole_ticks(matrix, seen)
+        return in_whole_ticks(self.bench.measurement.seen_by(matrix, seen.sampling_hz), seen)
 
     def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:
         """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.

@@ -588,14 +588,8 @@ def _columns(
         return [], np.zeros((fit.model.by_recording(fit.residual)[place].size, 0))
     among = list(dict.fromkeys(every[k][1] for k in acting))
     own = [Unknown(d.slot, recording=seen.name, added=True) for d in among]
-    white = fit.model.by_recording(fit.residual)[place].ravel()
     point = np.concatenate([fit.point, np.zeros(len(own))])
-    wider = model.beside(with_neutral(model.bench, among), own)
-    slopes = np.zeros((len(among), white.size))
-    for of_loop, comparison in ((True, wider), (False, wider.for_differences(point))):
-        rows = [k for k, u in enumerate(own) if u.is_of_loop == of_loop]
-        if rows:
-            slopes[rows] = _slopes(comparison, point, place, among, rows)
+    slopes = _slopes(model.beside(with_neutral(model.bench, among), own), point, place, among)
     rows = [among.index(every[k][1]) for k in acting]
     return acting, np.asarray(slopes[rows].T * [every[k][2] for k in acting])
 
@@ -605,11 +599,9 @@ def _slopes(
     point: FloatArray,
     place: int,
     among: Sequence[Direction],
-    rows: Sequence[int],
 ) -> FloatArray:
-    """Of the whitened signals of a recording by some of the last unknowns of its model, (k, N)."""
-    own = point.size - len(among) + np.array(rows)
-    among = [among[k] for k in rows]
+    """Of the whitened signals of a recording by the last unknowns of its model, (k, N)."""
+    own = point.size - len(among) + np.arange(len(among))
     steps = np.array([max(FIRST_STEP * d.size, d.least) for d in among])
     here = model.whitened_of(point[None], place)[0]
     at = model.vectors(point[None], model.recordings[place])[0, [Slot[d.slot] for d in among]]

@@ -242,8 +242,7 @@ def _columns(
         amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - at)
     moved = np.tile(np.concatenate([point, own]), (2, 1))
     moved[1, point.size + amplitude] += amount
-    of_ticks = any(u.is_of_loop for u in candidate.unknowns)
-    z = (model if of_ticks else model.for_differences(np.append(point, own))).whitened(moved)
+    z = model.whitened(moved)
     change = (z[0] - z[1]) / amount
     if not np.all(np.isfinite(change)):
         return []
@@ -275,7 +274,7 @@ def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> Floa
 
 def chi_square(model: SimulatedSignals, point: FloatArray) -> float:
     """Of a point, roughly and infinite where it cannot be simulated."""
-    z = model.for_differences(point).whitened(point)[0]
+    z = model.whitened(point)[0]
     value = float(z @ z)
     return value if math.isfinite(value) else math.inf
 

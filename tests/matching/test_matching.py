@@ -243,60 +243,6 @@ def test_the_oldest_simulations_are_forgotten() -> None:
     assert np.array_equal(recent.signals(many, None, simulate)[:, 0], many)
 
 
-SHARED = ("load_inertia_kg_m2", "shaft_stiffness_nm_per_rad", "speed_gain_nm_s_per_rad")
-
-
-def ticking(period_s: float) -> tuple[SimulatedSignals, np.ndarray]:
-    """A recording of a sampled controller, three parameters unknown, and the true point."""
-    sampled = BenchEffect("sampled_control", {"period_s": EffectParameterValue(period_s)})
-    bench = replace(reference_bench(), measurement=NOISE).with_effects(sampled)
-    recording = bench.simulate(8e-4, rotations=3.0, name="one", seed=np.random.default_rng(1))
-    seen = observed(recording, bench)
-    free = [Unknown(n, 0.5 * bench.value(n), 2.0 * bench.value(n)) for n in SHARED]
-    unknowns = [gap_unknown(1e-4, 1e-2), start_angle_unknown("one"), *free]
-    noise = estimate_channel_noise(seen.signals, seen.lag)
-    point = np.array([math.log(8e-4), 0.0, *map(bench.value, SHARED)])
-    return SimulatedSignals(bench, [seen], unknowns, [noise]), point
-
-
-@pytest.mark.parametrize("period_s", [2.5e-4, 1e-3])
-def test_differences_are_those_of_a_continuous_controller_as_late_as_the_sampled_one(
-    period_s: float,
-) -> None:
-    exact, point = ticking(period_s)
-    steps = np.array([0.01, 0.01, *(0.01 * point[2:])])
-    ends = np.concatenate([point - np.diag(steps), point + np.diag(steps)])
-    columns, swift = (
-        np.subtract(*np.split(asked.whitened(ends), 2)).T
-        for asked in (exact, exact.for_differences(point))
-    )
-    along = np.sum(columns * swift, axis=0) / (
-        np.linalg.norm(columns, axis=0) * np.linalg.norm(swift, axis=0)
-    )
-    # An optimum found by such columns is off by the sine of this angle, in standard deviations.
-    assert np.all(along > math.cos(0.1))
-    plain = model(reference_bench())
-    assert plain.for_differences(POINTS[0]) is plain
-
-
-def test_without_ticks_a_model_agrees_at_a_point_and_beside_it() -> None:
-    """Within the posterior χ² is that of the ticks; a fit ends where theirs ends."""
-    exact, point = ticking(1e-3)
-    fit = fit_simulated(exact, point)
-    assert fit.residual == pytest.approx(exact.whitened(fit.point)[0], abs=1e-12)
-    near = exact.near(fit.point, fit.residual)
-    assert near is not exact
-    assert near.whitened(fit.point)[0] == pytest.approx(fit.residual, abs=1e-9)
-    spread = np.linalg.cholesky(fit.covariance)
-    points = fit.point + np.random.default_rng(2).standard_normal((20, point.size)) @ spread.T
-    chi_square = [np.sum(m.whitened(points) ** 2, axis=1) for m in (exact, near)]
-    # Columns that are off by an angle of 0.1 at most, as above: χ² by twice that for each of them.
-    assert np.std(chi_square[0] - chi_square[1]) < 2.0 * 0.1 * math.sqrt(point.size)
-    # No neighbour of the optimum is better by the ticks themselves.
-    ends = fit.point + np.concatenate([np.eye(point.size), -np.eye(point.size)]) @ spread.T
-    assert np.all(np.sum(exact.whitened(ends) ** 2, axis=1) > np.sum(fit.residual**2))
-
-
 @pytest.mark.parametrize("reference_rpm", [1987.3, -1987.3])
 @pytest.mark.parametrize("period_s", [0.0, 2.5e-4])
 def test_a_rotation_holds_all_samples_of_a_steady_run(

@@ -161,9 +161,6 @@ class Linear(SimulatedSignals):
     def stretch(self, points, recording):
         return (np.atleast_2d(points) @ self.matrix.T)[:, None, :]
 
-    def for_differences(self, point):
-        return self  # no bench stands behind these signals, and so no sampled controller
-
 
 def linear_posterior(unknowns, seed=3):
     generator = np.random.default_rng(5)

@@ -106,44 +106,12 @@ def repeat_each_rotation(matrix: FloatArray) -> bool:
     return bool(np.all(whole | (variable == OVER_SPEED)))
 
 
-UNSEEN_RAD = 0.1
-"""Phase of the ringing by which a difference may be off: it loses 1 − cos 0.1, half a percent."""
-
-
-def lateness_rad(matrix: FloatArray) -> FloatArray:
-    """Phase of the shaft's ringing by which a sampled loop is late, (m, SLOTS) to (m,)."""
-    motor = matrix[:, Slot.motor_inertia_kg_m2] * matrix[:, Slot.gear_ratio] ** 2
-    load = matrix[:, Slot.load_inertia_kg_m2]
-    stiffness = matrix[:, Slot.shaft_stiffness_nm_per_rad]
-    return np.asarray(sampled_lateness_s(matrix) * np.sqrt(stiffness * (1.0 / motor + 1.0 / load)))
-
-
 def sampled_lateness_s(matrix: FloatArray) -> FloatArray:
     """By which a sampled loop is late: what it differentiates, computes and holds, (m, SLOTS) to
     (m,)."""
     periods = 1.0 + matrix[:, Slot.sampled_control__delay_periods]
     periods -= 0.5 * matrix[:, Slot.sampled_control__instant_share]
     return np.asarray(periods * matrix[:, Slot.sampled_control__period_s])
-
-
-def without_ticks(matrix: FloatArray) -> FloatArray:
-    """These benches, shape (m, SLOTS), with a continuous controller as late as their sampled one.
-
-    Near enough for differences between benches, at half the time or less: ``SAMPLED_CONTROL``
-    has what a period does to the loop. Those that are not sampled stay as they are.
-    """
-    matrix = matrix.copy()
-    period = matrix[:, Slot.sampled_control__period_s]
-    averaging = matrix[:, Slot.speed_averaging__time_s]
-    # A short lag would cost the simulator tiny steps.
-    late = np.where(lateness_rad(matrix) > UNSEEN_RAD, sampled_lateness_s(matrix), 0.0)
-    matrix[:, Slot.current_loop_lag__time_s] += late
-    matrix[:, Slot.speed_gain_nm_s_per_rad] += (
-        0.5 * period * matrix[:, Slot.integral_gain_nm_per_rad]
-    )
-    averaging[:] = np.where(averaging > 0.0, averaging, period)
-    period[:] = 0.0
-    return matrix
 
 
 def turn_with_the_motor(matrix: FloatArray) -> bool:
