@@ -152,7 +152,11 @@ _NUMBER = r"(\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)"
 _MULTIPLE = re.compile(rf"{_NUMBER} (\S.*)")
 _PART = re.compile(rf"(\S.*?)/{_NUMBER}")
 _SHARE = re.compile(rf"(%|‰|per ?cent|per ?mille|0\.1 ?%) of {_NUMBER} (\S.*)")
-_SIZES = {"time": '"4 ms"', "angle": '"rev/4096"', "speed": '"rpm/7"'}
+_SIZES = {
+    "time": '"4 ms"',
+    "angle": '"rev/4096" (counts of a turn; the mm of a screw\'s turn)',
+    "speed": '"rpm/7"',
+}
 """How a unit with a number is written: samples of 4 ms, counts of a turn, pairs of poles."""
 
 

@@ -249,8 +249,14 @@ def init_command(
     from bayesbl.runs.kinds import check
 
     path, guess = start_config(recordings, out, joint=joint, force=force)
-    plan = check(path)
     print_blocks(guess_blocks(guess), make_console())
+    if guess.is_open:
+        say(
+            f'Written to {path}. It cannot run yet: fill in each "?" in it, or take its line out, '
+            f"then: bayesbl check {path}"
+        )
+        raise typer.Exit(WRONG)
+    plan = check(path)
     told = what_next(
         path,
         sound=not plan.problems,

@@ -166,7 +166,7 @@ def require_sampling_rate(recording: Recording) -> None:
             "The sampling rate is too low to see the impacts."
             + (
                 f" The column for {TIME} looks like ms, not s."
-                if 1e3 * rate >= MINIMUM_SAMPLING_HZ
+                if 1e3 * rate >= MINIMUM_SAMPLING_HZ and recording.duration_s >= 1e3 * BLOCK_S
                 else ""
             ),
             file=recording.place,

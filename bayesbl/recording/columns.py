@@ -179,7 +179,7 @@ def _bracketed(name: str) -> StatedUnit | None:
             return StatedUnit(name[: brackets.start()] + name[brackets.end() :], unit)
     for brackets in reversed(every):
         text = brackets[1].strip()
-        words = re.findall(r"[^\W\d_]+", text.lower())
+        words = re.findall(r"[^\W\d_]+", re.sub("0x[0-9a-f]+", "", text.lower()))
         meant = brackets[0][0] == "[" or any(mark in text for mark in "/%‰°")
         meant |= text.lower() in _OTHER_UNITS or _BY_TIME.fullmatch(text) is not None
         meant |= any(len(word) > 1 and is_unit(spelled(word)) for word in words)

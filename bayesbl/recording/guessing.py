@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -29,6 +31,7 @@ from bayesbl.recording.channels import (
     TIME,
 )
 from bayesbl.recording.columns import COUNTED, StatedUnit, stamps_and_values, stated_unit
+from bayesbl.recording.repairs import unwrapped
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
     RPM_PER_RAD_PER_S,
@@ -49,16 +52,19 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
 )
 """Channel to the words that files use for it, in small letters."""
 
-_REFERENCE = "ref reference set setpoint cmd command target desired demand nominal soll sp"
+_REFERENCE = "ref reference set setpoint cmd command target desired demand nominal soll sp goal"
 _LOAD = "load link joint output out arm l wheel pendulum secondary external"
 _MOTOR = "motor mot m"
-_BESIDE = "error err deviation difference lag residual abweichung fehler temperature temp"
+_BESIDE = (
+    "error err deviation difference diff lag residual abweichung fehler temperature temp "
+    "supply bus battery dc ina"  # a monitor of the supply is called by its chip: INA219
+)
 """What stands beside a channel under its name and is another quantity."""
 
 _FILTERED = "filtered filt smooth smoothed avg mean"
 _CLOCKS = "ms us ns msec usec millis micros"
-_SIDES = f"{_REFERENCE} {_MOTOR} load"
-"""What groups of one joint's columns are called: none of them is a joint."""
+_SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD}"
+"""What groups of one joint's columns are called."""
 
 _STEMS = frozenset(
     word
@@ -74,8 +80,11 @@ NO_UNIT = "no unit found: check it"
 AS_SPEED = "as the speed: check it"
 """Reason for the unit of a reference that states none: it nearly always has the speed's."""
 
+NO_NAME = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
+"""Reason for a column that no name tells."""
+
 UNKNOWN = "?"
-"""In place of a unit that nothing tells now and nothing could check later."""
+"""In place of a unit or a name that nothing tells: the configuration does not run with it."""
 
 _USUAL_RATES_HZ = (10.0, 5e4)
 _THESE_YEARS = (631152000.0, 4102444800.0)
@@ -94,6 +103,9 @@ _TURNS_BACK = 1.5
 
 _FOLLOWS = 0.5
 """Share of a position's variance that another one explains, if both may be of one joint."""
+
+_IS_INTEGRAL = 0.95
+"""The same of a position and the integral of its speed."""
 
 _AGREEMENT = 0.02
 """Relative; speed and position that differ by less belong together."""
@@ -128,6 +140,11 @@ class Guess:
     torque_ramps: bool = False
     two_encoders: bool = False
 
+    @property
+    def is_open(self) -> bool:
+        """Whether anything is left for the user to fill in."""
+        return any(column.unit == UNKNOWN for column in self.columns)
+
 
 @dataclass(frozen=True)  # without slots, for values that are read once
 class _Named:
@@ -156,6 +173,22 @@ class _Named:
         return np.where(np.isfinite(values), values, np.nan)
 
     @cached_property
+    def positions(self) -> FloatArray:
+        """Its values, shape (n,), as a recording has them: what begins again at a turn goes on."""
+        for unit in _possible(MOTOR_POSITION, self) or ("rad",):
+            size, repairs = conversion_factor(MOTOR_POSITION, unit), Counter[str]()
+            whole = unwrapped(size * self.values, size, repairs, self.name)
+            if repairs:
+                return whole / size
+        return self.values
+
+    @property
+    def rad(self) -> float | None:
+        """The size of the unit of angles that the file states."""
+        unit = self.stated.of(MOTOR_POSITION).unit
+        return None if unit is None else conversion_factor(MOTOR_POSITION, unit)
+
+    @cached_property
     def stamps(self) -> FloatArray | None:
         """Seconds since the first date, where it holds dates."""
         return self.table.timestamps(self.index)
@@ -173,8 +206,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     Raises
     ------
     RecordingError
-        If no column can be time, or none the motor's speed or position, or these do not hold
-        numbers; if there is no such joint, or several and none was chosen.
+        If no column can be time, or time or speed do not hold numbers; if there is no such joint,
+        or several and none was chosen.
     """
     named = _of_joint(table, joint)
     chosen = _by_name(named)
@@ -190,15 +223,18 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         rest = [column for column in named if column not in chosen.values()]
         found = next((column for column in rest if column.increases), None)
         if found is None:
-            raise _missing(table, TIME, "time")
+            raise RecordingError(
+                "No column looks like time.",
+                file=table.file,
+                where="header",
+                found=", ".join(f'"{name}"' for name in table.columns),
+                expected=f'a column "{TIME}", or another name for it under [columns]',
+            )
         chosen[TIME] = found
     if MOTOR_SPEED not in chosen:
         chosen |= _pair_of_positions(named, chosen)
     both = _is_of_two_encoders(chosen)
     ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(chosen)
-    bare = MOTOR_SPEED not in chosen
-    if bare and not ramps and not both and MOTOR_POSITION not in chosen:
-        raise _missing(table, MOTOR_SPEED, CHANNELS[MOTOR_SPEED])
     values = {
         channel: _series(column) if channel in (TIME, MOTOR_SPEED) else column.values
         for channel, column in chosen.items()
@@ -206,12 +242,9 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
     table.samples_of([chosen[channel].index for channel in held])
     units = _units(chosen, held)
-    if bare or both or _stated(MOTOR_SPEED, chosen[MOTOR_SPEED], units).unit == UNKNOWN:
-        # Without a speed a position alone sets the size of everything.
-        for channel in (MOTOR_POSITION, LOAD_POSITION):
-            asked = f"enter its unit: {', '.join(accepted_units(channel))}"
-            units.setdefault(channel, (UNKNOWN, asked))
     guesses = [_stated(channel, chosen[channel], units) for channel in held]
+    if chosen.keys().isdisjoint((MOTOR_SPEED, MOTOR_POSITION)):
+        guesses.append(GuessedColumn(MOTOR_POSITION, UNKNOWN, UNKNOWN, NO_NAME, True))
     if not (ramps or both):
         guesses = _doubted(guesses, held)
     columns = tuple(guesses)
@@ -228,20 +261,26 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
 def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     """The columns of the chosen joint, or of the only one; all of them where no name has a joint.
 
-    What stands before the last slash is the joint, and does not tell what a column holds.
+    What stands before the last slash is the joint and a side of it, as in ``motor/pos``. Only the
+    side tells what a column holds. A ``joint`` is the motor's other side, or else a name.
     """
     bare = [stated_unit(table, index).bare for index in range(len(table.columns))]
     groups = [name.rpartition("/")[0] for name in bare]
-    inner = [_named(table, index, group) for index, group in enumerate(groups)]
-    joints = dict.fromkeys(
-        group
-        for group, column in zip(groups, inner, strict=True)
-        if group
-        and _channel(column) in (MOTOR_SPEED, MOTOR_POSITION)
-        and _words(group).isdisjoint(_SIDES.split())
-    )
-    known = shortened(", ".join(joints), 200)
-    if joint is not None and joint not in joints:
+    motors = {_without(group, _SIDES) for group in groups if _words(group) & {*_MOTOR.split()}}
+    sides = [
+        _SIDES if _without(group, _SIDES) in motors else f"{_REFERENCE} {_MOTOR} load"
+        for group in groups
+    ]
+    names = [_without(group, of) for group, of in zip(groups, sides, strict=True)]
+    inner = [_named(table, i, *of) for i, of in enumerate(zip(groups, sides, strict=True))]
+    joints: dict[str, str] = {}
+    for name, group, column in zip(names, groups, inner, strict=True):
+        if name and _channel(column) in (MOTOR_SPEED, MOTOR_POSITION):
+            joints.setdefault(name, group)
+    known = shortened(", ".join(joints.values()), 200)
+    first = next(iter(joints.values()), "")
+    chosen = dict(zip(groups, names, strict=True)).get(first if joint is None else joint)
+    if joint is not None and chosen not in joints:
         raise RecordingError(
             "There is no such joint.",
             file=table.file,
@@ -254,13 +293,17 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
             "The file holds several joints.",
             file=table.file,
             found=known,
-            expected=f"one of them, e.g. --joint {shlex.quote(next(iter(joints)))}",
+            expected=f"one of them, e.g. --joint {shlex.quote(first)}",
         )
     if not joints:
         return [_named(table, index) for index in range(len(table.columns))]
-    chosen = joint if joint is not None else next(iter(joints))
-    pairs = zip(groups, inner, strict=True)
-    return [column for group, column in pairs if group in ("", chosen)]
+    return [column for name, column in zip(names, inner, strict=True) if name in ("", chosen)]
+
+
+def _without(group: str, sides: str) -> str:
+    """The words of a group but for those of its side, with the numbers at their ends."""
+    parts = [re.sub(rf"^({sides.replace(' ', '|')})(?=\d*$)", "", p.lower()) for p in _split(group)]
+    return " ".join(part for part in parts if part)
 
 
 def _is_of_ramps(chosen: Mapping[str, _Named]) -> bool:
@@ -283,84 +326,92 @@ def _pair_of_positions(named: Sequence[_Named], chosen: Mapping[str, _Named]) ->
     sides = (MOTOR_POSITION, LOAD_POSITION)
     there = [chosen[side] for side in sides if side in chosen]
     kinds = [*sides] if there else [None]  # motor, axis: names of the sides alone
+    named = [c for c in named if not c.is_called(_BESIDE)]
     there = there or [c for c in named if c.is_called(_MOTOR) and _channel(c) is None][:1]
     if len(there) != 1:
         return {}
     others = [c for c in named if c is not there[0] and _channel(c) in kinds]
-    first = there[0].values
-    follows: dict[float, _Named] = {}
-    for column in others:
-        values = column.values
-        good = np.isfinite(first) & np.isfinite(values) if values.size == first.size else False
-        pair = (np.unwrap(first[good]), np.unwrap(values[good])) if np.any(good) else None
-        if pair and min(map(np.ptp, pair)) > 0.0:
-            follows[float(np.corrcoef(*pair)[0, 1] ** 2)] = column
+    follows = {_slope(there[0].positions, column.positions)[1]: column for column in others}
     if not follows or max(follows) < _FOLLOWS:
         return {}
     both = [there[0], follows[max(follows)]]
-    ways = [float(np.nanmax(c.values) - np.nanmin(c.values)) for c in both]
-    swapped = not both[0].is_called(_MOTOR) and (both[1].is_called(_MOTOR) or ways[1] > ways[0])
-    return dict(zip(sides, reversed(both) if swapped else both, strict=True))
+    called = [(c.is_called(_MOTOR), not c.is_called(_LOAD)) for c in both]
+    ways = [(c.rad or 1.0) * float(np.nanmax(c.positions) - np.nanmin(c.positions)) for c in both]
+    if called[0] == called[1] and (both[0].rad is None) == (both[1].rad is None):
+        if max(ways) < (1.0 + _AGREEMENT) * min(ways):
+            return {}  # one position twice: nothing says that there is a gear between them
+        called = [(False, way == max(ways)) for way in ways]
+    return dict(zip(sides, both if called[0] >= called[1] else reversed(both), strict=True))
+
+
+def _slope(along: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """How far values, shape (n,), go along others, and the share of their variance this explains.
+
+    0 and 0 where one of them stands still, or both were not sampled together.
+    """
+    if along.size != values.size:
+        return 0.0, 0.0
+    good = np.isfinite(along) & np.isfinite(values)
+    if not good.any() or min(np.ptp(along[good]), np.ptp(values[good])) == 0.0:
+        return 0.0, 0.0
+    (own, shared), (_, other) = np.cov(along[good], values[good])
+    return float(shared / own), float(shared**2 / (own * other))
 
 
 def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:
     """Whether there are both positions, and the motor goes to and fro."""
     if not {MOTOR_POSITION, LOAD_POSITION} <= chosen.keys():
         return False
-    motor, load = (chosen[c].values for c in (MOTOR_POSITION, LOAD_POSITION))
-    if motor.size != load.size:
+    motor, load = (chosen[c].positions for c in (MOTOR_POSITION, LOAD_POSITION))
+    if not any(_slope(motor, load)):
         return False
-    good = np.isfinite(motor) & np.isfinite(load)
-    motor, load = np.unwrap(motor[good]), load[good]
-    if motor.size < 2 or float(np.ptp(load)) == 0.0:
-        return False
+    motor = motor[np.isfinite(motor)]
     return float(np.abs(np.diff(motor)).sum()) > _TURNS_BACK * abs(float(motor[-1] - motor[0]))
 
 
 def _doubted(
     columns: Sequence[GuessedColumn], values: Mapping[str, FloatArray]
 ) -> list[GuessedColumn]:
-    """Not sure of a motor's speed that is a load's: what ROS calls a joint's velocity is one."""
-    by_channel = {column.channel: column for column in columns}
-    rpm = _mean_speed_rpm(by_channel, values)
-    if rpm is None or rpm >= _USUAL_SPEEDS_RPM[0]:
+    """Not sure of a motor's speed that is a load's: what ROS calls a joint's velocity is one.
+
+    The speed is that of the position where there is no other.
+    """
+    sized = {
+        column.channel: conversion_factor(column.channel, column.unit) * values[column.channel]
+        for column in columns
+        if column.unit != UNKNOWN
+    }
+    of_position = all(column.channel != MOTOR_SPEED for column in columns)
+    needed = (MOTOR_POSITION, TIME) if of_position else (MOTOR_SPEED,)
+    if not sized.keys() >= {*needed}:
         return list(columns)
-    own = by_channel.get(MOTOR_SPEED) or by_channel[MOTOR_POSITION]
+    known = np.array([sized[channel] for channel in needed])
+    known = known[:, np.isfinite(known).all(axis=0)]
+    if of_position:
+        ways = np.abs(np.diff(known)).sum(axis=1)
+        rpm = RPM_PER_RAD_PER_S * float(ways[0] / ways[1]) if ways[1] else np.inf
+    else:
+        rpm = float(np.abs(known).mean())
+    if rpm >= _USUAL_SPEEDS_RPM[0]:
+        return list(columns)
     reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
-    if not own.sure:
-        reason += " Or is this unit wrong?"
-    doubted = replace(own, reason=reason, doubted=True)
-    return [doubted if column is own else column for column in columns]
+    unsure = " Or is this unit wrong?"
+    return [
+        replace(column, reason=reason + ("" if column.sure else unsure), doubted=True)
+        if column.channel == needed[0]
+        else column
+        for column in columns
+    ]
 
 
-def _mean_speed_rpm(
-    columns: Mapping[str, GuessedColumn], values: Mapping[str, FloatArray]
-) -> float | None:
-    """The motor's, by its speed or else its position; ``None`` where a unit is not known."""
-    speed, angle, time = (columns.get(c) for c in (MOTOR_SPEED, MOTOR_POSITION, TIME))
-    if speed is not None:
-        if speed.unit == UNKNOWN:
-            return None
-        factor = conversion_factor(MOTOR_SPEED, speed.unit)
-        return factor * float(np.nanmean(np.abs(values[MOTOR_SPEED])))
-    if angle is None or time is None or UNKNOWN in (angle.unit, time.unit):
-        return None
-    good = np.isfinite(values[TIME]) & np.isfinite(values[MOTOR_POSITION])
-    seconds = conversion_factor(TIME, time.unit) * values[TIME][good]
-    way = np.abs(
-        np.diff(conversion_factor(MOTOR_POSITION, angle.unit) * values[MOTOR_POSITION][good])
-    )
-    lasted = float(seconds[-1] - seconds[0]) if seconds.size else 0.0
-    return RPM_PER_RAD_PER_S * float(way.sum()) / lasted if lasted > 0.0 else None
-
-
-def _named(table: ArrayTable, index: int, group: str = "") -> _Named:
-    """A column; ``group``: of its joint, which stands before its own name."""
+def _named(table: ArrayTable, index: int, group: str = "", sides: str = "") -> _Named:
+    """A column; ``group``: of its joint, which stands before its own name and may tell a side."""
     name = table.columns[index]
     stated = stated_unit(table, index, name.removeprefix(f"{group}/"))
     if stated.unknown and table.timestamps(index) is not None:  # time [hh:mm:ss]
         stated = replace(stated, unknown=None)
-    return _Named(table, index, name, _words(stated.bare), stated)
+    words = _words(stated.bare) | (_words(group) & {*sides.split()})
+    return _Named(table, index, name, words, stated)
 
 
 def _split(text: str) -> list[str]:
@@ -379,6 +430,8 @@ def _parts_of(word: str) -> tuple[str, ...]:
     """A word as a compound of known ones, ``drehzahlistwert``; itself where it is none."""
     if word in _STEMS:
         return (word,)
+    if re.fullmatch("(q|w|theta|phi|omega)[ml]", word):  # a symbol and the index of its side
+        return (word[:-1], word[-1])
     for end in range(len(word) - 2, 2, -1):
         if word[:end] in _STEMS and all(p in _STEMS for p in _parts_of(word[end:])):
             return (word[:end], *_parts_of(word[end:]))
@@ -450,7 +503,13 @@ def _stated(
     if stated.unit:
         said = "the name says so" if column.name == channel else "stated in the file"
         return GuessedColumn(channel, column.name, stated.unit, said, True)
-    unit, reason = (suggested or {}).get(channel, (accepted_units(channel)[0], NO_UNIT))
+    # The size of everything may hang on a position: its unit is never taken for granted.
+    unheard = (
+        (UNKNOWN, f"enter its unit: {choice_of_units(channel)}")
+        if channel in (MOTOR_POSITION, LOAD_POSITION)
+        else (accepted_units(channel)[0], NO_UNIT)
+    )
+    unit, reason = (suggested or {}).get(channel, unheard)
     return GuessedColumn(channel, column.name, unit, reason, False)
 
 
@@ -465,54 +524,53 @@ def _units(
     unit = time[0] if time else _stated(TIME, chosen[TIME]).unit
     if MOTOR_SPEED not in values or unit == UNKNOWN:
         return found
-    factor = conversion_factor(TIME, unit)
-    speed = float(np.nanmean(np.abs(values[MOTOR_SPEED])))
     if MOTOR_POSITION in values:
-        good = np.isfinite(values[TIME]) & np.isfinite(values[MOTOR_POSITION])
-        seconds, angle = factor * values[TIME][good], values[MOTOR_POSITION][good]
-        lasted = seconds[-1] - seconds[0] if seconds.size else 0.0
-        rate = abs(angle[-1] - angle[0]) / lasted if lasted else 0.0  # time may stand still
-        found |= _of_position(_agreeing(chosen, speed, float(rate)))
+        seconds = conversion_factor(TIME, unit) * values[TIME]
+        found |= _of_position(chosen, seconds, values[MOTOR_SPEED])
     return found | {
         REFERENCE_SPEED: (_stated(MOTOR_SPEED, chosen[MOTOR_SPEED], found).unit, AS_SPEED)
     }
 
 
-def _of_position(pairs: Sequence[tuple[str, str]]) -> dict[str, tuple[str, str]]:
-    """Units of speed and position. Of those that agree alike the numbers tell none: joints are
-    logged in rad."""
-    if not pairs:
-        return {}
-    speed, angle = ("rad/s", "rad") if ("rad/s", "rad") in pairs else pairs[0]
+def _of_position(
+    chosen: Mapping[str, _Named], seconds: FloatArray, speed: FloatArray
+) -> dict[str, tuple[str, str]]:
+    """Units in which the position's derivative is the speed, both of shape (n,).
+
+    Of those that agree alike the numbers tell none: joints are logged in rad.
+    """
+    known = np.isfinite(seconds) & np.isfinite(speed)
+    at, along = seconds[known], np.full(seconds.shape, np.nan)
+    means = 0.5 * (speed[known][1:] + speed[known][:-1])
+    along[known] = np.concatenate([[0.0], np.cumsum(means * np.diff(at))])
+    rate, explained = _slope(along, chosen[MOTOR_POSITION].positions)
+    mean = float(np.mean(np.abs(speed[known])))
+    units = list(product(*(_possible(c, chosen[c]) for c in (MOTOR_SPEED, MOTOR_POSITION))))
+    found: list[tuple[bool, str, str]] = []
+    for mine, theirs in units:
+        size = conversion_factor(MOTOR_SPEED, mine)
+        turned = abs(rate) * conversion_factor(MOTOR_POSITION, theirs) * RPM_PER_RAD_PER_S
+        if size * mean <= _USUAL_SPEEDS_RPM[1] and abs(turned / size - 1.0) <= _AGREEMENT:
+            found.append((size * mean < _USUAL_SPEEDS_RPM[0], mine, theirs))
+    pairs = [pair for _, *pair in sorted(found, key=lambda each: each[0])]
+    if explained < _IS_INTEGRAL or not pairs:
+        asked = "enter its unit, as it is the position's derivative in none: "
+        return {MOTOR_SPEED: (UNKNOWN, asked + choice_of_units(MOTOR_SPEED))} if units else {}
+    unit, angle = ("rad/s", "rad") if ["rad/s", "rad"] in pairs else pairs[0]
+    others = dict.fromkeys(theirs for _, theirs in pairs if theirs != angle)
     reason = "speed and position then agree"
     if len(pairs) > 1:
-        others = dict.fromkeys(theirs for _, theirs in pairs if theirs != angle)
         reason = (
             f"speed and position agree in {' or '.join(others) or 'another unit'} too: check it"
         )
-    return {MOTOR_SPEED: (speed, reason), MOTOR_POSITION: (angle, reason)}
+    return {MOTOR_SPEED: (unit, reason), MOTOR_POSITION: (angle, reason)}
 
 
-def _agreeing(chosen: Mapping[str, _Named], speed: float, rate: float) -> list[tuple[str, str]]:
-    """Units of speed and position in which both agree, those of a usual speed first.
-
-    ``speed``, and ``rate`` of the position per s: each in the unit of its column.
-    """
-    found: list[tuple[bool, str, str]] = []
-    for mine in _possible(MOTOR_SPEED, chosen[MOTOR_SPEED]):
-        rpm = speed * conversion_factor(MOTOR_SPEED, mine)
-        for theirs in _possible(MOTOR_POSITION, chosen[MOTOR_POSITION]):
-            compared = rate * conversion_factor(MOTOR_POSITION, theirs) * RPM_PER_RAD_PER_S
-            if 0.0 < rpm <= _USUAL_SPEEDS_RPM[1] and abs(compared / rpm - 1.0) <= _AGREEMENT:
-                found.append((rpm < _USUAL_SPEEDS_RPM[0], mine, theirs))
-    return [(mine, theirs) for _, mine, theirs in sorted(found, key=lambda pair: pair[0])]
-
-
-def _possible(channel: str, column: _Named) -> Iterable[str]:
-    stated = _stated(channel, column)
-    if stated.unit == UNKNOWN:
+def _possible(channel: str, column: _Named) -> Sequence[str]:
+    stated = column.stated.of(channel)
+    if stated.unknown:
         return ()
-    return (stated.unit,) if stated.sure else accepted_units(channel)
+    return (stated.unit,) if stated.unit else accepted_units(channel)
 
 
 def _time_unit(column: _Named) -> tuple[str, str] | None:
@@ -563,13 +621,3 @@ def _series(column: _Named) -> FloatArray:
             expected="a finite number in every sample",
         )
     return values
-
-
-def _missing(table: ArrayTable, channel: str, what: str) -> RecordingError:
-    return RecordingError(
-        f"No column looks like {what}.",
-        file=table.file,
-        where="header",
-        found=", ".join(f'"{name}"' for name in table.columns),
-        expected=f'a column "{channel}", or another name for it under [columns]',
-    )

@@ -20,7 +20,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -261,8 +261,16 @@ def _header_of(
         names, units = before, below
     elif len(set(of_top)) > 1 and len(of_top) == sum(map(bool, on_top)):
         units = on_top
+    elif len(set(names)) < len(names) and len(set(filter(None, before))) > 1:
+        # A title over each of several columns that are called alike: "Speed,,Current," over "X,Y".
+        titles = accumulate(before, _title_on)
+        names = [f"{title} {name}" for title, name in zip(titles, names, strict=False)]
     names = [name or f"column {i}" for i, name in enumerate(names, 1)]
     return named[-1], tuple(numbered(names)), tuple(units[: len(names)])
+
+
+def _title_on(left: str, title: str) -> str:
+    return title or left
 
 
 def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int | None:

@@ -13,7 +13,7 @@ from bayesbl.config.files import require_text_names
 from bayesbl.config.sections import name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import formats
-from bayesbl.recording.guessing import UNKNOWN, Guess, guess_columns
+from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
 from bayesbl.results.folder import require_apart
@@ -65,7 +65,7 @@ def start_config(
     Raises
     ------
     UserError
-        If a recording cannot be read, the first holds no speed, or the file is there or is a
+        If a recording cannot be read, the first holds no time, or the file is there or is a
         recording.
     """
     first = Path(recordings[0])
@@ -115,6 +115,7 @@ output = {quoted(f"results/{name_of(path.stem)}")}
                              # "8 arcmin play" or "0.5 mm play at 0.4 m"
 {before if kind == "compare" else ""}
 # Each channel with the column that holds it. These are guesses: names and units decide the answer.
+# Fill in each "?", or take its line out.
 [columns]
 {column_lines(guess)}
 {entries}
@@ -162,7 +163,6 @@ route = "two_encoders"
 def column_lines(guess: Guess) -> str:
     """The entries of ``[columns]``, each with its reason, and the columns that have none."""
     lines = [
-        f"{'# ' if column.unit == UNKNOWN else ''}"
         f"{column.channel} = {{name = {quoted(column.name)}, unit = {quoted(column.unit)}}}"
         f"    # {column.reason}\n"
         for column in guess.columns

@@ -953,6 +953,115 @@ def test_positions_of_motor_and_load_are_told_apart(names: str, tmp_path: Path) 
     assert list(told) == ["time_s", "motor_position_rad", "load_position_rad"]
 
 
+TO_AND_FRO = np.sin(6.0 * np.pi * TIME)
+
+
+def guessed(path: Path, columns: dict[str, np.ndarray]) -> dict[str, tuple[str, str]]:
+    """Channel to name and unit, of a file of such columns."""
+    lines = [",".join(map(repr, map(float, row))) for row in zip(*columns.values(), strict=True)]
+    path.write_text(text(lines, ",".join(columns)))
+    return {c.channel: (c.name, c.unit) for c in guess_columns(read_table(path)).columns}
+
+
+@pytest.mark.parametrize("names", ["pos_abs,sencond_pos_abs", "enc1,enc2", "enc2,enc1"])
+@pytest.mark.parametrize("form", ["counts", "turns of 4096", "turns of 360"])
+def test_of_two_positions_the_motor_is_the_one_that_moves_more(
+    names: str, form: str, tmp_path: Path
+) -> None:
+    turns = 3.0 * TO_AND_FRO  # of the motor
+    whole = 360.0 if form.endswith("360") else 4096.0
+    counts = [np.floor(whole * ratio * turns + 700.0) for ratio in (1.0, 0.04)]
+    motor, load = counts if form == "counts" else [each % whole for each in counts]
+    for columns in ((motor, load), (load, motor)):
+        named = dict(zip(names.split(","), columns, strict=True))
+        found = guessed(tmp_path / "a.csv", {"time": TIME, **named})
+        assert named[found["motor_position_rad"][0]] is motor
+        assert named[found["load_position_rad"][0]] is load
+        assert found["load_position_rad"][1] == found["motor_position_rad"][1] == UNKNOWN
+
+
+def test_one_position_twice_is_no_motor_and_load(tmp_path: Path) -> None:
+    columns = {"time": TIME, "pos": TO_AND_FRO, "pos_raw": TO_AND_FRO + 1e-3 * NOISE}
+    assert "load_position_rad" not in guessed(tmp_path / "a.csv", columns)
+    columns = {"time": TIME, "motor temp": TO_AND_FRO, "housing temp": 0.5 * TO_AND_FRO}
+    assert guessed(tmp_path / "a.csv", columns)["motor_position_rad"] == (UNKNOWN, UNKNOWN)
+    columns = {"time": TIME, "pos": TO_AND_FRO, "pos_goal": 1.1 * TO_AND_FRO}
+    assert guessed(tmp_path / "a.csv", columns)["motor_position_rad"][0] == "pos"
+
+
+@pytest.mark.parametrize(
+    ("motor", "joint"),
+    [("motor", "joint"), ("/motor_states/elbow", "/joint_states/elbow"), ("motor_2", "link_2")],
+)
+def test_the_side_before_the_slash_tells_motor_and_joint_apart(
+    motor: str, joint: str, tmp_path: Path
+) -> None:
+    speed = np.gradient(TO_AND_FRO, TIME)
+    columns = {
+        "t": TIME,
+        f"{joint}/position": TO_AND_FRO,
+        f"{joint}/velocity": speed,
+        f"{motor}/position": 50.0 * TO_AND_FRO,
+        f"{motor}/velocity": 50.0 * speed,
+    }
+    found = guessed(tmp_path / "a.csv", columns)
+    assert found["motor_speed_rpm"] == (f"{motor}/velocity", "rad/s")
+    assert found["motor_position_rad"] == (f"{motor}/position", "rad")
+    assert found["load_position_rad"] == (f"{joint}/position", UNKNOWN)
+    two = columns | {f"motor_7/{kind}": speed for kind in ("position", "velocity")}
+    if motor == "motor_2":
+        with pytest.raises(RecordingError, match="several joints"):
+            guessed(tmp_path / "a.csv", two)
+
+
+@pytest.mark.parametrize("unit", ["rpm", "rad/s", "deg/s", "rev/s"])
+def test_a_speeds_unit_is_that_of_the_positions_derivative_to_and_fro(
+    unit: str, tmp_path: Path
+) -> None:
+    noise = np.random.default_rng(11).normal(0.0, 3.0, COUNT)
+    speed = 100.0 * np.gradient(TO_AND_FRO, TIME) + noise  # rad/s
+    columns = {
+        "time": TIME,
+        "velocity": speed * RPM_PER_RAD_PER_S / conversion_factor("motor_speed_rpm", unit),
+        "position [rad]": 100.0 * TO_AND_FRO % (2.0 * np.pi),
+    }
+    told = guessed(tmp_path / "a.csv", columns)["motor_speed_rpm"][1]
+    factor = conversion_factor("motor_speed_rpm", unit)
+    assert conversion_factor("motor_speed_rpm", told) == pytest.approx(factor)
+    columns["velocity"] = np.abs(columns["velocity"])  # a sign that the log writes as a bit
+    assert guessed(tmp_path / "a.csv", columns)["motor_speed_rpm"][1] == UNKNOWN
+
+
+def test_counts_and_lengths_are_asked_for_with_what_to_write(tmp_path: Path) -> None:
+    columns = {"time [s]": TIME, "motor [deg]": 9e3 * TO_AND_FRO, "table position [mm]": TO_AND_FRO}
+    assert guessed(tmp_path / "a.csv", columns)["load_position_rad"][1] == UNKNOWN
+    load = guess_columns(read_table(tmp_path / "a.csv")).columns[-1]
+    assert '"mm"' in load.reason
+    assert "the mm of a screw's turn" in load.reason
+
+
+@pytest.mark.parametrize("name", ["ina1 current [A]", "supply_current_a", "bus current"])
+def test_the_current_of_a_supply_is_not_the_motors(name: str, tmp_path: Path) -> None:
+    columns = {"time [s]": TIME, "speed [rpm]": SPEED, name: SPEED}
+    assert "motor_current_a" not in guessed(tmp_path / "a.csv", columns)
+
+
+def test_a_symbol_with_its_sides_letter_is_that_sides(tmp_path: Path) -> None:
+    columns = {"t": TIME, "ql": TO_AND_FRO, "qm": 50.0 * TO_AND_FRO}
+    found = guessed(tmp_path / "a.csv", columns)
+    assert found["motor_position_rad"][0] == "qm"
+    assert found["load_position_rad"][0] == "ql"
+
+
+def test_titles_above_columns_of_one_name_tell_them_apart(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{1e3 * t:.0f},{n},{1e3 * t:.0f},{i}," for i, (t, n) in enumerate(PAIRS)]
+    path.write_text(text(["X,Y,X,Y", *lines], "Speed [0x2201/31],,Current,,"))
+    names = ("Speed [0x2201/31] X", "Speed [0x2201/31] Y", "Current X", "Current Y")
+    assert read_table(path).columns == names
+    assert guess_columns(read_table(path)).columns[0].unit == "ms"
+
+
 @pytest.mark.parametrize(
     ("seconds", "nanoseconds", "whole"),
     [("stamp.sec", "stamp.nanosec", True), ("time_s", "time_ns", False)],

@@ -132,12 +132,16 @@ def test_reference_and_load_are_not_taken_for_the_motor(measured, tmp_path):
     assert found.unused == ("load_speed", "comment")
 
 
-def test_a_file_without_speed_is_refused(measured, tmp_path, capsys):
+def test_what_no_name_tells_is_left_to_fill_in(measured, tmp_path, capsys):
     path = write_csv(tmp_path / "joint.csv", {"time": measured.time_s, "x": measured.time_s})
-    with pytest.raises(RecordingError, match="motor speed"):
-        guess_columns(read_table(path))
-    assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
-    assert not (tmp_path / "a.toml").exists()
+    out = tmp_path / "a.toml"
+    assert cli.status(["init", str(path), "--out", str(out)]) == cli.WRONG
+    assert 'cannot run yet: fill in each "?"' in " ".join(capsys.readouterr().out.split())
+    assert 'motor_position_rad = {name = "?", unit = "?"}' in out.read_text()
+    assert cli.status(["check", str(out)]) == cli.WRONG
+    assert "unit of motor_position_rad is not known" in capsys.readouterr().err
+    out.write_text(out.read_text().replace('"?", unit = "?"', '"x", unit = "rev/4096"'))
+    assert load_config(out).column_specs["motor_position_rad"] == ColumnSpec("x", "rev/4096")
 
 
 @pytest.mark.parametrize(
