@@ -415,8 +415,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "no_torque": (
         "Without torque, wind-up and weight are unknown: 0.05 mrad is subtracted as typical "
-        "wind-up, and friction is assumed to hold the load back. A load that its weight holds on "
-        "one flank hides its play."
+        "wind-up, and friction is assumed to hold the load back. Friction behind a soft coupling "
+        "looks the same as play, and a change of it as wear. A load that its weight holds on one "
+        "flank hides its play. Record the torque or current."
     ),
     "torque_unused": (
         "The torque does not show how far the joint winds up between the flanks. 0.05 mrad is "

@@ -133,7 +133,7 @@ class _FromRamps(TypedDict, total=False):
     ``stiffness_nm_per_rad``: of a line through the largest ramps, as test reports state it.
     """
 
-    lost_motion_rad: Interval
+    lost_motion_rad: Interval | None
     lost_motion_torque_nm: float
     compliance_rad_per_nm: Interval
     stiffness_nm_per_rad: Interval

@@ -124,8 +124,8 @@ QUANTITIES = (
     "transmission_error_rad",
 )
 
-OF_PLAY = ("play_rad", "held_windup_rad")
-"""Of these, what tells δ."""
+OF_PLAY = ("play_rad", "lost_motion_rad", "held_windup_rad")
+"""Of these, what is withheld with δ: a load on one flank shows none of them."""
 
 
 class TwoEncoderMeasurer(Measurer):
@@ -161,7 +161,10 @@ class TwoEncoderMeasurer(Measurer):
                 expected=f"{FEWEST_SAMPLES} or more",
             )
         follows = float(np.corrcoef(channels.motor_rad, channels.load_rad)[0, 1]) ** 2
-        turned = float(np.quantile(np.abs(np.diff(channels.motor_rad)), 0.99))
+        motor = channels.motor_rad
+        if np.ptp(motor) <= 2.0 * np.pi:
+            motor = np.unwrap(motor)
+        turned = float(np.quantile(np.abs(np.diff(motor)), 0.99))
         if follows < 1.0 - ALIKE and ALIASED * np.pi < turned <= np.pi:
             raise RecordingError(
                 "The motor turns too far between two samples to count its turns.",
@@ -280,11 +283,12 @@ def upper_bound_rad(found: Transmission) -> float:
     """Of δ, with 95 %.
 
     A load within a play goes no further than the play: one that the model does not follow shows
-    its play in the range of the misfit, beyond that of white noise.
+    its play in the range of the misfit, beyond that of white noise and of what is wound up.
     """
     low, high = np.quantile(found.lag_rad, ENDS)
     noise = float(ndtri(ENDS[1])) * found.noise.white_rad
-    hidden = np.sqrt(max((0.5 * (high - low)) ** 2 - noise**2, 0.0))
+    held = 0.5 * float(np.quantile(found.draws["held_windup_rad"], 1.0 - UPPER_BOUND_LEVEL))
+    hidden = np.sqrt(max((0.5 * (high - low)) ** 2 - noise**2, 0.0)) - held
     return max(upper_bound(found.draws["delta_rad"]), float(hidden))
 
 
@@ -362,7 +366,7 @@ def _numbers(
     parameters = shared.intervals(posterior, names, of)
     return {
         "play_rad": parameters.get("play_rad"),
-        "lost_motion_rad": parameters["lost_motion_rad"],
+        "lost_motion_rad": parameters.get("lost_motion_rad"),
         "windup_rad_per_nm": parameters.get("windup_rad_per_nm"),
         "gear_ratio": parameters["gear_ratio"],
         "channel_skew_s": parameters["channel_skew_s"],

@@ -44,7 +44,7 @@ def gap_table(parts: Sequence[tuple[str, SnapshotSummary]]) -> Table:
         cells, at = _ramp_cells, words.significant(parts[0][1]["lost_motion_torque_nm"])
         titles = [f"Lost motion\n±{at} N m\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)"]
     named = [text("Snapshot")] if any(name for name, _ in parts) else []
-    kind = words.interval_kind(parts[0][1]["lost_motion_rad"])
+    kind = words.interval_kind(next(iter(parts[0][1]["parameters"].values())))
     columns = (
         *named,
         *map(numbers, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles)),
@@ -113,17 +113,16 @@ def _quantities(part: RouteSummary, angles: Sequence[tuple[str, Interval]] = ())
         scale, milli = (1e3, "m") if unit.startswith(("rad", "s")) else (1.0, "")
         middle = words.significant(scale * each["median"], 4)
         rows.append((name, middle, words.bounds(each, scale), f"{milli}{unit}"))
-    kind = words.interval_kind(part["lost_motion_rad"])
+    kind = words.interval_kind(found[0][2])
     return table((text("Quantity"), numbers("Median"), numbers(kind), text("Unit")), rows)
 
 
-def _median(found: Interval, scale: float = 1.0) -> str:
-    return words.significant(scale * found["median"], 3)
+def _median(found: Interval | None, scale: float = 1.0) -> str:
+    return "withheld" if found is None else words.significant(scale * found["median"], 3)
 
 
 def _encoder_cells(part: SnapshotSummary) -> Iterator[str]:
-    play = part["play_rad"]
-    yield "withheld" if play is None else _median(play, 1e3)
+    yield _median(part["play_rad"], 1e3)
     yield _median(part["lost_motion_rad"], 1e3)
     yield words.bounds(part["channel_skew_s"], 1e3)
     yield words.middle(part["gear_ratio"])

@@ -32,17 +32,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp, ndtri
+from scipy.special import logsumexp
 from scipy.stats import qmc
 
 from bayesbl.compiled import compiled
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.two_encoders.paths import (
+    ALIKE,
     LONGEST_SKEW_S,
-    STILL,
+    SMOOTH_S,
     Channels,
     Paths,
     load_lag,
@@ -109,8 +111,9 @@ MOST_CURVE_RAD, STEEPEST = 8e-3, 0.02
 more is another motion.
 """
 
-ANY_PART = 0.5
-"""Standard deviation of the part of h that is wind-up, from which it tells nothing."""
+LOGITS = np.linspace(-14.0, 10.0, 241)
+PARTS = 1.0 / (1.0 + np.exp(-LOGITS))
+"""Parts of h that are wind-up, w/2h: fine where either is a small part of the other."""
 
 LOOSE = 0.3
 """Standard deviation midway between the flanks, over h."""
@@ -126,6 +129,9 @@ RATIO_STATED = 0.01
 
 INERTIA_S2 = 3e-4
 """Standard deviation of (1/2πf)², by which inertia winds up a joint that rings at f = 9 Hz."""
+
+UNLIKELY = 20.0
+"""Log probability by which a course is below the best, from which it is left out."""
 
 PER_DECADE = 4
 """Of the first grid of h; what holds much of the probability is refined."""
@@ -151,13 +157,15 @@ class Course:
     """How the load gets from flank to flank.
 
     By its free deceleration through friction and weight, rad/s²; or in no way that is known
-    (``free``): the lag is then what was measured, wherever that is well within the gap.
+    (``free``): the lag is then what was measured, wherever that is well within the gap. Or the
+    load is moved and drags the motor (``drives``).
     """
 
     drag: float
     prior: float
     free: bool = False
     weight: complex = 0j
+    drives: bool = False
 
 
 @dataclass(slots=True)
@@ -382,6 +390,9 @@ class Model:
             return np.zeros(self.paths.motor_rad.size)
         path, how = self.paths, self.courses[course]
         start = float(np.clip(self.lead, -half_rad, half_rad))
+        if how.drives:
+            motion = path.load_rad, path.speed, path.time_s
+            return -np.asarray(load_lag(*motion, half_rad, how.drag, -start))
         motion = path.fine_motor_rad, path.fine_speed, path.fine_time_s
         return np.asarray(load_lag(*motion, half_rad, how.drag, start, how.weight))[:: path.every]
 
@@ -530,69 +541,86 @@ def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
     return float(np.copysign(best, seen)), True
 
 
-def of_friction(paths: Paths) -> tuple[float, FloatArray]:
-    """Friction that turns with the direction, N m, and the torque of the load's weight, by the
-    motor's torque. Inertia that is a curve of the angle counts as weight: it holds the load on a
-    flank as well.
+def of_motor(paths: Paths) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """What the torque has beside the load's friction: columns (n, 6), and where the motor moves.
+
+    The motor's friction turns with its direction, at once. At rest it has any value.
+    """
+    usual = float(np.sqrt(np.mean(paths.speed**2)))
+    columns = [
+        np.sign(paths.speed),
+        paths.speed / usual,
+        paths.acceleration / max(paths.typical_acceleration, 1e-300),
+        np.ones(paths.speed.size),
+        np.cos(paths.load_rad),
+        np.sin(paths.load_rad),
+    ]
+    return np.column_stack(columns), np.abs(paths.speed) > paths.motor_step_rad / SMOOTH_S
+
+
+def of_friction(paths: Paths) -> tuple[float, float]:
+    """Friction that turns with the direction, N m, by the motor's torque, and how often the torque
+    of the load's weight is above it. Inertia that is a curve of the angle counts as weight: it may
+    be that.
     """
     assert paths.torque_nm is not None
-    usual = float(np.sqrt(np.mean(paths.speed**2)))
-    load = paths.load_rad
-    columns = np.column_stack(
-        [
-            np.tanh(paths.speed / (STILL * usual)),
-            paths.speed / usual,
-            np.ones(load.size),
-            np.cos(load),
-            np.sin(load),
-        ]
-    )
-    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-6)[0]
-    return max(float(beta[0]), 0.0), columns[:, 2:] @ beta[2:]
+    columns, moves = of_motor(paths)
+    inertia, weight = columns[moves, 2], columns[moves, 3:]
+    left = inertia - weight @ np.linalg.lstsq(weight, inertia, rcond=1e-6)[0]
+    columns[:, 2] *= float(left @ left) > ALIKE * float(inertia @ inertia)
+    beta = np.linalg.lstsq(columns[moves], paths.torque_nm[moves], rcond=1e-6)[0]
+    fast = np.abs(columns[:, 1]) > 0.2
+    held = np.abs(columns[fast, 3:] @ beta[3:])
+    return max(float(beta[0]), 0.0), float(np.mean(held > beta[0]))
 
 
-def of_windup(model: Model, cell: Cell) -> tuple[float, float, float | None]:
-    """Which part of h is wind-up, by the torque on the way between the flanks, its standard
-    deviation, and the load's friction, N m; ``None`` where the torque does not tell them.
+def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Likelihood of each of ``PARTS`` of h to be wind-up, by the torque, and the load's friction
+    with it and its standard deviation, N m, shapes (parts,).
 
-    Wind-up hands the load's friction over in proportion to the lag, play all of it at the flank. So
-    the torque is fitted by both, beside the motor's own friction, inertia, viscous friction and the
-    load's weight. What that plain law leaves is no noise: it counts whole.
+    The joint hands the load's friction over from where its play ends: with the lag over h as s and
+    the part w, sign(s) max(1 − (1 − |s|)/w, 0). Beside it the torque has what the motor itself
+    needs. Noise counts once for each passage between the flanks; what is left beyond the scatter
+    of readings is the same in all, and counts once. The flanks count as much as all passages: they
+    tell what the motor needs. The load stays on the way, or is where it was measured.
     """
     paths, design, half = model.paths, model.design, cell.half_rad
     how = model.courses[cell.course]
-    if paths.torque_nm is None or half <= 0.0:
-        return 0.5, np.inf, None
+    nothing = np.ones(PARTS.size), *np.full((2, PARTS.size), np.nan)
+    if paths.torque_nm is None or half <= 0.0 or how.drives:
+        return nothing
     rest = cell.beta.copy()
     rest[1] = 0.0
     other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ rest)
-    lag = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
-    model_lag = model.lag(0 if how.free else cell.course, half) / half
-    at_flank = np.where(np.abs(model_lag) > 1.0 - 1e-9, np.sign(model_lag), 0.0)
-    inside = at_flank == 0.0
-    usual = float(np.sqrt(np.mean(paths.speed**2)))
-    direction = np.tanh(paths.speed / (STILL * usual))
-    columns = np.column_stack(
-        [
-            np.where(inside, np.clip(lag, -1.0, 1.0), at_flank),
-            at_flank,
-            direction,
-            paths.speed / usual,
-            paths.acceleration / max(paths.typical_acceleration, 1e-300),
-            np.cos(paths.load_rad),
-            np.sin(paths.load_rad),
-            np.ones(lag.size),
-        ]
-    )
-    beta = np.linalg.lstsq(columns, paths.torque_nm, rcond=1e-8)[0]
-    handed = float(beta[0] + beta[1])
-    left = float(np.std(paths.torque_nm - columns @ beta))
-    # A lag that noise blurs is a poor measure of the way.
-    blurred = float(np.mean((lag - model_lag)[inside] ** 2)) if inside.any() else np.inf
-    spread = float(np.hypot(left / max(handed, 1e-300), np.sqrt(blurred)))
-    if inside.sum() < columns.shape[1] or spread > ANY_PART:
-        return 0.5, np.inf, None
-    return float(beta[0]) / handed, spread, handed
+    seen = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
+    columns, moves = of_motor(paths)
+    lag = model.lag(0 if how.free else cell.course, half)[moves] / half
+    inside = np.abs(lag) < 1.0 - 1e-9
+    passages = min(int(inside.sum()), paths.reversals)
+    if not columns.shape[1] < inside.sum() < inside.size:
+        return nothing
+    root = np.sqrt(np.where(inside, 1.0, inside.sum() / (inside.size - inside.sum())))
+    others, _ = np.linalg.qr(columns[moves] * root[:, None])
+    torque = paths.torque_nm[moves] * root
+    torque -= others @ (others.T @ torque)
+    squares, friction, handed_square = np.empty((3, 2, PARTS.size))
+    for k, way in enumerate((lag, seen[moves])):
+        for i, part in enumerate(PARTS):
+            handed = root * np.sign(way) * np.maximum(1.0 - (1.0 - np.abs(way)) / part, 0.0)
+            handed -= others @ (others.T @ handed)
+            square = float(handed @ handed)
+            handed_square[k, i] = square / float(root @ root)
+            friction[k, i] = max(float(handed @ torque) / square, 0.0)
+            left = torque - friction[k, i] * handed
+            squares[k, i] = float(left @ left) / float(root @ root)
+    bends = np.diff(paths.torque_nm, 2)
+    readings = float(np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0
+    least = squares.min()
+    variance = max(least - readings, 0.0) + least / passages
+    likely = np.exp(-0.5 * (squares - least) / variance)
+    best, at = likely.argmax(axis=0), np.arange(PARTS.size)
+    spread = np.sqrt(variance / handed_square)
+    return likely.mean(axis=0), friction[best, at], spread[best, at]
 
 
 def fit_transmission(
@@ -607,11 +635,16 @@ def fit_transmission(
     first = slope
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
     settled, placed = False, None
+    tried: Sequence[int] = ()
     for made in range(8):
         told(made, 10)
         model, friction, weight = _model(channels, slope, skew, stated, first)
-        free, best = model.fitted(*_searched(model, noise, 0), 240 if settled else 80)
-        # All places at first and once skew and ratio are settled, else from the last.
+        # All courses at first and once skew and ratio are settled, else from the last.
+        if made == 0 or settled:
+            tried = range(2)
+        fits = [model.fitted(*_searched(model, noise, k), 240 if settled else 80) for k in tried]
+        free, best = max(fits, key=lambda fit: fit[1].log_evidence)
+        tried = [best.course]
         if placed is not None:
             free, best = _placed(model, free, best, [placed], 0.1 * (1.0 - STAYS))
         if made == 0 or settled:
@@ -643,10 +676,12 @@ def fit_transmission(
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
-    lists = [
-        _refined(model, best, [model.again(noise), model.again(free)], final)
-        for final in (None, Final(model.misfit(free), best.half_rad))
-    ]
+    noises = [model.again(noise), model.again(free)]
+    sharp = _refined(model, range(len(model.courses)), best, noises, None)
+    whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
+    likely = sorted({sharp[i].course for i in np.flatnonzero(whole > whole.max() - UNLIKELY)})
+    final = Final(model.misfit(free), best.half_rad)
+    lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
     return _drawn(model, best, lists, free, friction, weight, generator)
 
@@ -658,12 +693,12 @@ def _model(
     paths = scaled_paths(channels, slope, skew)
     rest, friction, weight = 1.0 - STAYS, None, 0.0
     if paths.torque_nm is not None:
-        friction, held = of_friction(paths)
-        moving = np.abs(paths.speed) > 0.2 * np.sqrt(np.mean(paths.speed**2))
-        weight = float(np.mean(np.abs(held)[moving] > friction))
+        friction, weight = of_friction(paths)
     drags = np.array(COASTING) * paths.typical_acceleration
     courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
-    courses = [Course(np.inf, STAYS), *courses, Course(0.0, 0.2 * rest, free=True)]
+    courses = [*courses, Course(0.0, 0.2 * rest, free=True)]
+    driven = [Course(np.inf, STAYS), Course(np.inf, 0.1 * rest, drives=True)]
+    courses = driven + courses
     return Model(paths, Design(paths, stated=stated, first_slope=first), courses), friction, weight
 
 
@@ -747,12 +782,14 @@ def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
 
 
 def _refined(
-    model: Model, best: Cell, noises: Sequence[Noise], final: Final | None = None
+    model: Model, courses: Sequence[int], best: Cell, noises: Sequence[Noise], final: Final | None
 ) -> list[Cell]:
-    """Cells over courses and a grid of h, finer where they hold much of the probability."""
+    """Cells over courses and a grid of h, finer where they hold much of the probability: of all,
+    and with ``final`` of each course.
+    """
     halves = _halves(model, 1e-6, PER_DECADE)
-    wanted = [(course, float(half)) for course in range(len(model.courses)) for half in halves]
-    wanted.append((best.course, best.half_rad))
+    wanted = [(course, float(half)) for course in courses for half in halves]
+    wanted += [(course, best.half_rad) for course in courses]
     cells: list[Cell] = []
     for _ in range(11):
         for place in wanted:
@@ -760,13 +797,21 @@ def _refined(
             cells.append(max(here, key=lambda cell: cell.log_evidence))
         cells.sort(key=lambda cell: (cell.course, cell.half_rad))
         masses = _log_masses(cells, np.zeros(len(cells)), model)
+        whole = _of_courses(masses, cells) if final else logsumexp(masses)
         wanted = [
             (cells[i].course, float(half))
-            for i in np.flatnonzero(masses - logsumexp(masses) > np.log(0.04))
+            for i in np.flatnonzero(masses - whole > np.log(0.04))
             if cells[i + 1].half_rad / cells[i].half_rad > 1.0 + 1e-5
             for half in np.geomspace(cells[i].half_rad, cells[i + 1].half_rad, 5)[1:-1]
         ]
     return cells
+
+
+def _of_courses(masses: FloatArray, cells: Sequence[Cell]) -> FloatArray:
+    """Log probability of each cell's course, shape (cells − 1,)."""
+    course = np.array([c.course for c in cells[:-1]])
+    wholes = np.array([logsumexp(masses[course == k]) for k in range(course.max() + 1)])
+    return np.asarray(wholes[course])
 
 
 def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> FloatArray:
@@ -783,37 +828,24 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
-@dataclass(frozen=True, slots=True)
-class Prior:
-    """Densities over ln h at cells: without play, and with it by what is wound up (cells, held)."""
+def _priors(
+    cells: Sequence[Cell], likely: FloatArray
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """Log densities over ln h at cells, without play and with it, (cells,), and the latter's
+    shares by ``PARTS`` of h that are wound up, (cells, parts). ``likely``: by the torque.
+    """
+    half = np.array([c.half_rad for c in cells])
 
-    half_rad: FloatArray
-    held_rad: FloatArray
-    bare: FloatArray
-    of_gap: FloatArray
+    def of_held(held: FloatArray) -> FloatArray:
+        away = np.log(held / HELD_RAD) / HELD_SPREAD
+        return np.asarray(np.exp(-0.5 * away**2) / (HELD_SPREAD * np.sqrt(2.0 * np.pi)))
 
-    @classmethod
-    def at(cls, cells: Sequence[Cell], part: float, spread: float) -> Prior:
-        """``part`` of h is wound up by the torque, with its standard deviation."""
-        held = np.asarray(HELD_RAD * np.exp(HELD_SPREAD * ndtri((np.arange(400) + 0.5) / 400)))
-        half = np.array([c.half_rad for c in cells])
-        low, high = PLAY_RAD
-        # A smooth histogram of ln w/2.
-        logs = np.log(held)
-        breadth = 0.1 + 0.2 * float(np.std(logs))
-        bare = np.exp(-0.5 * ((np.log(half)[:, None] - logs) / breadth) ** 2).mean(axis=1)
-        bare /= breadth * np.sqrt(2.0 * np.pi)
-        gap = half[:, None] - held
-        inside = (gap > low) & (gap < high)
-        of_gap = np.where(inside, half[:, None] / np.where(inside, gap, 1.0), 0.0)
-        of_gap *= np.exp(-0.5 * ((held / half[:, None] - part) / spread) ** 2)
-        bare *= np.exp(-0.5 * (max(1.0 - part, 0.0) / spread) ** 2)
-        return cls(half, held, NO_PLAY * bare, (1.0 - NO_PLAY) / np.log(high / low) * of_gap)
-
-    def logs(self) -> tuple[FloatArray, FloatArray]:
-        """Logarithms without and with play, shapes (cells,)."""
-        with np.errstate(divide="ignore"):
-            return np.log(self.bare), np.log(self.of_gap.mean(axis=1))
+    (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
+    of_gap = of_held(half[:, None] * PARTS) * likely * ((gap > low) & (gap < high))
+    of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
+    with np.errstate(divide="ignore"):
+        bare = np.log(NO_PLAY * likely[-1] * of_held(half))
+        return (bare, np.log(of_gap.sum(axis=1))), np.asarray(of_gap)
 
 
 def _drawn(
@@ -828,32 +860,36 @@ def _drawn(
     """Draws by two lists of cells: whether there is play, and how large it is."""
     names = model.design.names
     count = int(np.prod(DRAWS))
-    part, spread, handed_nm = of_windup(model, best)
+    likely, friction_nm, friction_sd = of_windup(model, best)
+    # Noise tells whether there is play and which course the load takes, misfit that lasts only h.
     by_noise, cells = lists
-    whether = [
-        logsumexp(_log_masses(by_noise, log, model))
-        for log in Prior.at(by_noise, part, spread).logs()
-    ]
+    sharp = [_log_masses(by_noise, log, model) for log in _priors(by_noise, likely)[0]]
+    whether = [logsumexp(masses) for masses in sharp]
     probability = float(np.exp(whether[1] - np.logaddexp(*whether)))
     plays = generator.uniform(size=count) < probability
-    prior = Prior.at(cells, part, spread)
-    half, held = prior.half_rad, prior.held_rad
+    logs, of_parts = _priors(cells, likely)
+    half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    for mine, log in zip((~plays, plays), prior.logs(), strict=True):
-        masses = _log_masses(cells, log, model)
-        weights = np.exp(masses - logsumexp(masses))
+    for mine, log, masses in zip((~plays, plays), logs, sharp, strict=True):
+        known = dict(
+            zip([c.course for c in by_noise[:-1]], _of_courses(masses, by_noise), strict=True)
+        )
+        wide = _log_masses(cells, log, model)
+        wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
+        weights = np.exp(wide - logsumexp(wide))
         interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
     share = generator.uniform(size=count)
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
     nearest = interval + (share > 0.5)
-    delta = np.zeros(count)
+    chosen = np.full(count, PARTS.size - 1)
     for cell in np.unique(nearest[plays]):
         mine = plays & (nearest == cell)
-        each = prior.of_gap[cell]
-        if not each.any():
-            continue
-        chosen = held[generator.choice(held.size, size=int(mine.sum()), p=each / each.sum())]
-        delta[mine] = np.clip(lost[mine] - chosen, *PLAY_RAD)
+        each = of_parts[cell]
+        if each.any():
+            chosen[mine] = generator.choice(PARTS.size, size=int(mine.sum()), p=each / each.sum())
+    step = LOGITS[1] - LOGITS[0]
+    logit = LOGITS[chosen] + step * generator.uniform(-0.5, 0.5, size=count)
+    delta = np.where(plays, np.clip(lost / (1.0 + np.exp(logit)), *PLAY_RAD), 0.0)
     # What repeats, what lasts and what the model leaves out of the lag do not average out.
     beta = np.empty((count, len(names)))
     again = model.again(noise)
@@ -894,9 +930,9 @@ def _drawn(
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
     told = float(np.std(np.log(np.maximum(lost - delta, 1e-12)))) < INFORMED * HELD_SPREAD
-    if handed_nm is not None and told:
-        about = np.exp(spread * generator.standard_normal(count))
-        draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm * about
+    handed_nm = friction_nm[chosen] + friction_sd[chosen] * generator.standard_normal(count)
+    if told and np.all(handed_nm > 0.0):
+        draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
     harmonics = {
         (side, int(order)): np.hypot(
