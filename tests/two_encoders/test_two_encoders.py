@@ -8,7 +8,7 @@ from places import ROOT
 
 from bayesbl.recording.types import MOTOR_TORQUE
 from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
-from bayesbl.two_encoders.transmission import fit_transmission
+from bayesbl.two_encoders.transmission import fit_transmission, of_friction
 
 DATA = ROOT.parent / "shared" / "data"
 PLAY, RATIO, SKEW_S = 6e-3, 50.0, 2e-3
@@ -216,12 +216,15 @@ def test_a_load_that_its_weight_moves_shows_its_play():
     assert found.probability_of_play > 0.95
 
 
-@pytest.mark.parametrize(("wound", "is_play"), [(1.0, False), (0.1, True)])
-def test_the_torque_on_the_way_tells_wind_up_from_play(wound, is_play):
+@pytest.mark.parametrize("most", [2.0, 0.6], ids=["turns", "rests"])
+@pytest.mark.parametrize(("wound", "is_play"), [(1.0, False), (0.5, True), (0.1, True)])
+def test_the_torque_on_the_way_tells_wind_up_from_play(wound, is_play, most):
+    """At rest the motor needs no friction of its own, and the joint stays wound up."""
     generator = np.random.default_rng(4)
     half, friction = 1e-3, 20.0
     time = np.arange(0.0, 20.0, 2e-3)
     path = 0.7 * np.sin(np.pi * time) + 0.3 * np.sin(2.0 * np.pi * time / 3.1)
+    path = np.clip(path, -most, most)
     load = dragged(path, half)
     lag = (path - load) / half
     # Of its whole way a part ``wound`` hands the load's friction over, half of it at each end.
@@ -237,6 +240,29 @@ def test_the_torque_on_the_way_tells_wind_up_from_play(wound, is_play):
     assert low <= 2.0 * half <= high
     low, high = bounds(found.draws["play_rad"], 0.99)
     assert low <= 2.0 * (1.0 - wound) * half <= high
+
+
+def test_a_load_that_drags_the_motor_shows_the_same_play():
+    generator = np.random.default_rng(5)
+    time = np.arange(0.0, 20.0, 5e-3)
+    path = 0.7 * np.sin(np.pi * time) + 0.3 * np.sin(2.0 * np.pi * time / 3.1)
+    read = path + 2e-6 * generator.standard_normal(time.size)
+    found = fitted(Channels(time, RATIO * dragged(path, 0.5 * PLAY), read))
+    low, high = bounds(found.draws["play_rad"], 0.99)
+    assert low <= PLAY <= high
+    assert found.probability_of_play > 0.95
+
+
+@pytest.mark.parametrize(("second", "told"), [(2.7, True), (1.0, False)])
+def test_inertia_is_no_weight_unless_it_follows_the_position(second, told):
+    time = np.arange(0.0, 20.0, 5e-3)
+    waves = [np.sin(np.pi * rate * time) / rate for rate in (1.0, second)]
+    path = 0.2 * np.sum(waves, axis=0)
+    torque = 5.0 * np.gradient(np.gradient(path, time), time)
+    torque += np.sign(np.gradient(path))
+    friction, held = of_friction(scaled_paths(Channels(time, path, path, torque), 1.0))
+    assert friction == pytest.approx(1.0, rel=0.1)
+    assert (held < 0.01) == told
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
