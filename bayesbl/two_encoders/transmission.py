@@ -115,6 +115,9 @@ LOGITS = np.linspace(-14.0, 10.0, 241)
 PARTS = 1.0 / (1.0 + np.exp(-LOGITS))
 """Parts of h that are wind-up, w/2h: fine where either is a small part of the other."""
 
+IMPOSSIBLE = 1e-200
+"""Likelihood of what the torque excludes: its logarithm is a number."""
+
 LOOSE = 0.3
 """Standard deviation midway between the flanks, over h."""
 
@@ -617,7 +620,7 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     readings = float(np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0
     least = squares.min()
     variance = max(least - readings, 0.0) + least / passages
-    likely = np.exp(-0.5 * (squares - least) / variance)
+    likely = np.maximum(np.exp(-0.5 * (squares - least) / max(variance, 1e-300)), IMPOSSIBLE)
     best, at = likely.argmax(axis=0), np.arange(PARTS.size)
     spread = np.sqrt(variance / handed_square)
     return likely.mean(axis=0), friction[best, at], spread[best, at]
@@ -871,9 +874,8 @@ def _drawn(
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
     for mine, log, masses in zip((~plays, plays), logs, sharp, strict=True):
-        known = dict(
-            zip([c.course for c in by_noise[:-1]], _of_courses(masses, by_noise), strict=True)
-        )
+        courses = (c.course for c in by_noise[:-1])
+        known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
         wide = _log_masses(cells, log, model)
         wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
         weights = np.exp(wide - logsumexp(wide))
