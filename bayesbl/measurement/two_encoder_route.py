@@ -283,12 +283,12 @@ def upper_bound_rad(found: Transmission) -> float:
     """Of δ, with 95 %.
 
     A load within a play goes no further than the play: one that the model does not follow shows
-    its play in the range of the misfit, beyond that of white noise and of what is wound up.
+    its play in the range of the misfit, beyond that of white noise. What the prior takes for
+    wind-up is within it.
     """
     low, high = np.quantile(found.lag_rad, ENDS)
     noise = float(ndtri(ENDS[1])) * found.noise.white_rad
-    held = 0.5 * float(np.quantile(found.draws["held_windup_rad"], 1.0 - UPPER_BOUND_LEVEL))
-    hidden = np.sqrt(max((0.5 * (high - low)) ** 2 - noise**2, 0.0)) - held
+    hidden = np.sqrt(max((0.5 * (high - low)) ** 2 - noise**2, 0.0))
     return max(upper_bound(found.draws["delta_rad"]), float(hidden))
 
 
