@@ -405,8 +405,8 @@ class Model:
         A misfit that is the same at all bins counts once: as white noise √bins times as large.
         """
         design, change, like = self.design, 0, half_rad if final is None else final.half_rad
+        spread = float(np.hypot(noise.white_rad, noise.drift_rad))
         if self.courses[course].free:
-            spread = float(np.hypot(noise.white_rad, noise.drift_rad))
             if like < VISIBLE * spread:
                 return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
             margin = min(3.0 * spread, 0.2 * like)
@@ -433,6 +433,8 @@ class Model:
         square = float(products[-1, -1]) - float(towards @ beta)
         diagonal = np.diag(factor[0])
         beta = beta + design.centre
+        # A lag that follows the load's own readings follows their noise too.
+        log -= 1e9 * float(self.courses[course].drives and like < VISIBLE * spread)
         log += -0.5 * square - float(np.log(diagonal).sum()) + 0.5 * float(np.log(precision).sum())
         return Cell(course, half_rad, log, beta, np.asarray(factor[0]), lag)
 
