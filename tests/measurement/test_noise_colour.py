@@ -120,7 +120,7 @@ def test_samples_at_other_places_are_no_other_filter(other: dict[str, float]) ->
     """Rotations of a whole number of samples beside others, which are read between samples."""
     first, second = recording(1), recording(2, **other)
     assert abs(between(first, second).deviations) < DEVIATIONS
-    assert same_joint([point(first), point(second)], (False, False)).agrees
+    assert same_joint([point(first), point(second)], (False, False))["agrees"]
 
 
 def test_what_shows_no_noise_tells_no_filter() -> None:

@@ -185,7 +185,7 @@ def test_a_preload_beyond_what_the_ramps_tell_has_no_torque(tmp_path: Path, caps
     assert code == 0
     assert summary["preloaded"]
     assert summary["preload_torque_nm"] is None
-    assert "is not seen" in " ".join(capsys.readouterr().out.split())
+    assert "the preload is unknown" in " ".join(capsys.readouterr().out.split())
 
 
 def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path: Path) -> None:
