@@ -11,6 +11,10 @@ from bayesbl.recording.types import FloatArray
 
 TRIALS = 20
 """Candidates for each draw of a normal distribution in a box."""
+SWEEPS = 100
+"""Of a Gibbs sampler over the coordinates that a box cuts."""
+WITHIN_SD = 4.0
+"""Standard deviations from the peak beyond which an end of a range cuts nothing."""
 PROPOSED = 8000
 """Draws of each proposal, unless said otherwise."""
 ADAPTATIONS = 4
@@ -140,7 +144,8 @@ def truncated_normal(
 ) -> FloatArray:
     """Draws of a normal distribution within a box, shape (count, d).
 
-    By rejection where that is quick, else resampled from :func:`normal_in_box` by weights.
+    By rejection where that is quick, else resampled from :func:`normal_in_box` by weights; from
+    there on by Gibbs sampling where few weigh.
 
     Parameters
     ----------
@@ -158,7 +163,42 @@ def truncated_normal(
     points, log_density = normal_in_box(peak, covariance, box, TRIALS * count, generator)
     white = np.linalg.solve(root, (points - peak).T)
     log_weights = -0.5 * np.sum(white**2, axis=0) - log_density
-    return np.asarray(points[resampled(log_weights[None], count, generator)[0]])
+    found = np.asarray(points[resampled(log_weights[None], count, generator)[0]])
+    if effective_size(log_weights) >= count:
+        return found
+    return _mixed(found, peak, covariance, box, generator)
+
+
+def _mixed(
+    points: FloatArray,
+    peak: FloatArray,
+    covariance: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    generator: np.random.Generator,
+) -> FloatArray:
+    """Points (m, d) in a box moved on by Gibbs sampling of the coordinates that it cuts.
+
+    In a narrow corner few proposals weigh: of coordinates at zero whose sum alone is known, say.
+    """
+    low, high = box
+    sd = np.sqrt(np.diag(covariance))
+    cut = np.maximum((low - peak) / sd, (peak - high) / sd) > -WITHIN_SD
+    precision = np.linalg.inv(covariance[np.ix_(cut, cut)])
+    away, begin, end = points[:, cut] - peak[cut], (low - peak)[cut], (high - peak)[cut]
+    for i in np.tile(np.arange(away.shape[1]), SWEEPS):
+        own = precision[i, i] ** -0.5
+        mean = away[:, i] - away @ precision[i] * own**2
+        share = generator.random(len(away))
+        away[:, i] = mean + own * _between((begin[i] - mean) / own, (end[i] - mean) / own, share)
+    slope = covariance[np.ix_(~cut, cut)] @ precision
+    rest = covariance[np.ix_(~cut, ~cut)] - slope @ covariance[np.ix_(cut, ~cut)]
+    moved = points.copy()
+    moved[:, cut] = peak[cut] + away
+    moved[:, ~cut] = peak[~cut] + away @ slope.T
+    moved[:, ~cut] += (
+        generator.standard_normal((len(points), len(rest))) @ np.linalg.cholesky(rest).T
+    )
+    return np.clip(moved, low, high)
 
 
 def normal_in_box(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import kstest, truncnorm
+from scipy.stats import chi, kstest, truncnorm
 
 from bayesbl.sampling.importance import truncated_normal
 
@@ -58,3 +58,20 @@ def test_without_a_box_it_is_the_normal_distribution() -> None:
     found = drawn([1.0, 2.0], covariance, [-np.inf] * 2, [np.inf] * 2)
     white = np.linalg.solve(np.linalg.cholesky(covariance), (found - [1.0, 2.0]).T)
     assert kstest(white.ravel(), "norm").pvalue > FALSE_ALARM
+
+
+def test_a_narrow_corner_where_only_a_sum_is_known_holds_draws_that_differ() -> None:
+    """Four parts, none below zero, each known to 1 and their sum to 1e-3.
+
+    The sum over its standard deviation is χ with four degrees of freedom, and a fifth coordinate
+    that follows the first part keeps its own scatter; a false alarm in 1000 each.
+    """
+    sd, known = 1e-3, np.linalg.inv(np.eye(4) + np.ones((4, 4)) / 1e-6)
+    covariance = np.zeros((5, 5))
+    covariance[:4, :4] = known
+    covariance[4, :4] = covariance[:4, 4] = known[0]
+    covariance[4, 4] = known[0, 0] + 1.0
+    found = drawn([0.0] * 5, covariance, [*[0.0] * 4, -np.inf], [np.inf] * 5)
+    assert kstest(found[:, :4].sum(axis=1) / sd, chi(4).cdf).pvalue > FALSE_ALARM
+    assert kstest(found[:, 4] - found[:, 0], "norm").pvalue > FALSE_ALARM
+    assert np.unique(found[:, 0]).size == DRAWS
