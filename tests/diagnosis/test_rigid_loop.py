@@ -252,7 +252,6 @@ def test_the_bench_s_own_friction_and_lags_are_in_its_loop(tmp_path: Path) -> No
     assert values["speed_sensor_lag"] == 1e-3
 
 
-@pytest.mark.long
 def test_recordings_of_the_speed_and_a_bench_are_enough(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bench.toml").write_text(BENCH)

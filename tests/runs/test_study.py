@@ -285,7 +285,6 @@ def figure(table, cases):
     return str(configure(folder))
 
 
-@pytest.mark.long
 def test_a_study_runs_and_is_inspected_on_the_command_line(folder, capsys):
     config = drawing(folder)
     assert cli.status(["check", config]) == 0

@@ -184,7 +184,6 @@ def test_an_older_answer_of_a_file_is_not_sent_after_a_newer(tmp_path):
     assert outbox.folder.read(aside) == b"c"
 
 
-@pytest.mark.long
 def test_a_service_that_is_stopped_ends_well(plant, capfd):
     code = "import sys; from bayesbl import cli; sys.exit(cli.status(sys.argv[1:]))"
     arguments = ["watch", str(plant / "data"), "--config", str(plant / "plant.toml")]
