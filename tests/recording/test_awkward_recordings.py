@@ -422,8 +422,8 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         lambda p: write_csv(
             p / "a.csv", with_values(speed_only(plain()), SPEED, slice(4000, 5000), 0.0)
         ),
-        'from line 4002, column "motor_speed_rpm", 0 far from all others',
-        "nothing for 1 s",
+        'after line 4001, column "time_s"',
+        "nothing for 1.001 s",
         "at most 0.1 s",
     ),
     "two speeds": (
@@ -478,7 +478,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         lambda p: write_csv(p / "a.csv", with_values(speed_only(plain()), SPEED, slice(None), 2e3)),
         "motor_speed_rpm",
         "2000 in all",
-        "impacts can be seen",
+        "remove its line",
     ),
     "one rotation": (
         lambda p: write_csv(p / "a.csv", plain(samples=3700)),
@@ -565,7 +565,9 @@ def test_what_cannot_is_refused_in_one_message_with_status_2(
     write, place, found, expected = REFUSED[case]
     path = write(tmp_path)
     output = tmp_path / "out"
-    assert cli.status(["fit", str(path), "--gear-ratio", "120", "--out", str(output)]) == 2
+    # On a busy machine progress would be told before.
+    options = ["--gear-ratio", "120", "--out", str(output), "--quiet"]
+    assert cli.status(["fit", str(path), *options]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert len(printed.err.splitlines()) == 1
