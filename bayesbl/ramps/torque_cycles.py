@@ -28,8 +28,11 @@ OVER_NOISE = 4.0
 SMALLEST_EXCURSION = 0.01
 """Of the largest torque: less is what is left where the joint jumps, and no ramp."""
 
-SHORTEST_EXCURSION = 0.05
-"""Of the longer one beside it: the torque rings where the joint jumps or reaches a flank."""
+SHORTEST_EXCURSION = 0.025
+"""Of the longer one beside it: the torque rings where the joint jumps or reaches a flank.
+
+Small ramps at one rate are kept from 3.5 % of the large ones on.
+"""
 
 LARGEST_ASYMMETRY = 2.5
 """Ratio of the torques of a pair: a small ramp before a large one is of no one amplitude."""
@@ -163,34 +166,35 @@ def _offset(ramps: Ramps) -> float:
 
     A load that hangs at the joint, or a sensor's zero, moves both ways through the loop alike.
     Beyond the friction it pushes the joint over its play before the torque is at zero, and what
-    ramps leave is not the play. Every large cycle to and fro must show it: small ones may not cross
-    the play at all.
+    ramps leave is not the play. Every large cycle must show it: small ones may not cross the play
+    at all.
     """
     largest = max((cycle.amplitude_nm for cycle in ramps.cycles), default=0.0)
     large = [cycle for cycle in ramps.cycles if cycle.amplitude_nm > LARGE * largest]
-    found = [
-        (_torque_between(a) + _torque_between(b)) / 2.0
-        for a, b in pairwise(large)
-        if a.last is b.first
-    ]
-    if not found:
+    if not large:
         return 0.0
+    found = [_free_at(cycle) for cycle in large]
     friction = max(cycle.friction_nm for cycle in large)
     beyond = min(found) > friction or max(found) < -friction
     return float(np.median(found)) if beyond else 0.0
 
 
-def _torque_between(cycle: Cycle) -> float:
-    """On the way from one flank to the other, at the middle between them.
+def _free_at(cycle: Cycle) -> float:
+    """Mean torque, there and back, at the middle between the flanks; 0 if friction holds one.
 
     It is between the positions at equal torques: a joint without play then has it at zero torque.
+    An excursion that friction does not hold goes there and back through it on one side of zero.
     """
     a, b, torque, position = cycle.first, cycle.last, cycle.torque_nm, cycle.position_rad
     equal = min(a.torque_nm, b.torque_nm)
-    there = [crossing(-torque, -e.side * equal, e.begin, e.top + 1, e.side) for e in (a, b)]
-    middle = 0.5 * float(position[there[0]] + position[there[1]])
-    way = slice(a.top, b.top + 1)
-    return float(torque[way][np.argmax(b.side * (position[way] - middle) >= 0.0)])
+    ends = [crossing(-torque, -e.side * equal, e.begin, e.top + 1, e.side) for e in (a, b)]
+    middle = 0.5 * float(position[ends[0]] + position[ends[1]])
+    for e in (a, b):
+        beyond = e.side * (position - middle) >= 0.0
+        if not beyond[e.back]:
+            there, back = np.argmax(beyond[e.begin :]), np.argmin(beyond[e.top :])
+            return float(0.5 * (torque[e.begin + there] + torque[e.top + back]))
+    return 0.0
 
 
 def left_rad(cycles: Sequence[Cycle]) -> tuple[float, float]:

@@ -37,6 +37,15 @@ def test_the_zero_of_the_torque_does_not_matter(times_friction, softer):
         assert ramps.offset_nm == 0.0
 
 
+@pytest.mark.parametrize("times_friction", [-5.0, -2.0, 2.0, 5.0])
+def test_one_large_cycle_shows_the_zero_of_the_torque(times_friction):
+    offset = times_friction * FRICTION
+    torque, position = loop(friction=FRICTION, gap=5e-3)
+    once = slice(0, 6 * 1200 + 300)  # the sixth cycle is the first large one; the next stops short
+    ramps = find_ramps(torque[once] + offset, position[once])
+    assert ramps.offset_nm == pytest.approx(offset, abs=0.6 * FRICTION)
+
+
 def test_ramps_farther_to_one_side_are_no_offset():
     """A linear joint without play is free at zero torque, however far it is bent to either side."""
     triangle = 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * np.arange(6000) / 1000.0))

@@ -125,6 +125,14 @@ def test_a_saturated_torque_and_ringing_where_the_joint_jumps_are_no_ramps_of_th
     assert len(sides) == 14 or len(sides) == 13
 
 
+def test_small_ramps_beside_large_ones_at_one_rate_are_ramps():
+    """A ramp of 2 to 50 N m takes a 25th of the time."""
+    pieces = [triangles(2.0, points=80)] * 3 + [triangles(50.0, points=2000)] * 2
+    torque = np.concatenate(pieces)
+    ramps = find_ramps(torque, operator(torque, friction=0.8))
+    assert len(ramps.excursions) == 10
+
+
 @pytest.mark.parametrize("torque", [np.abs(triangles(*CYCLES)), np.linspace(-4.0, 4.0, 3000)])
 def test_ramps_of_one_direction_leave_no_width(torque):
     assert find_flanks([find_ramps(torque, operator(torque))]).level is None
