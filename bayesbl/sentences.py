@@ -187,14 +187,14 @@ def ramps_held(
         held = ", ".join(f"±{torque:.3g}" for torque in skipped_nm)
         return (
             f"The ramps of {held} N m hardly move the joint, and those of ±{amplitude_nm:.3g} N m "
-            "bend it so far that its play is a small part of the loop. Add ramps to "
-            f"about {needed_nm:.2g} N m, twice the friction."
+            "alone do not show how much of what they leave is compliance that friction holds. Add "
+            f"ramps to about {needed_nm:.2g} N m."
         )
     return (
-        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: most of the motion "
-        "returns with the torque, as in a joint that friction or a preload holds, or one that is "
-        f"bent far. Add ramps of another size: to at least {needed_nm:.2g} N m, or, if these are "
-        f"far beyond the friction already, small ones to about {2.0 * friction_nm:.2g} N m."
+        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: what they leave may be "
+        "compliance that friction or a preload holds. Add ramps of another size: to at least "
+        f"{needed_nm:.2g} N m, or, if these are far beyond the friction already, small ones to "
+        f"about {2.0 * friction_nm:.2g} N m."
     )
 
 
@@ -208,7 +208,7 @@ def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float
     return (
         "These ramps show no play: the joint is stiffer around zero torque than beyond (its "
         f"compliance is {relative_compliance:.2g} of that), like a preloaded joint. {seen} The "
-        f"loop is {1e3 * width_rad:.2g} mrad wide at zero torque because friction holds the "
+        f"loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, as friction holds the "
         "compliance; δ is at most half of that."
     )
 

@@ -81,9 +81,9 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
         held = part["held_windup_rad"]["median"]
         if held > 0.0 and not part["preloaded"] and part["delta_rad"] is not None:
             yield (
-                f"Of the gap{words.of(name)}, about {words.significant(1e3 * held)} mrad may be "
-                "compliance that friction holds at zero torque, more if the flanks are softer at "
-                "small torque."
+                f"About {words.significant(1e3 * held)} mrad of half the width{words.of(name)} may "
+                "be compliance that friction holds at zero torque, more if the flanks are softer "
+                "at small torque: the gap is given less an unknown share of it."
             )
 
 

@@ -46,17 +46,19 @@ they harden: half its compliance. Half of that again is left for compliance that
 turn (by up to 1.3 each way on the gearboxes of the stand).
 """
 
+LEFT_STUCK = 0.3
+"""Share of their range, and of what larger ramps leave, below which small ramps tell nothing.
+
+A joint that sticks in front of a compliance moves and leaves nothing: its compliance between the
+positions left is a ratio of two numbers near zero. By Dahl's law ramps to half of the friction
+leave 0.26 of their range; a preloaded joint leaves half at three times the friction.
+"""
+
+LARGEST_NEXT, BEYOND_STUCK = 3.0, 2.5
+"""Times the largest ramps, and those that friction held: what to record next."""
+
 FEWEST_STEPS = 5.0
 """Of the encoder, that ramps must move the joint by: the width of fewer is rounding."""
-
-ON_THE_FLANK = 0.7
-"""Width over range from which ramps of one level are believed.
-
-Ramps far beyond the friction leave less, as they bend the flanks (and what they leave is up to four
-times the play on the gearboxes of the stand). Ramps that friction holds bend the joint in its
-presliding, and back: by Dahl's law they leave 0.26 of their range at half of the friction, 0.46 at
-0.8 and 0.64 at 0.95 of it.
-"""
 
 SEEN = 4.0 / 3.0
 """q from which a flank is seen to lift: both are then at most 3/4 as compliant as one, halfway
@@ -120,10 +122,9 @@ class Level:
         return float(np.mean(left))
 
     @property
-    def width_over_range(self) -> float:
-        """Share of the motion that does not go back with the torque."""
-        reach = sum(c.range_rad for c in self.cycles)
-        return sum(c.width_rad for c in self.cycles) / reach if reach > 0.0 else 0.0
+    def width_rad(self) -> float:
+        """Mean over all cycles."""
+        return float(np.mean([c.width_rad for c in self.cycles]))
 
     def widths(self) -> list[FloatArray]:
         """Of every file with cycles: its independent measurements of the width, rad, shape (k,).
@@ -156,6 +157,8 @@ class Flanks:
         Amplitudes of smaller ramps, which friction held.
     needed_nm
         Torque that ramps should reach where they are too small.
+    left_by_larger
+        Widest that larger ramps leave over what these do; one where they leave less.
     relative_compliance
         Between the positions left over that of larger ramps: above one with play. NaN without
         larger ramps.
@@ -168,6 +171,7 @@ class Flanks:
     largest: Level | None
     skipped_nm: tuple[float, ...] = ()
     needed_nm: float = 0.0
+    left_by_larger: float = 1.0
     relative_compliance: float = np.nan
     probability_of_play: float = 1.0
 
@@ -212,13 +216,13 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
         return Flanks("one_sided", None, None, needed_nm=max(reached, default=0.0))
     largest = levels[-1]
     skipped: list[float] = []
-    for level in levels:
+    for number, level in enumerate(levels):
         if largest.amplitude_nm < LARGER * level.amplitude_nm:
             break
-        if level.range_rad < FEWEST_STEPS * resolution_rad:
-            skipped.append(level.amplitude_nm)
-            continue
-        if level.compliance_between >= STUCK * largest.compliance_over_all:
+        widest = max(larger.width_rad for larger in levels[number:])
+        moved = level.compliance_between >= STUCK * largest.compliance_over_all
+        left = level.width_rad > LEFT_STUCK * min(widest, level.range_rad)
+        if left and moved and level.range_rad >= FEWEST_STEPS * resolution_rad:
             relative = _log_relative(level, largest)
             probability = _probability_positive(relative)
             return Flanks(
@@ -226,16 +230,17 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
                 level,
                 largest,
                 tuple(skipped),
+                left_by_larger=widest / level.width_rad,
                 relative_compliance=float(np.exp(relative.mean())),
                 probability_of_play=probability,
             )
         skipped.append(level.amplitude_nm)
-    if largest.range_rad < FEWEST_STEPS * resolution_rad:
-        return Flanks("too_small", largest, largest, needed_nm=3.0 * largest.amplitude_nm)
     # Nothing larger tells whether friction or a preload holds the joint, or how far it bends.
-    arrived = largest.width_over_range > ON_THE_FLANK
-    needed = 2.0 * largest.friction_nm if skipped else 3.0 * largest.amplitude_nm
-    return Flanks("play" if arrived else "too_small", largest, largest, tuple(skipped), needed)
+    needed = LARGEST_NEXT * largest.amplitude_nm
+    if skipped:
+        small = max(2.0 * largest.friction_nm, BEYOND_STUCK * skipped[-1])
+        needed = small if LARGER * small < largest.amplitude_nm else needed
+    return Flanks("too_small", largest, largest, tuple(skipped), needed)
 
 
 def _log_relative(level: Level, largest: Level) -> FloatArray:

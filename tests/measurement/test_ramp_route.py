@@ -127,7 +127,9 @@ def test_the_motors_side_and_the_outputs_give_one_answer(tmp_path: Path) -> None
     first, second = found
     for key in ("delta_rad", "friction_torque_nm", "compliance_rad_per_nm", "lost_motion_rad"):
         assert second[key]["median"] == pytest.approx(first[key]["median"], rel=1e-3)
-    assert first["delta_rad"]["median"] == pytest.approx(GAP + COMPLIANCE * FRICTION, rel=0.02)
+    width = first["parameters"]["width_rad"]["median"]
+    assert width == pytest.approx(2.0 * (GAP + COMPLIANCE * FRICTION), rel=0.02)
+    assert first["delta_rad"]["low"] < GAP < first["delta_rad"]["high"]
     assert first["friction_torque_nm"]["median"] == pytest.approx(FRICTION, rel=0.1)
     assert first["preload_torque_nm"]["high"] == 0.0
     assert first["held_windup_rad"]["median"] == pytest.approx(COMPLIANCE * FRICTION, rel=0.6)
@@ -194,6 +196,27 @@ def test_ramps_that_do_not_tell_are_withheld_with_the_torque_to_ramp_to(tmp_path
     assert code == 3
     assert summary["delta_rad"] is None
     assert "to at least 45 N m" in summary["reason"]["text"]
+
+
+def test_a_weight_is_no_play_of_none_with_one_large_cycle(tmp_path: Path) -> None:
+    """It pushes the joint over its play before the torque is at zero."""
+    time, torque, position = ramps(amplitudes=(8.0, 8.0, 8.0, 30.0))
+    columns = {
+        "time_s": time, "motor_position_rad": position, "motor_torque_nm": torque + 2.5
+    }  # fmt: skip
+    file = write_csv(tmp_path / "a.csv", columns)
+    code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp", "--gear-ratio", "1")
+    assert code == 0
+    assert not summary["preloaded"]
+    assert summary["delta_rad"]["low"] < GAP < summary["delta_rad"]["high"]
+
+
+def test_ramps_of_one_size_are_withheld_as_held_windup_is_unknown(tmp_path: Path) -> None:
+    file = write(tmp_path / "a.csv", amplitudes=[3.0] * 4)
+    code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp", "--gear-ratio", "1")
+    assert code == 3
+    assert summary["held_windup_rad"]["high"] > 0.9 * GAP
+    assert "to at least 9.1 N m" in summary["reason"]["text"]
 
 
 def test_growth_is_not_told_from_two_positions_of_the_turn(tmp_path: Path) -> None:
