@@ -180,21 +180,21 @@ def _offset(ramps: Ramps) -> float:
 
 
 def _free_at(cycle: Cycle) -> float:
-    """Mean torque, there and back, at the middle between the flanks; 0 if friction holds one.
+    """Mean torque, there and back, at the middle between the flanks; 0 if one way is not there.
 
     It is between the positions at equal torques: a joint without play then has it at zero torque.
-    An excursion that friction does not hold goes there and back through it on one side of zero.
+    The way back to the side of the first excursion is before it or behind the last one.
     """
     a, b, torque, position = cycle.first, cycle.last, cycle.torque_nm, cycle.position_rad
     equal = min(a.torque_nm, b.torque_nm)
     ends = [crossing(-torque, -e.side * equal, e.begin, e.top + 1, e.side) for e in (a, b)]
-    middle = 0.5 * float(position[ends[0]] + position[ends[1]])
-    for e in (a, b):
-        beyond = e.side * (position - middle) >= 0.0
-        if not beyond[e.back]:
-            there, back = np.argmax(beyond[e.begin :]), np.argmin(beyond[e.top :])
-            return float(0.5 * (torque[e.begin + there] + torque[e.top + back]))
-    return 0.0
+    beyond = b.side * (position - 0.5 * float(position[ends[0]] + position[ends[1]])) >= 0.0
+    there = a.top + int(np.argmax(beyond[a.top : b.top + 1]))
+    before = np.flatnonzero(beyond[a.begin : a.top + 1])
+    if not before.size and beyond[b.back]:
+        return 0.0
+    back = a.begin + before[-1] if before.size else b.top + np.argmin(beyond[b.top : b.back + 1])
+    return float(0.5 * (torque[there] + torque[back]))
 
 
 def left_rad(cycles: Sequence[Cycle]) -> tuple[float, float]:
