@@ -144,7 +144,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
 def _held(files: Sequence[Found], flanks: Flanks) -> float:
     """``held_windup_rad`` of a snapshot."""
     found = of_every_cycle(flanks, 0.0)
-    draws = described(found, flanks, (1,), np.random.default_rng(1))
+    draws = described(found, flanks, np.zeros(1), np.random.default_rng(1))
     return float(draws["held_windup_rad"].item())
 
 

@@ -252,8 +252,10 @@ def init_command(
     print_blocks(guess_blocks(guess), make_console())
     if guess.is_open:
         say(
-            f'Written to {path}. It cannot run yet: fill in each "?" in it, or take its line out, '
-            f"then: bayesbl check {path}"
+            f"Not everything that is needed can be told from {recordings[0]}. Written to {path}. "
+            'It cannot run yet: fill in each "?" in it, or take its line out, then: '
+            f"bayesbl check {path}",
+            err=True,
         )
         raise typer.Exit(WRONG)
     plan = check(path)

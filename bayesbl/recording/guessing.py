@@ -200,6 +200,7 @@ class _Named:
         return there.size > 2 and bool(np.all(np.diff(there) > 0.0))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # by numbers that are no measurements
 def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     """Guess the channels of a file: of one joint where its columns are called ``JOINT/NAME``.
 
@@ -355,7 +356,8 @@ def _slope(along: FloatArray, values: FloatArray) -> tuple[float, float]:
     if not good.any() or min(np.ptp(along[good]), np.ptp(values[good])) == 0.0:
         return 0.0, 0.0
     (own, shared), (_, other) = np.cov(along[good], values[good])
-    return float(shared / own), float(shared**2 / (own * other))
+    slope, explained = shared / own, shared * shared / (own * other)
+    return (float(slope), float(explained)) if np.isfinite(explained) else (0.0, 0.0)
 
 
 def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:

@@ -299,7 +299,7 @@ def test_a_position_without_a_unit_is_asked_for_and_never_taken_as_radians(
     file = write_csv(tmp_path / "a.csv", {"TIME": time, "POSITION": turns, "TORQUE": torque})
     config = tmp_path / "a.toml"
     assert status(["init", str(file), "--out", str(config)]) == 2
-    assert "cannot run yet" in capsys.readouterr().out
+    assert "cannot run yet" in capsys.readouterr().err
     code, _ = run(tmp_path, "run", str(config))
     assert code == 2
     assert "motor_position_rad" in capsys.readouterr().err

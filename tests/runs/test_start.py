@@ -136,7 +136,7 @@ def test_what_no_name_tells_is_left_to_fill_in(measured, tmp_path, capsys):
     path = write_csv(tmp_path / "joint.csv", {"time": measured.time_s, "x": measured.time_s})
     out = tmp_path / "a.toml"
     assert cli.status(["init", str(path), "--out", str(out)]) == cli.WRONG
-    assert 'cannot run yet: fill in each "?"' in " ".join(capsys.readouterr().out.split())
+    assert 'cannot run yet: fill in each "?"' in " ".join(capsys.readouterr().err.split())
     assert 'motor_position_rad = {name = "?", unit = "?"}' in out.read_text()
     assert cli.status(["check", str(out)]) == cli.WRONG
     assert "unit of motor_position_rad is not known" in capsys.readouterr().err
