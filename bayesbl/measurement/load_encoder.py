@@ -37,11 +37,11 @@ def with_witness(measured: Measurement, task: Task) -> Measurement:
         refused = {**measured.refused, NAME: Reason.of_text(refusal.code, str(refusal))}
         return replace(measured, refused=refused)
     witness = measurer.measure(replace(task, recordings=recordings))
-    told = replace(witness, answers=[as_told(answer) for answer in witness.answers])
+    bounded = replace(witness, answers=[within_bound(answer) for answer in witness.answers])
     return replace(
         measured,
         beside=(*measured.beside, witness),
-        change_reason=disagreement(measured, told, witness=True) or measured.change_reason,
+        change_reason=disagreement(measured, bounded, witness=True) or measured.change_reason,
         why=Reason("witnessed") if measured.why.code == "only_route" else measured.why,
     )
 
@@ -68,7 +68,7 @@ def _of_both_encoders(recording: Recording) -> Recording:
     return replace(recording, time_s=time_s, channels=kept, notes=notes, excluded=None)
 
 
-def as_told(answer: Answer) -> Answer:
-    """Of a gap that may be none, no more is told than its bound: all below are alike."""
+def within_bound(answer: Answer) -> Answer:
+    """An answer whose gap may be none has all gaps below its bound alike, rad."""
     bound = answer.upper_bound_rad
     return answer if bound is None else replace(answer, delta_rad=np.linspace(0.0, bound, 1000))

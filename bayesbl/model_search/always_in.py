@@ -750,9 +750,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
         later_s = late_s - sampled_lateness_s(model.vectors(point[None], model.recordings[0]))
         start[delay] += later_s[0] / period_s
         with suppress(BenchError):
-            fits.append(
-                fit_simulated(model, np.clip(start, model.low, model.high), steps, goal=goal)
-            )
+            fits.append(fit_simulated(model, start, steps, goal=goal))
             if period_s == first_s:
                 point, steps, goal = fits[0].point, fits[0].steps, min(goal, fits[0].chi_square)
     return fits

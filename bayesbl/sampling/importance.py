@@ -182,23 +182,26 @@ def _mixed(
     """
     low, high = box
     sd = np.sqrt(np.diag(covariance))
-    cut = np.maximum((low - peak) / sd, (peak - high) / sd) > -WITHIN_SD
-    precision = np.linalg.inv(covariance[np.ix_(cut, cut)])
-    away, begin, end = points[:, cut] - peak[cut], (low - peak)[cut], (high - peak)[cut]
+    correlation, begin, end = covariance / np.outer(sd, sd), (low - peak) / sd, (high - peak) / sd
+    cut = np.maximum(begin, -end) > -WITHIN_SD
+    precision, away = np.linalg.inv(correlation[np.ix_(cut, cut)]), ((points - peak) / sd)[:, cut]
     for i in np.tile(np.arange(away.shape[1]), SWEEPS):
         own = precision[i, i] ** -0.5
         mean = away[:, i] - away @ precision[i] * own**2
         share = generator.random(len(away))
-        away[:, i] = mean + own * _between((begin[i] - mean) / own, (end[i] - mean) / own, share)
-    slope = covariance[np.ix_(~cut, cut)] @ precision
-    rest = covariance[np.ix_(~cut, ~cut)] - slope @ covariance[np.ix_(cut, ~cut)]
-    moved = points.copy()
-    moved[:, cut] = peak[cut] + away
-    moved[:, ~cut] = peak[~cut] + away @ slope.T
-    moved[:, ~cut] += (
-        generator.standard_normal((len(points), len(rest))) @ np.linalg.cholesky(rest).T
+        ends = (begin[cut][i] - mean) / own, (end[cut][i] - mean) / own
+        away[:, i] = mean + own * _between(*ends, share)
+    slope = correlation[np.ix_(~cut, cut)] @ precision
+    # Rounding may leave less than no variance of what the others nearly tell.
+    values, vectors = np.linalg.eigh(
+        correlation[np.ix_(~cut, ~cut)] - slope @ correlation[np.ix_(cut, ~cut)]
     )
-    return np.clip(moved, low, high)
+    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    white = np.empty(points.shape)
+    white[:, cut] = away
+    white[:, ~cut] = away @ slope.T
+    white[:, ~cut] += generator.standard_normal((len(points), len(values))) @ spread.T
+    return np.clip(peak + sd * white, low, high)
 
 
 def normal_in_box(

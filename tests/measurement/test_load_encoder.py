@@ -23,7 +23,7 @@ from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.measurement.auto_route import disagreement
-from bayesbl.measurement.load_encoder import as_told, with_witness
+from bayesbl.measurement.load_encoder import with_witness, within_bound
 from bayesbl.measurement.measurement import Answer, Measurement, Seeds, Task
 from bayesbl.presentation.answer import lead, which
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, Recording
@@ -106,7 +106,7 @@ def test_a_load_of_another_gap_is_told_first(tmp_path, capsys):
 def test_a_bound_disagrees_with_gaps_far_above_it_alone():
     answer, below = by_motor("r"), np.full((4, 1000), 1e-5)
     for bound_rad, disagrees in ((1.2 * GAP_RAD, False), (0.8 * GAP_RAD, False), (2e-4, True)):
-        bounded = as_told(Answer("r", below, upper_bound_rad=bound_rad))
+        bounded = within_bound(Answer("r", below, upper_bound_rad=bound_rad))
         witness = Measurement("two_encoders", [bounded])
         assert (disagreement(answer, witness, witness=True) is not None) == disagrees
 
