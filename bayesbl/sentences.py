@@ -193,8 +193,8 @@ def ramps_held(
     return (
         f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: what they leave may be "
         "compliance that friction or a preload holds. Add ramps of another size: to at least "
-        f"{needed_nm:.2g} N m, or, if these are far beyond the friction already, small ones to "
-        f"about {2.0 * friction_nm:.2g} N m."
+        f"{needed_nm:.2g} N m where the gear is rated for it, or, if these are far beyond the "
+        f"friction already, small ones to about {2.0 * friction_nm:.2g} N m."
     )
 
 
