@@ -278,6 +278,8 @@ class Effect:
     always_in
         It moves δ by more than a standard deviation before it shows, and its usual size may hide
         (``configs/bias_against_visibility.toml``): every fit of a gap takes it into account.
+    may_change
+        A setting, a cable or a weight brings it into some recordings of a joint and not others.
     in_nominal
         A bench has some of it without saying so, so a joint may well have less of it than its
         bench.
@@ -302,6 +304,7 @@ class Effect:
     in_bench_file: str = ""
     resonance: Resonance | None = None
     always_in: bool = False
+    may_change: bool = False
     in_nominal: bool = False
     slots: Mapping[str, Slot] = field(init=False, repr=False, compare=False)
 
@@ -335,6 +338,12 @@ class Effect:
     def amplitudes(self) -> tuple[Amplitude, ...]:
         """Parameters that switch it on."""
         return tuple(item for item in self.parameters if isinstance(item, Amplitude))
+
+    @property
+    def main_amplitude(self) -> Amplitude:
+        """The one that a search frees where recordings cannot show several, or the first."""
+        alone = (item for item in self.amplitudes if item.name == self.sought_alone)
+        return next(alone, self.amplitudes[0])
 
     @property
     def shapes(self) -> tuple[Shape, ...]:

@@ -6,10 +6,10 @@ usual size (:attr:`bayesbl.bench.effect_declaration.Effect.always_in`). Of a law
 one size; beside it, as everything that drifts, each but the first has its own
 (:mod:`bayesbl.bench.parameters`). So the change between snapshots stays sharp where it may.
 
-Besides, something may have been changed between snapshots, payload and gains by people, other
-parameters by damage: hypotheses with a small probability and a wide size, averaged over. One cause
-may change several parameters: where gravity's torque is another, so is the inertia, though what
-shows of it may look like drift.
+Besides, something may have been changed between snapshots: payload, gains, filters and the recorder
+by people, other parameters by damage; a cable may pull. These are hypotheses with a small
+probability and a wide size, averaged over. One cause may change several parameters: where gravity's
+torque is another, so is the inertia, though what shows of it may look like drift.
 
 An elastic part of the joint, a belt, an arm or a base, is no direction: what it does is far from
 linear in its compliance, and the tolerances of a bench take up most of it, with δ off by much more
@@ -74,15 +74,15 @@ CHANGED_TOGETHER: dict[str, tuple[str, ...]] = {
 CAUSES = CHANGED_TOGETHER | {
     name: (name,) for name in CORRECTABLE_PARAMETERS if name != "gravity_torque_nm"
 }
-"""What may be changed. The inertia alone is with the posture of the axes behind the joint; gravity
-changes with a mass, so never alone."""
+"""What may be changed of a bench's parameters. The inertia alone is with the posture of the axes
+behind the joint; gravity changes with a mass, so never alone. Effects say it of themselves."""
 
 CHANGED_SHARE = 0.1
 """Of a parameter: usual size of a change that is no drift."""
 
 CHANGED = 0.05
-"""Probability of one cause before a snapshot, that nobody told of. A judgement: with nine causes it
-leaves six joints of ten as they were. Where data speak for none it costs nothing; where drift
+"""Probability of one cause before a snapshot, that nobody told of. A judgement: with 14 causes it
+leaves half of all joints as they were. Where data speak for none it costs nothing; where drift
 explains a change nearly as well, it decides how much of the interval is left to it."""
 
 MOST_CHANGED = 3
@@ -226,35 +226,39 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
         yield Direction(info.name, usual, drift, CHANGED_SHARE * size if info.correctable else 0.0)
     present = {effect.name: effect for effect in bench.effects}
     for effect in EFFECTS:
+        main = effect.main_amplitude
+        changed = _usual(bench, effect.name) if effect.may_change else 0.0
         if effect.name in present:
             own = present[effect.name]
             values = own.complete()
             for item in effect.amplitudes:
                 size = max(abs(values[item.name]), _stated_sd(own, item.name))
                 drift = drift_of(f"{effect.name}.{item.name}", stated) * size
-                yield Direction(f"{effect.name}__{item.name}", 0.0, drift)
+                by_change = changed if item is main else 0.0
+                yield Direction(f"{effect.name}__{item.name}", 0.0, drift, by_change)
             if own.name == SAMPLED and "delay_periods" not in own.parameters:
                 least = effect_named(own.name).parameter("delay_periods").low
                 yield Direction(DEAD_TIME, UNSTATED_PERIODS, 0.0, least=least)
                 if "instant_share" not in own.parameters:
                     yield Direction(INSTANT_SHARE, UNIFORM_SD, 0.0, positive=True)
-        elif effect.always_in:
-            item, usual = effect.amplitudes[0], _usual(bench, effect.name)
+        elif effect.always_in or effect.may_change:
+            usual = _usual(bench, effect.name) if effect.always_in else 0.0
             yield Direction(
-                f"{effect.name}__{item.name}",
+                f"{effect.name}__{main.name}",
                 usual,
                 drift_of(effect.name, stated) * usual,
-                positive=item.not_negative and not effect.in_nominal,
-                least=item.sought_from or 0.0,
+                changed,
+                positive=main.not_negative and not effect.in_nominal,
+                least=main.sought_from or 0.0,
                 effect=effect.name,
             )
 
 
 def _usual(bench: Bench, name: str) -> float:
-    """Usual size of the first amplitude of an effect."""
+    """Usual size of an effect."""
     effect = effect_named(name)
-    item = effect.amplitudes[0]
-    return search_scale(bench, effect, item) * item.typical
+    item = effect.main_amplitude
+    return search_scale(bench, effect, item) * abs(item.typical)
 
 
 def _stated_sd(effect: BenchEffect, name: str) -> float:
@@ -312,7 +316,9 @@ class Label:
 
     @property
     def is_lag(self) -> bool:
-        """Of the speed loop."""
+        """Of the speed loop in all snapshots."""
+        if self.cause:
+            return False
         name, _, parameter = self.directions[0].slot.partition("__")
         return bool(parameter) and effect_named(name).enters == "loop"
 
@@ -347,9 +353,9 @@ class Label:
             if cause != self.cause and own & set(slots):
                 yield replace(self, cause=cause).hypothesis
 
-    def unknowns(self, bench: Bench) -> list[Unknown]:
-        """As unknowns of a fit."""
-        vector = with_neutral(bench, self.directions).vector()[0]
+    def unknowns(self, vector: FloatArray) -> list[Unknown]:
+        """As unknowns of a fit; ``vector``, (slots,): what they differ from, the bench's values or
+        the first snapshot's."""
         found = []
         for own, scale in zip(self.directions, self.scales, strict=True):
             value = float(vector[Slot[own.slot]])
@@ -362,7 +368,7 @@ class Label:
                 continue
             # A change is as large as the recordings have it.
             sd = scale / CHANGED_SHARE if self.cause else scale
-            low = LEAST_LEFT * value - value if math.isfinite(least) else -math.inf
+            low = LEAST_LEFT * value - value if is_bounded else -math.inf
             found.append(Unknown(own.slot, low, sd=sd, recording=self.recording, added=True))
         return found
 
@@ -420,7 +426,8 @@ class Beside:
     def _is_far(self, k: int, drawn: FloatArray) -> bool:
         label = self.labels[k]
         if label.cause:
-            return label.hypothesis in self.posterior.named
+            surely = itertools.chain(self.posterior.named, *self.posterior.confounded)
+            return label.hypothesis in surely
         mean = float(drawn[:, 0].mean())
         # Less than none of a law is none of it, but something else: that stays linear.
         return (mean if label.is_positive else abs(mean)) > FAR * float(drawn[:, 0].std())
@@ -564,6 +571,8 @@ def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
             own = tuple(d for d in among if d.slot in slots and d.changed > 0.0)
             if own:
                 labels.append(Label(own, owner, cause))
+        effects = (d for d in among if "__" in d.slot and d.changed > 0.0)
+        labels += [Label((d,), owner, d.slot.partition("__")[0]) for d in effects]
     return tuple(
         own for own in labels if not any((d.slot, own.recording) in taken for d in own.directions)
     )
@@ -688,13 +697,15 @@ def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> Simu
     if rest.residual @ rest.residual > _goal(fit):
         return None
     freed = (_freed(fit, *own) for own in far if not own[0].is_lag)
-    return next((f for f in freed if f is not None and f.chi_square < fit.chi_square), None)
+    better = (f for f in freed if f is not None and f.chi_square < fit.chi_square)
+    return next(better, None)
 
 
 def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | None:
     """With one label among its unknowns, from these sizes; ``None`` where nothing is simulated."""
     bench = with_neutral(fit.model.bench, far.directions)
-    own = far.unknowns(bench)
+    first = fit.model.vectors(fit.point[None], fit.model.recordings[0])
+    own = far.unknowns((bench.vector() if far.recording is None else first)[0])
     by = sizes * far.scales
     model = fit.model.beside(bench, own)
     move = np.concatenate([np.zeros(fit.point.size), by])
@@ -730,7 +741,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
             ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
             bench = bench.with_effects(*bench.effects, ticks)
         free = [d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - taken]
-        own = [unknown for d in free for unknown in Label((d,), None).unknowns(bench)]
+        own = [unknown for d in free for unknown in Label((d,), None).unknowns(bench.vector()[0])]
         models[period_s] = fit.model.beside(bench, own)
         for loop in itertools.product(USUAL_DELAYS, (0.0, 1.0)[: len(own)]):
             point = np.concatenate([fit.point, loop[: len(own)]])

@@ -376,12 +376,7 @@ class _Search:
         return least > (1.0 - HOPEFUL_SHARE) * self.nominal.excess
 
     def _is_far(self, own: FittedSet) -> bool:
-        """Whether what a bench lacks may have drawn the gap away from where it is.
-
-        Where laws and drift are always beside the fit, they have not.
-        """
-        if self._among:
-            return False
+        """Whether what a bench lacks may have drawn the gap away from where it is."""
         moving = any(seen.motion is not None for seen in own.fit.model.recordings)
         return is_gross(own.explanation) and not moving and self._is_unexplained(own)
 

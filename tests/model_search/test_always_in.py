@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
-from bayesbl.bench.effects import EFFECT_BY_NAME
+from bayesbl.bench.effects import EFFECT_BY_NAME, EFFECTS, effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS, DEFAULT_DRIFT, PARAMETER_INFO, drift_of
 from bayesbl.config.bench import reference_bench
@@ -43,10 +43,10 @@ STIFFNESS = "shaft_stiffness_nm_per_rad"
 GAIN = "speed_gain_nm_s_per_rad"
 
 
-def pair(second: Bench, seed: int = 1) -> SimulatedFit:
-    """Two snapshots of one gap, the second of another bench, fitted with the first's."""
+def pair_seen(second: Bench, seed: int) -> list[Observed]:
+    """Two snapshots of one gap, the second of another bench."""
     rng = np.random.default_rng(seed)
-    seen = [
+    return [
         observed(
             made.simulate(
                 GAP_RAD,
@@ -59,6 +59,11 @@ def pair(second: Bench, seed: int = 1) -> SimulatedFit:
         )
         for name, made in (("before", BENCH), ("after", second))
     ]
+
+
+def pair(second: Bench, seed: int = 1) -> SimulatedFit:
+    """Two snapshots of one gap, the second of another bench, fitted with the first's."""
+    seen = pair_seen(second, seed)
     return fit_aligned(BENCH, seen, direct_unknowns(BENCH, ["before", "after"], (1e-4, 1e-2)))
 
 
@@ -263,6 +268,23 @@ def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     fit, rest = settled(nominal, directions(BENCH, {}))
     after, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
     assert abs(after) < 2.6 * wider  # one false alarm in a hundred
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("effect", [effect.name for effect in EFFECTS if effect.may_change])
+def test_what_a_setting_or_a_weight_does_to_one_recording_is_not_taken_for_wear(
+    effect: str,
+) -> None:
+    """A speed averaged over 8 ms in one of two recordings was a gap smaller by 7 %."""
+    amplitude = effect_named(effect).main_amplitude
+    size = {amplitude.name: EffectParameterValue(2.0 * amplitude.typical)}
+    seen = pair_seen(BENCH.with_effects(BenchEffect(effect, size)), seed=11)
+    whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
+    assert whole.joint.explained
+    shift = whole.rest.posterior.draw(np.random.default_rng(0), 2000).shift
+    found, wider = change(whole.fit, shift)
+    assert abs(found) < 2.6 * wider  # one false alarm in a hundred
+    assert wider < 0.03
 
 
 @pytest.mark.long

@@ -27,6 +27,7 @@ CURRENT_LOOP_LAG = Effect(
     enters="loop",
     data="ringing less damped; current behind speed",
     always_in=True,
+    may_change=True,
     in_nominal=True,  # as late as the drive compensates
 )
 
@@ -41,6 +42,7 @@ SPEED_SENSOR_LAG = Effect(
     enters="loop",
     data="ringing less damped; pulse fronts rounded",
     always_in=True,
+    may_change=True,
     in_nominal=True,  # as late as the drive compensates
 )
 
@@ -130,6 +132,7 @@ CHANNEL_TIME_SKEW = Effect(
     torque=RigidLaw(signal=_NOTHING, amplitude="current_s", usual=0.2),
     position=RigidLaw(signal=_NOTHING, amplitude="position_s", usual=0.2),
     sought_alone="current_s",
+    may_change=True,
 )
 
 # An encoder that is differentiated shows it, with T its sampling period, and a trace that the drive
@@ -152,6 +155,8 @@ SPEED_AVERAGING = Effect(
     ),
     enters="measurement",
     data="ringing lower in the speed than in the current, and later",
+    always_in=True,
+    may_change=True,
     in_bench_file="If the drive smooths the speed that it records, say so in the bench file: "
     "speed_filter_s under [measurement]; if the speed is the differentiated encoder, "
     'speed_source = "encoder".',

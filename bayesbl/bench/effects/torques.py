@@ -56,6 +56,7 @@ LOAD_TORQUE_OFFSET = Effect(
     ),
     enters="load",
     data="pulses shift alike in both directions",
+    may_change=True,
     load_torque=lambda motion, bench, given: given["torque_nm"] * np.ones_like(motion.speed),
 )
 
