@@ -19,7 +19,7 @@ from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
-from bayesbl.measurement.measurement import Measurement, Measurer, Reason, Task, Verdict
+from bayesbl.measurement.measurement import ExpectedSd, Measurement, Measurer, Reason, Task, Verdict
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.moving import moves
 from bayesbl.recording.types import FloatArray, Recording
@@ -63,6 +63,10 @@ class AutoMeasurer(Measurer):
         if any(map(moves, recordings)):
             return self.direct.require_together(recordings)
         return self.amplitude.require_together(recordings)
+
+    def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
+        """Of the direct route."""
+        return self.direct.expected(recordings)
 
     def measure(self, task: Task) -> Measurement:
         """By both routes, each whole.

@@ -44,9 +44,11 @@ from bayesbl.matching.signals import (
 from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
+from bayesbl.measurement.expected_width import expected_sds
 from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.measurement import (
     Answer,
+    ExpectedSd,
     Measurement,
     Measurer,
     Reason,
@@ -98,6 +100,9 @@ tell it to."""
 
 BOUNDED = ("gap_unseen",)
 """Codes of what withholds δ and leaves a bound of it."""
+
+EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
+"""Gaps of a new reducer, a used one and a worn one."""
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
@@ -162,6 +167,16 @@ class DirectMeasurer(Measurer):
         if seen.motion is None:
             bench = bench_with(self.bench, self.config.entry_of(recording.name).bench)
             require_flank_change(bench, [seen.reference_speed_rpm], self.config.estimator.bench)
+
+    def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
+        """At gaps within the prior, by the bench and the noise; at constant speed."""
+        if not recordings or any(map(moves, recordings)):
+            return ()
+        seen = [observed_of(self.config, self.bench, recording) for recording in recordings]
+        low, high = self.gap_range_rad
+        gaps_rad = [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high]
+        may_drift = dict.fromkeys(self.config.joint.may_drift, 0.0)
+        return expected_sds(self.bench, seen, gaps_rad, {**may_drift, **self.config.joint.drift})
 
     def measure(self, task: Task) -> Measurement:
         """Match the bench with all recordings at once."""

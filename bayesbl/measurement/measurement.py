@@ -285,6 +285,18 @@ class Measurement:
         return self.curve == PUBLISHED
 
 
+@dataclass(frozen=True, slots=True)
+class ExpectedSd:
+    """Posterior standard deviations at a gap that all recordings have, rad.
+
+    ``change_rad``: of the change from the first recording to the last; ``None`` of one recording.
+    """
+
+    gap_rad: float
+    delta_rad: float
+    change_rad: float | None
+
+
 def upper_bound(delta_rad: FloatArray) -> float:
     """The gap below which δ lies with a probability of :data:`UPPER_BOUND_LEVEL`, rad."""
     return float(np.quantile(delta_rad, UPPER_BOUND_LEVEL))
@@ -324,6 +336,10 @@ class Measurer(ABC):
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """Raises where these cannot be compared; what they share, where that is worth saying."""
         return None
+
+    def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
+        """How precisely these would give δ, at a few gaps, where that is known before a fit."""
+        return ()
 
     @abstractmethod
     def measure(self, task: Task) -> Measurement:

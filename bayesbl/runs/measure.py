@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -9,8 +10,10 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
+from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import declared_groups, measure, measurer_of
 from bayesbl.measurement.stored import summary_of as summarise
+from bayesbl.probabilities import normal_isf
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
 from bayesbl.sentences import sentence
@@ -59,8 +62,22 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         plan.add(f"recording {entry.name}", partial(checked, entry))
     plan.warnings += [*plan.withheld, *same_files(plan.recordings), *measurer.notes()]
     plan.add("speed", partial(measurer.require_together, plan.recordings))
+    plan.add("expected", lambda: _expected(measurer.expected(plan.recordings), config))
     if config.joint.limit_rad is not None or config.joint.limit is not None:
         plan.add("limit", partial(_limit, config, measurer.gap_range_rad))
+
+
+def _expected(sds: Sequence[ExpectedSd], config: SnapshotConfig) -> str | None:
+    """Half-widths of the intervals, before any fit."""
+    if not sds:
+        return None
+    times = 1e3 * normal_isf(0.5 * (1.0 - config.interval.level))
+    gaps = " ".join(f"{1e3 * sd.gap_rad:g}±{times * sd.delta_rad:.2g}" for sd in sds)
+    text = f"if the bench is right, δ to {gaps} mrad"
+    changes = [f"{times * sd.change_rad:.2g}" for sd in sds if sd.change_rad is not None]
+    if changes:
+        text += f", and its change to ±{', ±'.join(changes)} mrad at these gaps"
+    return text
 
 
 def _limit(config: SnapshotConfig, range_rad: tuple[float, float] | None) -> str:

@@ -1,0 +1,61 @@
+"""What ``check`` expects of recordings beside what a fit of them answers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesbl.config.bench import reference_bench
+from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.signals import GAP
+from bayesbl.measurement.direct_route import direct_unknowns
+from bayesbl.measurement.expected_width import expected_sds
+from bayesbl.model_search.always_in import directions, settled, with_friction
+
+BENCH, GAP_RAD = reference_bench(), 5e-4
+
+
+def recordings(rotations: float) -> list[Observed]:
+    rng = np.random.default_rng(11)
+    return [
+        observed(BENCH.simulate(GAP_RAD, rotations=rotations, seed=rng, name=name), BENCH)
+        for name in ("before", "after")
+    ]
+
+
+def test_the_expected_width_is_that_of_an_answer() -> None:
+    """To within the 20 % by which residuals of one recording move the marginalised laws."""
+    seen = recordings(3.0)
+    (expected,) = expected_sds(BENCH, seen, [GAP_RAD], {})
+    bench = with_friction(BENCH, seen)
+    nominal = fit_aligned(bench, seen, direct_unknowns(bench, ["before", "after"], (0.0, 5e-3)))
+    fit, rest = settled(nominal, directions(bench, {}))
+    shift = rest.posterior.draw(np.random.default_rng(0), 2000).shift
+    places = [fit.model.index(GAP, name) for name in ("before", "after")]
+    covariance = (fit.covariance + np.cov(shift.T))[np.ix_(places, places)]
+    change = np.array([-1.0, 1.0])
+    slope_rad = float(fit.model.unknowns[places[0]].slope(np.array(GAP_RAD)))
+    assert expected.delta_rad == pytest.approx(
+        slope_rad * math.sqrt(covariance.diagonal().max()), rel=0.2
+    )
+    assert expected.change_rad == pytest.approx(
+        slope_rad * math.sqrt(change @ covariance @ change), rel=0.2
+    )
+
+
+def test_more_rotations_narrow_the_noise_and_not_what_the_bench_leaves_open() -> None:
+    few, many = (
+        expected_sds(BENCH, recordings(n), [GAP_RAD], {})[0].delta_rad for n in (2.0, 8.0)
+    )
+    assert 0.5 * few < many < few
+
+
+def test_without_the_current_a_gap_is_known_less_precisely() -> None:
+    seen = recordings(3.0)
+    alone = [replace(one, signals=one.signals[:1], rounding=one.rounding[:1]) for one in seen]
+    (both,), (speed,) = (expected_sds(BENCH, rows, [GAP_RAD], {}) for rows in (seen, alone))
+    assert speed.delta_rad > both.delta_rad
