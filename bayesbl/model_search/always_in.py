@@ -669,12 +669,15 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
     """
     nominal = fit, (rest := beside(fit, among))
     for _ in range(MOST_ROUNDS):
-        nearer = _nearer(fit, rest, among)
+        nearer = _nearer(fit.with_derivatives(), rest, among)
         if nearer is None:
             break
-        fit = nearer
+        fit = fit_simulated(nearer.model, nearer.point, nearer.steps, one_sided=True)
         rest = beside(fit, among)
-    return (fit, rest) if rest.explains(fit) else nominal
+    if fit is nominal[0] or not rest.explains(fit):
+        return nominal
+    fit = fit_simulated(fit.model, fit.point, fit.steps)
+    return fit, beside(fit, among)
 
 
 def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
@@ -761,7 +764,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
         later_s = late_s - sampled_lateness_s(model.vectors(point[None], model.recordings[0]))
         start[delay] += later_s[0] / period_s
         with suppress(BenchError):
-            fits.append(fit_simulated(model, start, steps, goal=goal))
+            fits.append(fit_simulated(model, start, steps, rough=True, goal=goal))
             if period_s == first_s:
                 point, steps, goal = fits[0].point, fits[0].steps, min(goal, fits[0].chi_square)
     return fits
@@ -775,14 +778,15 @@ def _goal(fit: SimulatedFit) -> float:
 def _fitted_from(
     model: SimulatedSignals, fit: SimulatedFit, centres: Sequence[float], by: FloatArray
 ) -> SimulatedFit | None:
-    """Fitted from where all is linear, ``by`` from the fit and the centres, (d,), or nearer by
-    halves where that cannot be simulated."""
+    """Fitted roughly from where all is linear, ``by`` from the fit and the centres, (d,), or nearer
+    by halves where that cannot be simulated."""
     for _ in range(MOST_HALVES):
         start = np.concatenate([fit.point, centres]) + by
         # What is linear may promise less than none of a law.
         start = np.clip(start, model.low, model.high)
         if all(np.all(np.isfinite(row)) for row in model.whitened(start[None])):
-            return fit_simulated(model, start, fit.steps, goal=_goal(fit))
+            known, goal = fit.derivatives(), _goal(fit)
+            return fit_simulated(model, start, fit.steps, rough=True, known=known, goal=goal)
         by = 0.5 * by
     return None
 

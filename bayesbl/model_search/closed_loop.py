@@ -306,8 +306,16 @@ class _Search:
                 return
 
     def _scan(self) -> None:
-        """Candidates that move the gap, from their whole range and the gap's."""
-        for explanation in from_afar(self.nominal.explanation, list(self._candidates.values())):
+        """Candidates that move the gap, from their whole range and the gap's.
+
+        Where laws and drift are beside the fit, only what may be large in one recording.
+        """
+        scanned = [
+            c
+            for c in self._candidates.values()
+            if not self._among or (c.kind == "effect" and effect_named(c.name).may_change)
+        ]
+        for explanation in from_afar(self.nominal.explanation, scanned):
             self._add(polished(explanation))
             # Where another law is missing too, alone it is drawn away again.
             self._explore(weighed(explanation, self._among, self._noise))

@@ -48,9 +48,7 @@ def test_the_expected_width_is_that_of_an_answer() -> None:
 
 
 def test_more_rotations_narrow_the_noise_and_not_what_the_bench_leaves_open() -> None:
-    few, many = (
-        expected_sds(BENCH, recordings(n), [GAP_RAD], {})[0].delta_rad for n in (2.0, 8.0)
-    )
+    few, many = (expected_sds(BENCH, recordings(n), [GAP_RAD], {})[0].delta_rad for n in (2.0, 8.0))
     assert 0.5 * few < many < few
 
 
