@@ -21,7 +21,8 @@ from bayesbl.recording.types import FloatArray
 SCANNED_GAPS = 10
 MOST_FROM_AFAR = 3
 BEHIND = 2.0
-"""What is far from its optimum and leaves this multiple of what the best leaves is not pursued."""
+"""What is far from its optimum and leaves this multiple of what the best leaves, or what there was
+before, is not pursued."""
 
 GROSS = 1.05
 """χ² per sample that counts as far off: the gap may be in another place of its range.
@@ -185,7 +186,7 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
         starts = _scanned_starts(beside, free, candidate)
         chi_squares = [chi_square(beside, start) for start in starts]
         for start, value in zip(starts, chi_squares, strict=True):
-            if value > BEHIND * min(chi_squares):
+            if value > BEHIND * min(*chi_squares, free.fit.chi_square):
                 continue
             with suppress(SimulationError):
                 fit = fit_simulated(beside, start, free.fit.steps, rough=True)
