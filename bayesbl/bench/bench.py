@@ -16,7 +16,7 @@ import numpy as np
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
-from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
+from bayesbl.bench.learned import ENCODER_ERROR, LearnedTerm
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
@@ -103,8 +103,8 @@ class Bench:
     effects: tuple[BenchEffect, ...] = ()
     assumed: frozenset[str] = frozenset()
     identified: JointNormal | None = None
-    learned_torque: LearnedTorque | None = None
-    encoder_error: EncoderError | None = None
+    learned_torque: LearnedTerm | None = None
+    encoder_error: LearnedTerm | None = None
     _vector: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -120,7 +120,7 @@ class Bench:
         if self.encoder_error is not None and self.drive == "rigid":
             raise BenchError(
                 "An error of the encoder over its angle is known of a bench of two masses only.",
-                where=EncoderError.block,
+                where=ENCODER_ERROR,
                 found='drive = "rigid"',
                 expected='drive = "two_mass", or the effect encoder_eccentricity',
             )

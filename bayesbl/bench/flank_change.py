@@ -12,59 +12,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned import LearnedTorque
 from bayesbl.errors import NoFlankChange
-from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 _ANGLES = 720
 
 
-@dataclass(frozen=True, slots=True)
-class SteadyRotation:
-    """One rotation of the load at a constant speed, as a law of an effect asks for a motion."""
-
-    angle: FloatArray
-    speed: FloatArray
-    time_s: FloatArray
-
-    @classmethod
-    def of(cls, bench: Bench, reference_speed_rpm: float) -> SteadyRotation:
-        """From the load hanging straight down."""
-        ratio, speed = bench.value("gear_ratio"), reference_speed_rpm / RPM_PER_RAD_PER_S
-        angle = math.copysign(ratio, speed) * np.linspace(0.0, 2.0 * math.pi, _ANGLES)
-        return cls(angle, np.full(_ANGLES, speed), angle / speed)
-
-    @property
-    def acceleration(self) -> FloatArray:
-        """None, rad/s²."""
-        return np.zeros_like(self.angle)
-
-    @property
-    def sway(self) -> ComplexArray:
-        """d²/dt² exp(i θ_m), 1/s²."""
-        return np.asarray(-(self.speed**2) * np.exp(1j * self.angle))
-
-    @property
-    def friction_width(self) -> float:
-        """Dry friction is a step."""
-        return 0.0
+def steady_rotation(bench: Bench, reference_speed_rpm: float) -> RigidMotion:
+    """One rotation of the load at a constant speed, from where it hangs straight down."""
+    ratio, speed = bench.value("gear_ratio"), reference_speed_rpm / RPM_PER_RAD_PER_S
+    angle = math.copysign(ratio, speed) * np.linspace(0.0, 2.0 * math.pi, _ANGLES)
+    speeds = np.full(_ANGLES, speed)
+    sway = -(speeds**2) * np.exp(1j * angle)
+    return RigidMotion(angle / speed, angle, speeds, np.zeros(_ANGLES), sway)
 
 
 def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
     """Smallest and largest torque that the gear passes on in a rotation, N m at the load."""
-    motion = SteadyRotation.of(bench, reference_speed_rpm)
+    motion = steady_rotation(bench, reference_speed_rpm)
     ratio = bench.value("gear_ratio")
     torque = ratio * bench.transmitted_torque(motion)
     for term in bench.learned_terms:
-        if isinstance(term, LearnedTorque) and term.side == "load":
+        if term.side == "load":
             torque = torque + ratio * term.along(motion, ratio)
     return float(torque.min()), float(torque.max())
 

@@ -7,7 +7,6 @@ the damping. They are converted with the other parameters of the same bench.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -21,7 +20,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned import EncoderError, LearnedTorque, Side, Variable
+from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.diagnose import bench_parameter, effect_name
@@ -412,8 +411,6 @@ class EffectEntry(Section):
 class _LearnedSection(Section):
     """A term of no known law; what makes no sense is refused as the term itself refuses it."""
 
-    term: ClassVar[type[LearnedTorque | EncoderError]]
-
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
         try:
@@ -422,9 +419,9 @@ class _LearnedSection(Section):
             refuse(error.problem, found=error.found, expected=error.expected)
         return self
 
-    def learned(self) -> Any:
+    def learned(self) -> LearnedTerm:
         """As the bench takes it."""
-        return self.term(**dict(self))
+        return LearnedTerm(**dict(self))
 
 
 class LearnedTorqueSection(_LearnedSection):
@@ -435,16 +432,14 @@ class LearnedTorqueSection(_LearnedSection):
     ``reverses``. ``period`` in rad, rad/s or s; ``sd_nm`` of constant, cosines and sines.
     """
 
-    term = LearnedTorque
-
     side: Side
     variable: Variable
     period: float = Field(gt=0.0)
-    constant_nm: float = 0.0
-    cosine_nm: Items[float]
-    sine_nm: Items[float]
+    constant: float = Field(default=0.0, alias="constant_nm")
+    cosine: Items[float] = Field(alias="cosine_nm")
+    sine: Items[float] = Field(alias="sine_nm")
     reverses: bool = False
-    sd_nm: Items[float] = ()
+    sd: Items[float] = Field(default=(), alias="sd_nm")
 
 
 class EncoderErrorSection(_LearnedSection):
@@ -454,12 +449,14 @@ class EncoderErrorSection(_LearnedSection):
     θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad); ``sd_rad`` of cosines and sines.
     """
 
-    term = EncoderError
+    period: float = Field(gt=0.0, alias="period_rad")
+    cosine: Items[float] = Field(alias="cosine_rad")
+    sine: Items[float] = Field(alias="sine_rad")
+    sd: Items[float] = Field(default=(), alias="sd_rad")
 
-    period_rad: float = Field(gt=0.0)
-    cosine_rad: Items[float]
-    sine_rad: Items[float]
-    sd_rad: Items[float] = ()
+    def learned(self) -> LearnedTerm:
+        """As the bench takes it."""
+        return LearnedTerm(side=ENCODER, variable="motor_angle", constant=0.0, **dict(self))
 
 
 class BenchFile(Section):
@@ -659,7 +656,9 @@ def dump_bench(bench: Bench) -> str:
     if measurement.encoder_counts is not None:
         tables["measurement"]["encoder_counts"] = measurement.encoder_counts
     for learned in bench.learned_terms:
-        tables[learned.block] = dataclasses.asdict(learned)
+        section = EncoderErrorSection if learned.is_of_encoder else LearnedTorqueSection
+        stated = {key: getattr(learned, key) for key in section.model_fields}
+        tables[learned.block] = section.model_construct(**stated).model_dump(by_alias=True)
     return tomli_w.dumps(tables)
 
 
