@@ -25,13 +25,7 @@ from bayesbl.bench.parameters import (
     rotation_period_s,
     slot_of,
 )
-from bayesbl.bench.simulation import (
-    PERFECT,
-    Measurement,
-    simulate_channels,
-    simulate_motions,
-    simulate_speeds,
-)
+from bayesbl.bench.simulation import PERFECT, Measurement, simulate_channels, simulate_motions
 from bayesbl.errors import BenchError
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
@@ -284,7 +278,7 @@ class Bench:
         Raises
         ------
         BenchError
-            As :func:`simulate_speeds`.
+            As :func:`simulate_channels`.
         """
         matrix = self.vector(
             gap_rad=gap_rad,
@@ -294,8 +288,15 @@ class Bench:
         )
         matrix = self.measurement.seen_by(matrix, sampling_hz)
         samples = self.samples(rotations, sampling_hz, reference_speed_rpm)
-        simulate = simulate_speeds if channels == "speed" else simulate_channels
-        return simulate(matrix, samples, sampling_hz, accuracy_rpm=accuracy_rpm, workers=workers)
+        signals = simulate_channels(
+            matrix,
+            samples,
+            sampling_hz,
+            accuracy_rpm=accuracy_rpm,
+            workers=workers,
+            speed_alone=channels == "speed",
+        )
+        return signals[:, 0] if channels == "speed" else signals
 
     def samples(
         self, rotations: float, sampling_hz: float, reference_speed_rpm: float | None = None
@@ -353,7 +354,7 @@ class Bench:
         seed
             Generator of the noise; ``None`` for none.
         name, accuracy_rpm
-            Of the recording; largest error of the simulated speed, as in :func:`simulate_speeds`.
+            Of the recording; largest error of the simulated speed, as in :func:`simulate_channels`.
 
         Raises
         ------

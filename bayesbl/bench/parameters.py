@@ -8,7 +8,7 @@ several of them together is a normal distribution of their logarithms.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -205,7 +205,11 @@ def check_parameters(matrix: FloatArray) -> None:
         extreme = (size > 1.0 / SMALLEST) | ((size != 0.0) & (size < SMALLEST))
         _refuse_where(extreme, matrix, slot, f"a size from {SMALLEST:g} to {1.0 / SMALLEST:g}")
     _check_gap(matrix)
-    _check_effects(matrix)
+    for slot, low, high, is_open, expected, switches in _BOUNDS:
+        values = matrix[:, slot]
+        inside = (low < values) & (values < high) if is_open else (low <= values) & (values <= high)
+        wrong = ~inside & np.any(matrix[:, switches] != 0.0, axis=1)
+        _refuse_where(wrong, matrix, slot, expected)
 
 
 def _check_gap(matrix: FloatArray) -> None:
@@ -229,55 +233,39 @@ def _check_gap(matrix: FloatArray) -> None:
         )
 
 
-_AMPLITUDES = [(item, effect.slots[item.name]) for effect in EFFECTS for item in effect.amplitudes]
-_NOT_NEGATIVE = [slot for item, slot in _AMPLITUDES if item.not_negative]
-_BOUNDED = [(slot, item.smaller_than, item.unit) for item, slot in _AMPLITUDES if item.smaller_than]
-_SCALES = [
-    (effect.slots[scale.name], [effect.slots[item.name] for item in effect.amplitudes])
-    for effect in EFFECTS
-    for scale in effect.shapes
-    if scale.positive_scale
-]
-_RANGES = {
-    effect.slots[item.name]: (item.low, item.high, on)
-    for effect in EFFECTS
-    for on in [[effect.slots[amplitude.name] for amplitude in effect.amplitudes]]
-    for item in effect.shapes
-    if item.bounded
-}
-
-
 ROUNDING = 1e-12
+"""Of the end of a range: from its logarithm it comes back a rounding error off."""
 
 SMALLEST = 1e-30
 """Size of a parameter: products and ratios of a few such numbers are numbers still."""
 
-_LEARNED = (
-    (Slot.learned_torque__side, Slot.learned_torque__period),
-    (Slot.encoder_error__orders, Slot.encoder_error__period_rad),
-)
+_POSITIVE = (0.0, math.inf, True, "a number above zero")
+_NOT_NEGATIVE = (0.0, math.inf, False, "zero or a number above it")
 
 
-def _check_effects(matrix: FloatArray) -> None:
-    for on, period in _LEARNED:
-        wrong = (matrix[:, on] != 0.0) & (matrix[:, period] <= 0.0)
-        _refuse_where(wrong, matrix, period, "a number above zero")
-    for slot in _NOT_NEGATIVE:
-        _refuse_where(matrix[:, slot] < 0.0, matrix, slot, "zero or a number above it")
-    for slot, bound, unit in _BOUNDED:
-        expected = f"between -{bound:g} and {bound:g} {unit}".rstrip()
-        _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
-    for slot, (low, high, amplitudes) in _RANGES.items():
-        values = matrix[:, slot]
-        # A bench without the effect has zeros in its slots, whatever the range.
-        present = np.any(matrix[:, amplitudes] != 0.0, axis=1) | (values != 0.0)
-        # An end of a range comes back from its logarithm a rounding error off.
-        slack = ROUNDING * max(abs(low), abs(high))
-        wrong = present & ((values < low - slack) | (values > high + slack))
-        _refuse_where(wrong, matrix, slot, f"a number from {low:g} to {high:g}")
-    for scale, amplitudes in _SCALES:
-        wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
-        _refuse_where(wrong, matrix, scale, "a number above zero")
+def _bounds() -> Iterator[tuple[Slot, float, float, bool, str, list[Slot]]]:
+    """Of a slot: least and largest value, whether both are excluded, what is expected, and the
+    slots that are not all zero where that holds."""
+    yield Slot.learned_torque__period, *_POSITIVE, [Slot.learned_torque__side]
+    yield Slot.encoder_error__period_rad, *_POSITIVE, [Slot.encoder_error__orders]
+    for effect in EFFECTS:
+        amplitudes = [effect.slots[item.name] for item in effect.amplitudes]
+        for item in effect.parameters:
+            slot, low, high = effect.slots[item.name], item.low, item.high
+            if item.not_negative:
+                yield slot, *_NOT_NEGATIVE, [slot]
+            if bound := item.smaller_than:
+                expected = f"between -{bound:g} and {bound:g} {item.unit}".rstrip()
+                yield slot, -bound, bound, True, expected, [slot]
+            if item.bounded:
+                slack, expected = ROUNDING * max(abs(low), abs(high)), f"a number from {low:g}"
+                on = [slot, *amplitudes]
+                yield slot, low - slack, high + slack, False, f"{expected} to {high:g}", on
+            if item.positive_scale:
+                yield slot, *_POSITIVE, amplitudes
+
+
+_BOUNDS = tuple(_bounds())
 
 
 def simulated_range(name: str) -> tuple[float, float]:
@@ -285,9 +273,11 @@ def simulated_range(name: str) -> tuple[float, float]:
 
     ``name``: ``effect__parameter``; infinite where there is no such end.
     """
-    slot = Slot[name]
-    low, high, _ = _RANGES.get(slot, (0.0 if slot in _NOT_NEGATIVE else -math.inf, math.inf, None))
-    return low, high
+    owner, _, own = name.partition("__")
+    item = effect_named(owner).parameter(own)
+    if item.bounded:
+        return item.low, item.high
+    return 0.0 if item.not_negative else -math.inf, math.inf
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:
