@@ -47,7 +47,7 @@ class EffectParameter:
         ``phase`` matter only while an amplitude is not zero; an order is found from the data; a
         phase belongs to each recording, as the motor starts at another angle.
     low, high
-        Range that a search may use on the reference bench; on others ``joint_size`` scales it.
+        Range that a search may use on the reference bench; on others ``search_scale`` scales it.
     typical
         A middling strength on the reference bench: it shows and spoils nothing.
     neutral

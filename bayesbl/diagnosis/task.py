@@ -16,7 +16,7 @@ from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import require_channels, require_unclipped
-from bayesbl.recording.lost_samples import even
+from bayesbl.recording.repairs import even
 from bayesbl.recording.types import BoolArray, Recording
 
 MOST_EXCLUDED = 0.5

@@ -83,8 +83,7 @@ from bayesbl.model_search.joint_change import (
 )
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.progress import StageProgress, of_stage
-from bayesbl.recording.checks import require_alive
-from bayesbl.recording.moving import moves
+from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
 from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table

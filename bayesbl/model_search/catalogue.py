@@ -15,8 +15,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import PHASE, Effect, EffectParameter, Resonance, Role
-from bayesbl.bench.effects import EFFECTS, effect_named
-from bayesbl.bench.joint_size import search_scale
+from bayesbl.bench.effects import EFFECTS, effect_named, search_scale
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed

@@ -32,8 +32,7 @@ from bayesbl.diagnosis.task import INERTIAS, Task
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.channels import ColumnSpec
-from bayesbl.recording.checks import is_constant, with_speed
-from bayesbl.recording.moving import is_one_speed, moves
+from bayesbl.recording.checks import is_constant, is_one_speed, moves, with_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import (
     LOAD_POSITION,

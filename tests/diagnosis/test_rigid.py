@@ -30,7 +30,7 @@ from bayesbl.diagnosis.rigid.inverse import (
 )
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
-from bayesbl.recording.lost_samples import even
+from bayesbl.recording.repairs import even
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, MOTOR_TORQUE, Recording
 
 CUTOFF_HZ = 20.0

@@ -25,7 +25,7 @@ from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fi
 from bayesbl.measurement.motion_verdict import unknown_start
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
 from bayesbl.noise.process import NoiseModel
-from bayesbl.recording.moving import cycle_of, moves
+from bayesbl.recording.checks import cycle_of, moves
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_SPEED,

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import EFFECTS
-from bayesbl.bench.joint_size import search_scale
+from bayesbl.bench.effects import EFFECTS, search_scale
 from bayesbl.bench.motion import strokes
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench

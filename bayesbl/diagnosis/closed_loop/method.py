@@ -34,8 +34,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.progress import StageProgress, of_stage
-from bayesbl.recording.checks import require_alive, require_channels
-from bayesbl.recording.moving import moves
+from bayesbl.recording.checks import moves, require_alive, require_channels
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,

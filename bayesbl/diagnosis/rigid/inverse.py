@@ -82,7 +82,7 @@ from bayesbl.diagnosis.task import (
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
-from bayesbl.recording.lost_samples import widened
+from bayesbl.recording.repairs import widened
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
