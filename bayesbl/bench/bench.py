@@ -1,4 +1,13 @@
-"""The virtual bench: parameters with tolerances, measurement, effects; simulates recordings."""
+"""The virtual bench: parameters with tolerances, measurement, effects; simulates recordings.
+
+Whether the load changes from one tooth flank to the other while a joint turns at one speed, the
+bench itself says. At constant speed the gear passes on what the load asks for alone,
+
+    τ_s(θ) = m g l sin θ + torques at the load (offset, friction, what was learned there).
+
+Where that keeps its sign over a rotation (a vertical axis, a balanced arm, an arm that is loaded to
+one side) there is no impact, and nothing of a recording at that speed depends on the gap.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +15,9 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +35,7 @@ from bayesbl.bench.parameters import (
     slot_of,
 )
 from bayesbl.bench.simulation import PERFECT, Measurement, simulate_channels, simulate_motions
-from bayesbl.errors import BenchError
+from bayesbl.errors import BenchError, NoFlankChange
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
@@ -36,6 +45,7 @@ from bayesbl.recording.types import (
     FloatArray,
     Recording,
 )
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 GapForm = Literal["arctan", "dead_zone"]
 Drive = Literal["two_mass", "rigid"]
@@ -126,16 +136,10 @@ class Bench:
                 complete[name] = BenchParameter(info.default)
             else:
                 raise BenchError("A bench needs this parameter.", where=name, expected=info.meaning)
-        object.__setattr__(self, "parameters", MappingProxyType(complete))
+        object.__setattr__(self, "parameters", complete)
         vector = self._flat()
         check_parameters(vector[None, :])
         object.__setattr__(self, "_vector", vector)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Read-only mappings and arrays do not cross process boundaries as they are.
-        plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
-        learned = (self.learned_torque, self.encoder_error)
-        return Bench, (*plain, self.assumed, self.identified, *learned)
 
     def _flat(self) -> FloatArray:
         vector = np.zeros(SLOTS)
@@ -470,3 +474,66 @@ def _zero_rad(
         return float(position_rad[0])
     relaxed = parameters[Slot.gear_ratio] * parameters[Slot.start_angle_rad]
     return float(relaxed - motor_start_angle_rad)
+
+
+_ANGLES = 720
+
+
+def steady_rotation(bench: Bench, reference_speed_rpm: float) -> RigidMotion:
+    """One rotation of the load at a constant speed, from where it hangs straight down."""
+    ratio, speed = bench.value("gear_ratio"), reference_speed_rpm / RPM_PER_RAD_PER_S
+    angle = math.copysign(ratio, speed) * np.linspace(0.0, 2.0 * math.pi, _ANGLES)
+    speeds = np.full(_ANGLES, speed)
+    sway = -(speeds**2) * np.exp(1j * angle)
+    return RigidMotion(angle / speed, angle, speeds, np.zeros(_ANGLES), sway)
+
+
+def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
+    """Smallest and largest torque that the gear passes on in a rotation, N m at the load."""
+    motion = steady_rotation(bench, reference_speed_rpm)
+    ratio = bench.value("gear_ratio")
+    torque = ratio * bench.transmitted_torque(motion)
+    for term in bench.learned_terms:
+        if term.side == "load":
+            torque = torque + ratio * term.along(motion, ratio)
+    return float(torque.min()), float(torque.max())
+
+
+def heaviest(bench: Bench) -> Bench:
+    """With all the gravity that its tolerance allows."""
+    gravity = bench.parameters["gravity_torque_nm"]
+    return bench.with_parameters(gravity_torque_nm=gravity.value + gravity.tolerance)
+
+
+def require_flank_change(
+    bench: Bench, speeds_rpm: Sequence[float] = (), file: str | Path | None = None
+) -> None:
+    """Refuse speeds, all of them, at which a bench leaves the load on one flank.
+
+    Parameters
+    ----------
+    speeds_rpm
+        Of the motor; the bench's own by default.
+    file
+        Of the bench or the recording, to be named.
+
+    Raises
+    ------
+    NoFlankChange
+        With the torque, and the motion that would show the gap.
+    """
+    speeds = speeds_rpm or [bench.value("reference_speed_rpm")]
+    torques = [steady_torque_nm(bench, speed) for speed in speeds]
+    if bench.drive == "rigid" or any(low < 0.0 < high for low, high in torques):
+        return
+    acting = [e.name for e in bench.effects if effect_named(e.name).load_torque is not None]
+    low, high = torques[0]
+    raise NoFlankChange(
+        "At this speed the load never changes from one tooth flank to the other, so nothing that "
+        "is recorded depends on the gap.",
+        file=file,
+        where="gravity_torque_nm" + "".join(f", {name}" for name in acting),
+        found=f"a torque of {low:.4g} to {high:.4g} N m at the load over a rotation at "
+        f"{speeds[0]:.4g} rpm",
+        expected=f"{NoFlankChange.MOTION}, or a bench whose load torque changes its sign",
+    )

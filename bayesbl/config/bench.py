@@ -24,7 +24,7 @@ from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
-from bayesbl.config.diagnose import bench_parameter, effect_name
+from bayesbl.config.kinds import bench_parameter, effect_name
 from bayesbl.config.loading import load_file
 from bayesbl.config.sections import Items, Section, Tolerance, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import RigidLaw
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use

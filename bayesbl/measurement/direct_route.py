@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.bench.bench import Bench
+from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.flank_change import require_flank_change
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
 from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.config.measurement import SnapshotConfig

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.diagnose import Compared, DiagnoseConfig, Method
+from bayesbl.config.kinds import Compared, DiagnoseConfig, Method
 from bayesbl.config.loading import config_from_options
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD

@@ -31,7 +31,7 @@ from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, RigidLaw, dir
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned import Variable, variable_of
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
