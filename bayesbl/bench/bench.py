@@ -331,6 +331,7 @@ class Bench:
     def simulate(
         self,
         gap_rad: float,
+        motion: Motion | None = None,
         *,
         rotations: float = 5.0,
         sampling_hz: float = 1000.0,
@@ -341,12 +342,16 @@ class Bench:
         name: str = "simulated",
         accuracy_rpm: float | None = None,
     ) -> Recording:
-        """One recording in steady rotation.
+        """One recording in steady rotation, or of a motion with its references as channels.
+
+        Of a held output the position and torque of the motor, as a test stand records them.
 
         Parameters
         ----------
         gap_rad
             Half the clearance δ, an angle at the load.
+        motion
+            Has a length and a start of its own, in place of rotations, start angle and speed.
         rotations, sampling_hz
             Length in load rotations, and rate.
         start_angle_rad
@@ -363,11 +368,11 @@ class Bench:
         Raises
         ------
         BenchError
-            If a parameter makes no sense or the simulation fails.
+            If a parameter makes no sense, the motor cannot follow or the simulation fails.
         """
         parameters = self.vector(
             gap_rad=gap_rad,
-            start_angle_rad=start_angle_rad,
+            start_angle_rad=start_angle_rad if motion is None else motion.start_angle_rad,
             reference_speed_rpm=reference_speed_rpm,
             motor_start_angle_rad=motor_start_angle_rad,
         )
@@ -378,79 +383,41 @@ class Bench:
                 found=f"{len(parameters)} values",
                 expected="one number each; call simulate() once for each gap",
             )
-        reference = float(parameters[0, Slot.reference_speed_rpm])
-        samples = self.samples(rotations, sampling_hz, reference)
-        position, speed, current = simulate_channels(
-            parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm
-        )[0, [POSITION, SPEED, CURRENT]]
-        zero = _zero_rad(position, parameters[0], motor_start_angle_rad)
-        channels = self.measurement.channels(
-            position - zero, speed, current, parameters[0], sampling_hz, seed
-        )
-        return self._recording(name, sampling_hz, channels, parameters[0], reference)
-
-    def simulate_motion(
-        self,
-        gap_rad: float,
-        motion: Motion,
-        *,
-        sampling_hz: float = 1000.0,
-        motor_start_angle_rad: float | None = None,
-        seed: np.random.Generator | None = None,
-        name: str = "simulated",
-    ) -> Recording:
-        """One recording of a motion, with its references as channels.
-
-        Of a held output the position and torque of the motor, as a test stand records them.
-
-        Parameters
-        ----------
-        gap_rad, sampling_hz, motor_start_angle_rad, seed, name
-            As :meth:`simulate`.
-
-        Raises
-        ------
-        BenchError
-            If a parameter makes no sense, the motor cannot follow or the simulation fails.
-        """
-        parameters = self.vector(
-            gap_rad=gap_rad,
-            start_angle_rad=motion.start_angle_rad,
-            motor_start_angle_rad=motor_start_angle_rad,
-        )
-        time = np.arange(math.floor(round(motion.duration_s * sampling_hz, 6)) + 1) / sampling_hz
-        position, speed, current = simulate_motions(parameters, motion, time.size, sampling_hz)[0]
-        zero = _zero_rad(position, parameters[0], motor_start_angle_rad)
-        loop = None if motion.output_held else parameters[0]
+        own, loop = parameters[0], parameters[0]
+        reference = None if motion is not None else float(own[Slot.reference_speed_rpm])
+        if motion is None:
+            samples = self.samples(rotations, sampling_hz, reference)
+            made = simulate_channels(parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm)
+        else:
+            samples = math.floor(round(motion.duration_s * sampling_hz, 6)) + 1
+            made = simulate_motions(
+                parameters, motion, samples, sampling_hz, accuracy_rpm=accuracy_rpm
+            )
+            loop = None if motion.output_held else own
+        time_s = np.arange(samples) / sampling_hz
+        position, speed, current = made[0, [POSITION, SPEED, CURRENT]]
+        zero = position[0]
+        if motor_start_angle_rad is not None:  # of a relaxed shaft
+            zero = own[Slot.gear_ratio] * own[Slot.start_angle_rad] - motor_start_angle_rad
         channels = self.measurement.channels(
             position - zero, speed, current, loop, sampling_hz, seed
         )
-        if motion.output_held:
+        if motion is not None and motion.output_held:
             torque = self.value("torque_constant_nm_per_a") * channels[MOTOR_CURRENT]
             channels = {MOTOR_POSITION: channels[MOTOR_POSITION], MOTOR_TORQUE: torque}
-        else:
-            channels[REFERENCE_SPEED] = motion.speed_rpm(time)
-            channels[REFERENCE_POSITION] = position[0] - zero + motion.position_rad(time)
-        return self._recording(name, sampling_hz, channels, parameters[0], None)
-
-    def _recording(
-        self,
-        name: str,
-        sampling_hz: float,
-        channels: dict[str, FloatArray],
-        parameters: FloatArray,
-        reference_speed_rpm: float | None,
-    ) -> Recording:
+        elif motion is not None:
+            channels[REFERENCE_SPEED] = motion.speed_rpm(time_s)
+            channels[REFERENCE_POSITION] = position[0] - zero + motion.position_rad(time_s)
         return Recording(
             name=name,
-            time_s=np.arange(channels[MOTOR_POSITION].size) / sampling_hz,
+            time_s=time_s,
             channels=channels,
             metadata={
                 "simulated": True,
                 "bench": self.fingerprint(),
-                "gap_rad": float(parameters[Slot.gap_rad]),
-                "start_angle_rad": float(parameters[Slot.start_angle_rad]),
-                "reference_speed_rpm": reference_speed_rpm,
+                "gap_rad": float(own[Slot.gap_rad]),
+                "start_angle_rad": float(own[Slot.start_angle_rad]),
+                "reference_speed_rpm": reference,
             },
         )
 
@@ -464,16 +431,6 @@ class Bench:
             "speed_source": _SPEED_SOURCES[self.measurement.speed_source],
         }
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _zero_rad(
-    position_rad: FloatArray, parameters: FloatArray, motor_start_angle_rad: float | None
-) -> float:
-    """What a recorded position counts from: its first value, or that of an absolute encoder."""
-    if motor_start_angle_rad is None:
-        return float(position_rad[0])
-    relaxed = parameters[Slot.gear_ratio] * parameters[Slot.start_angle_rad]
-    return float(relaxed - motor_start_angle_rad)
 
 
 _ANGLES = 720
