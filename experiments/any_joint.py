@@ -215,7 +215,7 @@ def write_rigid(
     speed = np.gradient(angle, time)
     acceleration = np.gradient(speed, time)
     sway = np.gradient(np.gradient(np.exp(1j * angle), time), time)
-    motion = Motion(time, angle, speed, acceleration, sway, "position")
+    motion = Motion(time, angle, speed, acceleration, sway)
     bench = machine.bench.with_parameters(
         motor_inertia_kg_m2=machine.bench.value("motor_inertia_kg_m2") * rng.choice([1.0, 0.6, 1.5])
     )

@@ -33,7 +33,7 @@ sys.path.append(str(Path(__file__).parent))
 from made_recordings import synthetic_recording
 
 from bayesbl.config.bench import load_bench
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.config.loading import load_config
 from bayesbl.diagnosis.closed_loop.diagnosis import search
 from bayesbl.diagnosis.closed_loop.method import forward_problem

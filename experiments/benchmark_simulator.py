@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 
 from bayesbl.bench import kernel
 from bayesbl.bench.kernel import RPM, STATES, Slot
-from bayesbl.bench.simulation import simulate_channels, simulate_speeds, start_states
+from bayesbl.bench.simulation import simulate_channels, start_states
 from bayesbl.bench.steady import settling_time_s
 from bayesbl.config.bench import reference_bench
 
@@ -164,8 +164,10 @@ def cost_of_effects() -> None:
     for name, values in settings.items():
         p = reference_bench().vector(gap_rad=8e-4, start_angle_rad=0.5, **values)
         ms = fastest_ms(lambda: simulate_channels(p, SAMPLES, SAMPLING_HZ), 10)  # noqa: B023
-        speed = simulate_speeds(p, SAMPLES, SAMPLING_HZ)
-        exact = simulate_speeds(p, SAMPLES, SAMPLING_HZ, accuracy_rpm=1e-4)
+        speed = simulate_channels(p, SAMPLES, SAMPLING_HZ, speed_alone=True)[:, 0]
+        exact = simulate_channels(p, SAMPLES, SAMPLING_HZ, accuracy_rpm=1e-4, speed_alone=True)[
+            :, 0
+        ]
         settling = settling_time_s(p, 0.01)[0]
         state, out = np.empty(STATES), np.empty((3, SAMPLES))
         times = np.arange(SAMPLES) / SAMPLING_HZ
@@ -180,7 +182,7 @@ def many_at_once() -> None:
     print("\n400 simulations of 18 s, speed, 0.01 rpm")
     for workers in sorted({1, os.cpu_count() or 1}):
         begin = time.perf_counter()
-        simulate_speeds(p, SAMPLES, SAMPLING_HZ, workers=workers)
+        simulate_channels(p, SAMPLES, SAMPLING_HZ, workers=workers, speed_alone=True)
         print(f"{workers} workers: {time.perf_counter() - begin:.2f} s")
 
 

@@ -24,8 +24,7 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 from scipy.special import erf
 
-from bayesbl.bench.effects import EFFECTS, effect_named
-from bayesbl.bench.joint_size import search_scale
+from bayesbl.bench.effects import EFFECTS, effect_named, search_scale
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned

@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.noise.process import NoiseModel
-from bayesbl.recording.lost_samples import bridge
+from bayesbl.recording.repairs import bridge
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.symbols import (
     AMPLITUDE,

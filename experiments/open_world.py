@@ -34,7 +34,7 @@ from hidden_effects import (
 )
 from independent_bench import SPEEDS_RPM, random_recordings
 
-from bayesbl.bench.learned import SIDES, VARIABLES
+from bayesbl.bench.learned import VARIABLES
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import diagnosis_of, search
 from bayesbl.matching.observed import observed
@@ -61,7 +61,7 @@ LAWS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
 
 SHAFT_LAWS = ("damping by root of compression", "Bouc-Wen")
 
-LEARNED_AT = (*SIDES, "encoder")
+LEARNED_AT = ("motor", "load", "encoder")
 """Where what was learned may act, numbered in this order."""
 
 CLEAR = 100.0

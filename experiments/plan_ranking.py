@@ -74,7 +74,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     )
     errors = []
     for gap in row.gap_rad * np.repeat(GAPS_TRIED, row.repeats):
-        recording = bench.draw(rng).simulate_motion(
+        recording = bench.draw(rng).simulate(
             gap, motion, sampling_hz=SAMPLING_HZ, seed=rng, name=NAME
         )
         unknowns = direct_unknowns(bench, [NAME], RANGE_RAD, moving=[NAME])

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.config.bench import dump_bench, load_bench
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.rigid.inverse import comparison
 from bayesbl.diagnosis.task import Task
 from bayesbl.recording.readers import read_recording

@@ -23,7 +23,7 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, PositiveInt
 
 from bayesbl.config.bench import load_bench
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.rigid.speed_loop import comparison
 from bayesbl.diagnosis.task import Task
 from bayesbl.recording.types import MOTOR_SPEED, Recording

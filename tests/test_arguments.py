@@ -15,7 +15,7 @@ import xarray as xr
 import bayesbl
 from bayesbl.arguments import as_dates
 from bayesbl.config.bench import reference_bench
-from bayesbl.config.files import DEEPEST
+from bayesbl.config.loading import DEEPEST
 from bayesbl.errors import UserError
 from bayesbl.library import _files
 

@@ -1,4 +1,13 @@
-"""The virtual bench: parameters with tolerances, measurement, effects; simulates recordings."""
+"""The virtual bench: parameters with tolerances, measurement, effects; simulates recordings.
+
+Whether the load changes from one tooth flank to the other while a joint turns at one speed, the
+bench itself says. At constant speed the gear passes on what the load asks for alone,
+
+    τ_s(θ) = m g l sin θ + torques at the load (offset, friction, what was learned there).
+
+Where that keeps its sign over a rotation (a vertical axis, a balanced arm, an arm that is loaded to
+one side) there is no impact, and nothing of a recording at that speed depends on the gap.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +15,9 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +25,7 @@ import numpy as np
 from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import CURRENT, POSITION, SLOTS, SPEED, Slot
-from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
+from bayesbl.bench.learned import ENCODER_ERROR, LearnedTerm
 from bayesbl.bench.motion import Motion
 from bayesbl.bench.parameters import (
     PARAMETER_INFO,
@@ -25,14 +34,8 @@ from bayesbl.bench.parameters import (
     rotation_period_s,
     slot_of,
 )
-from bayesbl.bench.simulation import (
-    PERFECT,
-    Measurement,
-    simulate_channels,
-    simulate_motions,
-    simulate_speeds,
-)
-from bayesbl.errors import BenchError
+from bayesbl.bench.simulation import PERFECT, Measurement, simulate_channels, simulate_motions
+from bayesbl.errors import BenchError, NoFlankChange
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_POSITION,
@@ -42,6 +45,7 @@ from bayesbl.recording.types import (
     FloatArray,
     Recording,
 )
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 GapForm = Literal["arctan", "dead_zone"]
 Drive = Literal["two_mass", "rigid"]
@@ -103,8 +107,8 @@ class Bench:
     effects: tuple[BenchEffect, ...] = ()
     assumed: frozenset[str] = frozenset()
     identified: JointNormal | None = None
-    learned_torque: LearnedTorque | None = None
-    encoder_error: EncoderError | None = None
+    learned_torque: LearnedTerm | None = None
+    encoder_error: LearnedTerm | None = None
     _vector: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -120,7 +124,7 @@ class Bench:
         if self.encoder_error is not None and self.drive == "rigid":
             raise BenchError(
                 "An error of the encoder over its angle is known of a bench of two masses only.",
-                where=EncoderError.block,
+                where=ENCODER_ERROR,
                 found='drive = "rigid"',
                 expected='drive = "two_mass", or the effect encoder_eccentricity',
             )
@@ -132,16 +136,10 @@ class Bench:
                 complete[name] = BenchParameter(info.default)
             else:
                 raise BenchError("A bench needs this parameter.", where=name, expected=info.meaning)
-        object.__setattr__(self, "parameters", MappingProxyType(complete))
+        object.__setattr__(self, "parameters", complete)
         vector = self._flat()
         check_parameters(vector[None, :])
         object.__setattr__(self, "_vector", vector)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Read-only mappings and arrays do not cross process boundaries as they are.
-        plain = (dict(self.parameters), self.gap_form, self.drive, self.measurement, self.effects)
-        learned = (self.learned_torque, self.encoder_error)
-        return Bench, (*plain, self.assumed, self.identified, *learned)
 
     def _flat(self) -> FloatArray:
         vector = np.zeros(SLOTS)
@@ -284,7 +282,7 @@ class Bench:
         Raises
         ------
         BenchError
-            As :func:`simulate_speeds`.
+            As :func:`simulate_channels`.
         """
         matrix = self.vector(
             gap_rad=gap_rad,
@@ -294,8 +292,15 @@ class Bench:
         )
         matrix = self.measurement.seen_by(matrix, sampling_hz)
         samples = self.samples(rotations, sampling_hz, reference_speed_rpm)
-        simulate = simulate_speeds if channels == "speed" else simulate_channels
-        return simulate(matrix, samples, sampling_hz, accuracy_rpm=accuracy_rpm, workers=workers)
+        signals = simulate_channels(
+            matrix,
+            samples,
+            sampling_hz,
+            accuracy_rpm=accuracy_rpm,
+            workers=workers,
+            speed_alone=channels == "speed",
+        )
+        return signals[:, 0] if channels == "speed" else signals
 
     def samples(
         self, rotations: float, sampling_hz: float, reference_speed_rpm: float | None = None
@@ -326,6 +331,7 @@ class Bench:
     def simulate(
         self,
         gap_rad: float,
+        motion: Motion | None = None,
         *,
         rotations: float = 5.0,
         sampling_hz: float = 1000.0,
@@ -336,12 +342,16 @@ class Bench:
         name: str = "simulated",
         accuracy_rpm: float | None = None,
     ) -> Recording:
-        """One recording in steady rotation.
+        """One recording in steady rotation, or of a motion with its references as channels.
+
+        Of a held output the position and torque of the motor, as a test stand records them.
 
         Parameters
         ----------
         gap_rad
             Half the clearance δ, an angle at the load.
+        motion
+            Has a length and a start of its own, in place of rotations, start angle and speed.
         rotations, sampling_hz
             Length in load rotations, and rate.
         start_angle_rad
@@ -353,16 +363,16 @@ class Bench:
         seed
             Generator of the noise; ``None`` for none.
         name, accuracy_rpm
-            Of the recording; largest error of the simulated speed, as in :func:`simulate_speeds`.
+            Of the recording; largest error of the simulated speed, as in :func:`simulate_channels`.
 
         Raises
         ------
         BenchError
-            If a parameter makes no sense or the simulation fails.
+            If a parameter makes no sense, the motor cannot follow or the simulation fails.
         """
         parameters = self.vector(
             gap_rad=gap_rad,
-            start_angle_rad=start_angle_rad,
+            start_angle_rad=start_angle_rad if motion is None else motion.start_angle_rad,
             reference_speed_rpm=reference_speed_rpm,
             motor_start_angle_rad=motor_start_angle_rad,
         )
@@ -373,79 +383,41 @@ class Bench:
                 found=f"{len(parameters)} values",
                 expected="one number each; call simulate() once for each gap",
             )
-        reference = float(parameters[0, Slot.reference_speed_rpm])
-        samples = self.samples(rotations, sampling_hz, reference)
-        position, speed, current = simulate_channels(
-            parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm
-        )[0, [POSITION, SPEED, CURRENT]]
-        zero = _zero_rad(position, parameters[0], motor_start_angle_rad)
-        channels = self.measurement.channels(
-            position - zero, speed, current, parameters[0], sampling_hz, seed
-        )
-        return self._recording(name, sampling_hz, channels, parameters[0], reference)
-
-    def simulate_motion(
-        self,
-        gap_rad: float,
-        motion: Motion,
-        *,
-        sampling_hz: float = 1000.0,
-        motor_start_angle_rad: float | None = None,
-        seed: np.random.Generator | None = None,
-        name: str = "simulated",
-    ) -> Recording:
-        """One recording of a motion, with its references as channels.
-
-        Of a held output the position and torque of the motor, as a test stand records them.
-
-        Parameters
-        ----------
-        gap_rad, sampling_hz, motor_start_angle_rad, seed, name
-            As :meth:`simulate`.
-
-        Raises
-        ------
-        BenchError
-            If a parameter makes no sense, the motor cannot follow or the simulation fails.
-        """
-        parameters = self.vector(
-            gap_rad=gap_rad,
-            start_angle_rad=motion.start_angle_rad,
-            motor_start_angle_rad=motor_start_angle_rad,
-        )
-        time = np.arange(math.floor(round(motion.duration_s * sampling_hz, 6)) + 1) / sampling_hz
-        position, speed, current = simulate_motions(parameters, motion, time.size, sampling_hz)[0]
-        zero = _zero_rad(position, parameters[0], motor_start_angle_rad)
-        loop = None if motion.output_held else parameters[0]
+        own, loop = parameters[0], parameters[0]
+        reference = None if motion is not None else float(own[Slot.reference_speed_rpm])
+        if motion is None:
+            samples = self.samples(rotations, sampling_hz, reference)
+            made = simulate_channels(parameters, samples, sampling_hz, accuracy_rpm=accuracy_rpm)
+        else:
+            samples = math.floor(round(motion.duration_s * sampling_hz, 6)) + 1
+            made = simulate_motions(
+                parameters, motion, samples, sampling_hz, accuracy_rpm=accuracy_rpm
+            )
+            loop = None if motion.output_held else own
+        time_s = np.arange(samples) / sampling_hz
+        position, speed, current = made[0, [POSITION, SPEED, CURRENT]]
+        zero = position[0]
+        if motor_start_angle_rad is not None:  # of a relaxed shaft
+            zero = own[Slot.gear_ratio] * own[Slot.start_angle_rad] - motor_start_angle_rad
         channels = self.measurement.channels(
             position - zero, speed, current, loop, sampling_hz, seed
         )
-        if motion.output_held:
+        if motion is not None and motion.output_held:
             torque = self.value("torque_constant_nm_per_a") * channels[MOTOR_CURRENT]
             channels = {MOTOR_POSITION: channels[MOTOR_POSITION], MOTOR_TORQUE: torque}
-        else:
-            channels[REFERENCE_SPEED] = motion.speed_rpm(time)
-            channels[REFERENCE_POSITION] = position[0] - zero + motion.position_rad(time)
-        return self._recording(name, sampling_hz, channels, parameters[0], None)
-
-    def _recording(
-        self,
-        name: str,
-        sampling_hz: float,
-        channels: dict[str, FloatArray],
-        parameters: FloatArray,
-        reference_speed_rpm: float | None,
-    ) -> Recording:
+        elif motion is not None:
+            channels[REFERENCE_SPEED] = motion.speed_rpm(time_s)
+            channels[REFERENCE_POSITION] = position[0] - zero + motion.position_rad(time_s)
         return Recording(
             name=name,
-            time_s=np.arange(channels[MOTOR_POSITION].size) / sampling_hz,
+            time_s=time_s,
             channels=channels,
             metadata={
                 "simulated": True,
                 "bench": self.fingerprint(),
-                "gap_rad": float(parameters[Slot.gap_rad]),
-                "start_angle_rad": float(parameters[Slot.start_angle_rad]),
-                "reference_speed_rpm": reference_speed_rpm,
+                "gap_rad": float(own[Slot.gap_rad]),
+                "start_angle_rad": float(own[Slot.start_angle_rad]),
+                "reference_speed_rpm": reference,
             },
         )
 
@@ -461,11 +433,64 @@ class Bench:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _zero_rad(
-    position_rad: FloatArray, parameters: FloatArray, motor_start_angle_rad: float | None
-) -> float:
-    """What a recorded position counts from: its first value, or that of an absolute encoder."""
-    if motor_start_angle_rad is None:
-        return float(position_rad[0])
-    relaxed = parameters[Slot.gear_ratio] * parameters[Slot.start_angle_rad]
-    return float(relaxed - motor_start_angle_rad)
+_ANGLES = 720
+
+
+def steady_rotation(bench: Bench, reference_speed_rpm: float) -> RigidMotion:
+    """One rotation of the load at a constant speed, from where it hangs straight down."""
+    ratio, speed = bench.value("gear_ratio"), reference_speed_rpm / RPM_PER_RAD_PER_S
+    angle = math.copysign(ratio, speed) * np.linspace(0.0, 2.0 * math.pi, _ANGLES)
+    speeds = np.full(_ANGLES, speed)
+    sway = -(speeds**2) * np.exp(1j * angle)
+    return RigidMotion(angle / speed, angle, speeds, np.zeros(_ANGLES), sway)
+
+
+def steady_torque_nm(bench: Bench, reference_speed_rpm: float) -> tuple[float, float]:
+    """Smallest and largest torque that the gear passes on in a rotation, N m at the load."""
+    motion = steady_rotation(bench, reference_speed_rpm)
+    ratio = bench.value("gear_ratio")
+    torque = ratio * bench.transmitted_torque(motion)
+    for term in bench.learned_terms:
+        if term.side == "load":
+            torque = torque + ratio * term.along(motion, ratio)
+    return float(torque.min()), float(torque.max())
+
+
+def heaviest(bench: Bench) -> Bench:
+    """With all the gravity that its tolerance allows."""
+    gravity = bench.parameters["gravity_torque_nm"]
+    return bench.with_parameters(gravity_torque_nm=gravity.value + gravity.tolerance)
+
+
+def require_flank_change(
+    bench: Bench, speeds_rpm: Sequence[float] = (), file: str | Path | None = None
+) -> None:
+    """Refuse speeds, all of them, at which a bench leaves the load on one flank.
+
+    Parameters
+    ----------
+    speeds_rpm
+        Of the motor; the bench's own by default.
+    file
+        Of the bench or the recording, to be named.
+
+    Raises
+    ------
+    NoFlankChange
+        With the torque, and the motion that would show the gap.
+    """
+    speeds = speeds_rpm or [bench.value("reference_speed_rpm")]
+    torques = [steady_torque_nm(bench, speed) for speed in speeds]
+    if bench.drive == "rigid" or any(low < 0.0 < high for low, high in torques):
+        return
+    acting = [e.name for e in bench.effects if effect_named(e.name).load_torque is not None]
+    low, high = torques[0]
+    raise NoFlankChange(
+        "At this speed the load never changes from one tooth flank to the other, so nothing that "
+        "is recorded depends on the gap.",
+        file=file,
+        where="gravity_torque_nm" + "".join(f", {name}" for name in acting),
+        found=f"a torque of {low:.4g} to {high:.4g} N m at the load over a rotation at "
+        f"{speeds[0]:.4g} rpm",
+        expected=f"{NoFlankChange.MOTION}, or a bench whose load torque changes its sign",
+    )

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Literal, Protocol, Self
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from bayesbl.bench.bench import Bench
 
 Enters = Literal["motor", "load", "shaft", "loop", "measurement"]
 Dependence = Literal[
@@ -34,7 +38,7 @@ ARMSTRONG = "Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, Automatica 30, 1
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """One parameter of an effect: an :class:`Amplitude` or a :class:`Shape`.
+    """One parameter of an effect.
 
     Attributes
     ----------
@@ -43,133 +47,107 @@ class EffectParameter:
         ``phase`` matter only while an amplitude is not zero; an order is found from the data; a
         phase belongs to each recording, as the motor starts at another angle.
     low, high
-        Range that a search may use on the reference bench; on others ``joint_size`` scales it.
+        Range that a search may use on the reference bench; on others ``search_scale`` scales it.
     typical
         A middling strength on the reference bench: it shows and spoils nothing.
     neutral
         Value where it is not given: off for an amplitude, a default for the others.
+    repeats
+        Of an amplitude, whether the bench in steady rotation repeats every load rotation with it:
+        ``always``, only with a whole number of cycles per load rotation (``whole_orders``), or
+        ``never``. What is declared to repeat is simulated for one rotation and continued.
+    not_negative, smaller_than
+        Of an amplitude, what the simulator refuses: a value below zero, a size that reaches this.
+    positive_scale, bounded
+        Of the others, the same while an amplitude is not zero: zero and below; what is not between
+        ``low`` and ``high``.
+    sought_from
+        Lower end of a search in the loop, where it is not ``low``.
+    rate_of
+        The parameter whose change in a second this is.
+    starts
+        Where a search of a shape begins besides ``neutral``; empty for a grid over the range.
     """
 
     name: str
     unit: str
     meaning: str
     _: KW_ONLY
-    role: Role
+    role: Role = "amplitude"
     low: float = 0.0
     high: float
     typical: float
     neutral: float = 0.0
-
-    def scaled(self, factor: float) -> Self:
-        """The same of a joint on which all its values are so many times as large."""
-        return replace(
-            self, low=factor * self.low, high=factor * self.high, neutral=factor * self.neutral
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Amplitude(EffectParameter):
-    """A parameter that switches the effect on.
-
-    Attributes
-    ----------
-    repeats
-        Whether the bench in steady rotation repeats every load rotation with it: ``always``, only
-        with a whole number of cycles per load rotation (``whole_orders``), or ``never``. What is
-        declared to repeat is simulated for one rotation and continued.
-    not_negative, smaller_than
-        What the simulator refuses: a value below zero, a size that reaches this.
-    sought_from
-        Lower end of a search in the loop, where it is not ``low``.
-    rate_of
-        The parameter whose change in a second this is.
-    """
-
-    _: KW_ONLY
-    role: Role = "amplitude"
     repeats: Repeats = "always"
     not_negative: bool = False
     smaller_than: float | None = None
-    sought_from: float | None = None
-    rate_of: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Shape(EffectParameter):
-    """A parameter that says how, not how much.
-
-    ``positive_scale``: the simulator refuses zero and below while an amplitude is not zero.
-    ``bounded``: it refuses what is not between ``low`` and ``high``. ``starts``: where a search
-    begins besides ``neutral``; empty for a grid over the range.
-    """
-
-    _: KW_ONLY
-    role: Role = "shape"
     positive_scale: bool = False
     bounded: bool = False
+    sought_from: float | None = None
+    rate_of: str | None = None
     starts: tuple[float, ...] = ()
 
-    def scaled(self, factor: float) -> Self:
-        """See :meth:`EffectParameter.scaled`."""
-        scaled = EffectParameter.scaled(self, factor)
-        return replace(scaled, starts=tuple(factor * start for start in self.starts))
+    @property
+    def is_amplitude(self) -> bool:
+        """Whether it switches the effect on."""
+        return self.role == "amplitude"
 
+    def scaled(self, factor: float) -> EffectParameter:
+        """The same of a joint on which all its values are so many times as large."""
+        return replace(
+            self,
+            low=factor * self.low,
+            high=factor * self.high,
+            neutral=factor * self.neutral,
+            starts=tuple(factor * start for start in self.starts),
+        )
+
+
+shape = partial(EffectParameter, role="shape")
 
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0
 
 
-def order(typical: float) -> Shape:
+def order(typical: float) -> EffectParameter:
     """Cycles per motor turn n."""
     meaning = "cycles per motor turn n, found from the data"
     low, high = LOWEST_ORDER, HIGHEST_ORDER
-    return Shape(ORDER, "", meaning, role="order", low=low, high=high, typical=typical, neutral=1.0)
+    return EffectParameter(
+        ORDER, "", meaning, role="order", low=low, high=high, typical=typical, neutral=1.0
+    )
 
 
-def phase(typical: float) -> Shape:
+def phase(typical: float) -> EffectParameter:
     """Phase φ of what turns with the motor."""
-    return Shape(PHASE, "rad", "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical)
+    return EffectParameter(
+        PHASE, "rad", "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical
+    )
 
 
-class RigidMotion(Protocol):
-    """Motion of the motor that a law is evaluated along, each of shape (n,), SI."""
+@dataclass(frozen=True, slots=True)
+class RigidMotion:
+    """Motion of the motor that a law is evaluated along, each of shape (n,), SI.
 
-    @property
-    def time_s(self) -> FloatArray:
-        """Time."""
+    Attributes
+    ----------
+    angle
+        Motor angle θ_m, rad; the load's is θ_m/N.
+    sway
+        d²/dt² exp(i θ_m), differentiated as the motion was, 1/s²: what an eccentric encoder adds.
+    friction_width
+        Motor speed over which dry friction changes its sign, rad/s; 0 for a sign that jumps.
+    """
 
-    @property
-    def angle(self) -> FloatArray:
-        """Motor angle θ_m, rad; the load's is θ_m/N."""
-
-    @property
-    def speed(self) -> FloatArray:
-        """Motor speed ω_m, rad/s."""
-
-    @property
-    def acceleration(self) -> FloatArray:
-        """Motor acceleration, rad/s²."""
-
-    @property
-    def sway(self) -> ComplexArray:
-        """d²/dt² exp(i θ_m), differentiated as the motion was, 1/s²."""
-
-    @property
-    def friction_width(self) -> float:
-        """Motor speed over which dry friction changes its sign, rad/s."""
-
-
-class RigidBench(Protocol):
-    """What a law may ask of the bench it acts in."""
-
-    def value(self, name: str) -> float:
-        """Value of a bench parameter."""
-
-    def transmitted_torque(self, motion: RigidMotion) -> FloatArray:
-        """Torque that the gear passes on, at the motor, N m, shape (n,)."""
+    time_s: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    sway: ComplexArray
+    friction_width: float = 0.0
 
 
 Parameters = Mapping[str, float]
-Law = Callable[[RigidMotion, RigidBench, Parameters], FloatArray]
+Law = Callable[[RigidMotion, "Bench", Parameters], FloatArray]
 """A signal of shape (n,) from the motion, the bench and the effect's parameters."""
 
 
@@ -289,7 +267,7 @@ class Effect:
     name: str
     sentence: str
     equation: str
-    parameters: tuple[Amplitude | Shape, ...]
+    parameters: tuple[EffectParameter, ...]
     enters: Enters
     data: str
     depends_on: tuple[Dependence, ...] = ()
@@ -312,7 +290,7 @@ class Effect:
         slots = {item.name: Slot[f"{self.name}__{item.name}"] for item in self.parameters}
         object.__setattr__(self, "slots", slots)
 
-    def parameter(self, name: str) -> Amplitude | Shape:
+    def parameter(self, name: str) -> EffectParameter:
         """The parameter of that name.
 
         Raises
@@ -335,20 +313,20 @@ class Effect:
         return self.enters == "measurement" and self.sought_alone is not None
 
     @property
-    def amplitudes(self) -> tuple[Amplitude, ...]:
+    def amplitudes(self) -> tuple[EffectParameter, ...]:
         """Parameters that switch it on."""
-        return tuple(item for item in self.parameters if isinstance(item, Amplitude))
+        return tuple(item for item in self.parameters if item.is_amplitude)
 
     @property
-    def main_amplitude(self) -> Amplitude:
+    def main_amplitude(self) -> EffectParameter:
         """The one that a search frees where recordings cannot show several, or the first."""
         alone = (item for item in self.amplitudes if item.name == self.sought_alone)
         return next(alone, self.amplitudes[0])
 
     @property
-    def shapes(self) -> tuple[Shape, ...]:
+    def shapes(self) -> tuple[EffectParameter, ...]:
         """Parameters that matter only while it is on."""
-        return tuple(item for item in self.parameters if isinstance(item, Shape))
+        return tuple(item for item in self.parameters if not item.is_amplitude)
 
     @property
     def is_periodic(self) -> bool:

@@ -8,7 +8,7 @@ several of them together is a normal distribution of their logarithms.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -205,7 +205,11 @@ def check_parameters(matrix: FloatArray) -> None:
         extreme = (size > 1.0 / SMALLEST) | ((size != 0.0) & (size < SMALLEST))
         _refuse_where(extreme, matrix, slot, f"a size from {SMALLEST:g} to {1.0 / SMALLEST:g}")
     _check_gap(matrix)
-    _check_effects(matrix)
+    for slot, low, high, is_open, expected, switches in _BOUNDS:
+        values = matrix[:, slot]
+        inside = (low < values) & (values < high) if is_open else (low <= values) & (values <= high)
+        wrong = ~inside & np.any(matrix[:, switches] != 0.0, axis=1)
+        _refuse_where(wrong, matrix, slot, expected)
 
 
 def _check_gap(matrix: FloatArray) -> None:
@@ -229,55 +233,39 @@ def _check_gap(matrix: FloatArray) -> None:
         )
 
 
-_AMPLITUDES = [(item, effect.slots[item.name]) for effect in EFFECTS for item in effect.amplitudes]
-_NOT_NEGATIVE = [slot for item, slot in _AMPLITUDES if item.not_negative]
-_BOUNDED = [(slot, item.smaller_than, item.unit) for item, slot in _AMPLITUDES if item.smaller_than]
-_SCALES = [
-    (effect.slots[scale.name], [effect.slots[item.name] for item in effect.amplitudes])
-    for effect in EFFECTS
-    for scale in effect.shapes
-    if scale.positive_scale
-]
-_RANGES = {
-    effect.slots[item.name]: (item.low, item.high, on)
-    for effect in EFFECTS
-    for on in [[effect.slots[amplitude.name] for amplitude in effect.amplitudes]]
-    for item in effect.shapes
-    if item.bounded
-}
-
-
 ROUNDING = 1e-12
+"""Of the end of a range: from its logarithm it comes back a rounding error off."""
 
 SMALLEST = 1e-30
 """Size of a parameter: products and ratios of a few such numbers are numbers still."""
 
-_LEARNED = (
-    (Slot.learned_torque__side, Slot.learned_torque__period),
-    (Slot.encoder_error__orders, Slot.encoder_error__period_rad),
-)
+_POSITIVE = (0.0, math.inf, True, "a number above zero")
+_NOT_NEGATIVE = (0.0, math.inf, False, "zero or a number above it")
 
 
-def _check_effects(matrix: FloatArray) -> None:
-    for on, period in _LEARNED:
-        wrong = (matrix[:, on] != 0.0) & (matrix[:, period] <= 0.0)
-        _refuse_where(wrong, matrix, period, "a number above zero")
-    for slot in _NOT_NEGATIVE:
-        _refuse_where(matrix[:, slot] < 0.0, matrix, slot, "zero or a number above it")
-    for slot, bound, unit in _BOUNDED:
-        expected = f"between -{bound:g} and {bound:g} {unit}".rstrip()
-        _refuse_where(np.abs(matrix[:, slot]) >= bound, matrix, slot, expected)
-    for slot, (low, high, amplitudes) in _RANGES.items():
-        values = matrix[:, slot]
-        # A bench without the effect has zeros in its slots, whatever the range.
-        present = np.any(matrix[:, amplitudes] != 0.0, axis=1) | (values != 0.0)
-        # An end of a range comes back from its logarithm a rounding error off.
-        slack = ROUNDING * max(abs(low), abs(high))
-        wrong = present & ((values < low - slack) | (values > high + slack))
-        _refuse_where(wrong, matrix, slot, f"a number from {low:g} to {high:g}")
-    for scale, amplitudes in _SCALES:
-        wrong = np.any(matrix[:, amplitudes] != 0.0, axis=1) & (matrix[:, scale] <= 0.0)
-        _refuse_where(wrong, matrix, scale, "a number above zero")
+def _bounds() -> Iterator[tuple[Slot, float, float, bool, str, list[Slot]]]:
+    """Of a slot: least and largest value, whether both are excluded, what is expected, and the
+    slots that are not all zero where that holds."""
+    yield Slot.learned_torque__period, *_POSITIVE, [Slot.learned_torque__side]
+    yield Slot.encoder_error__period_rad, *_POSITIVE, [Slot.encoder_error__orders]
+    for effect in EFFECTS:
+        amplitudes = [effect.slots[item.name] for item in effect.amplitudes]
+        for item in effect.parameters:
+            slot, low, high = effect.slots[item.name], item.low, item.high
+            if item.not_negative:
+                yield slot, *_NOT_NEGATIVE, [slot]
+            if bound := item.smaller_than:
+                expected = f"between -{bound:g} and {bound:g} {item.unit}".rstrip()
+                yield slot, -bound, bound, True, expected, [slot]
+            if item.bounded:
+                slack, expected = ROUNDING * max(abs(low), abs(high)), f"a number from {low:g}"
+                on = [slot, *amplitudes]
+                yield slot, low - slack, high + slack, False, f"{expected} to {high:g}", on
+            if item.positive_scale:
+                yield slot, *_POSITIVE, amplitudes
+
+
+_BOUNDS = tuple(_bounds())
 
 
 def simulated_range(name: str) -> tuple[float, float]:
@@ -285,9 +273,11 @@ def simulated_range(name: str) -> tuple[float, float]:
 
     ``name``: ``effect__parameter``; infinite where there is no such end.
     """
-    slot = Slot[name]
-    low, high, _ = _RANGES.get(slot, (0.0 if slot in _NOT_NEGATIVE else -math.inf, math.inf, None))
-    return low, high
+    owner, _, own = name.partition("__")
+    item = effect_named(owner).parameter(own)
+    if item.bounded:
+        return item.low, item.high
+    return 0.0 if item.not_negative else -math.inf, math.inf
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:
@@ -308,42 +298,30 @@ def rotation_period_s(matrix: FloatArray) -> FloatArray:
     return period
 
 
-BITTENCOURT = "Bittencourt & Gunnarsson 2012, J. Dyn. Syst. Meas. Control 134, 051013"
-NEODYMIUM = "IEC 60404-8-1: remanence of Nd-Fe-B falls by 0.08 to 0.12 % per kelvin"
-STEEL = "Young's modulus of steel falls by 0.03 % per kelvin; preload of bearings does the rest"
-
-
-@dataclass(frozen=True, slots=True)
-class Budget:
-    """Relative standard deviation between two snapshots, and where it is taken from."""
-
-    relative_sd: float
-    source: str
-
-
-def _lubricant(relative_sd: float) -> Budget:
-    return Budget(relative_sd, f"lubricant warmer or colder by some 20 K: {BITTENCOURT}")
-
-
-DEFAULT_DRIFT: Mapping[str, Budget] = MappingProxyType(
+# Lubricant is warmer or colder by some 20 K: Bittencourt & Gunnarsson 2012, J. Dyn. Syst. Meas.
+# Control 134, 051013. So are motors: the remanence of Nd-Fe-B falls by 0.08 to 0.12 % per kelvin
+# (IEC 60404-8-1). Young's modulus of steel falls by 0.03 % per kelvin; preload of bearings does
+# the rest.
+DEFAULT_DRIFT: Mapping[str, float] = MappingProxyType(
     {
-        "shaft_damping_nm_s_per_rad": _lubricant(0.2),
-        "shaft_stiffness_nm_per_rad": Budget(0.01, STEEL),
-        "torque_constant_nm_per_a": Budget(0.02, f"a motor warmer by some 20 K: {NEODYMIUM}"),
-        "contact_damping": _lubricant(0.2),
-        "stiffness_hardening": Budget(0.02, STEEL),
-        "shaft_hysteresis": _lubricant(0.2),
-        "motor_coulomb_friction": _lubricant(0.2),
-        "motor_viscous_friction": _lubricant(0.3),
-        "motor_quadratic_drag": _lubricant(0.3),
-        "motor_stribeck_friction": _lubricant(0.3),
-        "friction_asymmetry": _lubricant(0.3),
-        "load_coulomb_friction": _lubricant(0.2),
-        "load_viscous_friction": _lubricant(0.3),
-        "gear_mesh_friction": _lubricant(0.2),
+        "shaft_damping_nm_s_per_rad": 0.2,
+        "shaft_stiffness_nm_per_rad": 0.01,
+        "torque_constant_nm_per_a": 0.02,
+        "contact_damping": 0.2,
+        "stiffness_hardening": 0.02,
+        "shaft_hysteresis": 0.2,
+        "motor_coulomb_friction": 0.2,
+        "motor_viscous_friction": 0.3,
+        "motor_quadratic_drag": 0.3,
+        "motor_stribeck_friction": 0.3,
+        "friction_asymmetry": 0.3,
+        "load_coulomb_friction": 0.2,
+        "load_viscous_friction": 0.3,
+        "gear_mesh_friction": 0.2,
     }
 )
-"""By name of a bench parameter or effect; what is not here does not drift unless told.
+"""Relative standard deviation between two snapshots, by name of a bench parameter or effect; what
+is not here does not drift unless told.
 
 Gains and payload are set by people: they stay or are changed, and a change shows.
 """
@@ -351,11 +329,10 @@ Gains and payload are set by people: they stay or are changed, and a change show
 
 def drift_of(name: str, stated: Mapping[str, float]) -> float:
     """Relative standard deviation of a parameter, an effect or ``effect.parameter``."""
-    for key in (name, name.partition(".")[0]):
-        if key in stated:
-            return stated[key]
-    budget = DEFAULT_DRIFT.get(name) or DEFAULT_DRIFT.get(name.partition(".")[0])
-    return budget.relative_sd if budget is not None else 0.0
+    of_effect = name.partition(".")[0]
+    return next(
+        (d[key] for d in (stated, DEFAULT_DRIFT) for key in (name, of_effect) if key in d), 0.0
+    )
 
 
 FURTHEST = 5.0

@@ -113,7 +113,7 @@ _REASONS = {
 }
 
 
-def simulate_speeds(
+def simulate_channels(
     parameter_matrix: FloatArray,
     samples: int,
     sampling_hz: float,
@@ -122,8 +122,10 @@ def simulate_speeds(
     accuracy_rpm: float | None = None,
     workers: int = 1,
     failures: str = "raise",
+    speed_alone: bool = False,
+    ends: FloatArray | None = None,
 ) -> FloatArray:
-    """Noise-free motor speed in steady rotation, as the controller sees it.
+    """Noise-free signals in steady rotation.
 
     Parameters
     ----------
@@ -139,38 +141,42 @@ def simulate_speeds(
         Threads; the numbers do not depend on it.
     failures
         ``"raise"``, or ``"nan"`` to fill failed rows with nan, as samplers want it.
+    ends
+        Filled with the states at the first sample, as :func:`start_states` gives them.
 
     Returns
     -------
-    Array of shape (m, n), rpm.
+    Array of shape (m, 3, n): position in rad (continuing from one turn to the next, not yet begun
+    at zero, not quantised), speed in rpm as the controller sees it, current in A. With
+    ``speed_alone`` shape (m, 1, n).
 
     Raises
     ------
     BenchError
         If a parameter makes no sense, or a simulation fails and ``failures`` is ``"raise"``.
     """
-    out = np.empty((parameter_matrix.shape[0], 1, samples))
-    _fill(parameter_matrix, out, sampling_hz, moments_s, accuracy_rpm, workers, failures)
-    return out[:, 0, :]
+    out = np.empty((parameter_matrix.shape[0], 1 if speed_alone else 3, samples))
+    moments = _even_s(out, sampling_hz) if moments_s is None else moments_s
+    accuracy = _accuracy_rpm(accuracy_rpm, parameter_matrix[:, Slot.reference_speed_rpm])
+    matrix = _sound(parameter_matrix, out, sampling_hz, accuracy)
+    settling = settling_time_s(matrix, accuracy, failures)
+    states = _room_for_states(matrix) if ends is None else ends
 
+    def run(row: int) -> int:
+        if math.isnan(settling[row]):
+            return kernel.DIVERGED
+        found: int = kernel.simulate(
+            matrix[row],
+            settling[row],
+            1.0 / sampling_hz,
+            moments,
+            accuracy[row],
+            out[row],
+            states[row],
+        )[0]
+        return found
 
-def simulate_channels(
-    parameter_matrix: FloatArray,
-    samples: int,
-    sampling_hz: float,
-    *,
-    moments_s: FloatArray | None = None,
-    accuracy_rpm: float | None = None,
-    workers: int = 1,
-    failures: str = "raise",
-) -> FloatArray:
-    """As :func:`simulate_speeds`, with position and current: shape (m, 3, n).
-
-    Channels in the order position in rad (continuing from one turn to the next, not yet begun at
-    zero, not quantised), speed in rpm, current in A.
-    """
-    out = np.empty((parameter_matrix.shape[0], 3, samples))
-    _fill(parameter_matrix, out, sampling_hz, moments_s, accuracy_rpm, workers, failures)
+    _run_rows(run, matrix, out, workers, failures)
     return out
 
 
@@ -270,45 +276,16 @@ def start_states(parameter_matrix: FloatArray, *, accuracy_rpm: float | None = N
 
     Shape (m, 12), or as many more as torques of a sampled controller wait.
     """
-    waiting = max(map(kernel.waiting_torques, parameter_matrix), default=0)
-    states = np.empty((parameter_matrix.shape[0], STATES + waiting))
-    out = np.empty((parameter_matrix.shape[0], 1, 1))
-    _fill(parameter_matrix, out, 1.0, None, accuracy_rpm, 1, "raise", states)
+    states = _room_for_states(parameter_matrix)
+    simulate_channels(
+        parameter_matrix, 1, 1.0, accuracy_rpm=accuracy_rpm, speed_alone=True, ends=states
+    )
     return states
 
 
-def _fill(
-    matrix: FloatArray,
-    out: FloatArray,
-    sampling_hz: float,
-    moments_s: FloatArray | None,
-    accuracy_rpm: float | None,
-    workers: int,
-    failures: str,
-    states: FloatArray | None = None,
-) -> None:
-    moments = _even_s(out, sampling_hz) if moments_s is None else moments_s
-    accuracy = _accuracy_rpm(accuracy_rpm, matrix[:, Slot.reference_speed_rpm])
-    matrix = _sound(matrix, out, sampling_hz, accuracy)
-    settling = settling_time_s(matrix, accuracy, failures)
+def _room_for_states(matrix: FloatArray) -> FloatArray:
     waiting = max(map(kernel.waiting_torques, matrix), default=0)
-    ends = np.empty((matrix.shape[0], STATES + waiting)) if states is None else states
-
-    def run(row: int) -> int:
-        if math.isnan(settling[row]):
-            return kernel.DIVERGED
-        found: int = kernel.simulate(
-            matrix[row],
-            settling[row],
-            1.0 / sampling_hz,
-            moments,
-            accuracy[row],
-            out[row],
-            ends[row],
-        )[0]
-        return found
-
-    _run_rows(run, matrix, out, workers, failures)
+    return np.empty((matrix.shape[0], STATES + waiting))
 
 
 def _even_s(out: FloatArray, sampling_hz: float) -> FloatArray:

@@ -7,10 +7,10 @@ the damping. They are converted with the other parameters of the same bench.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -21,11 +21,11 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.learned import EncoderError, LearnedTorque, Side, Variable
+from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.bench.simulation import Measurement
-from bayesbl.config.diagnose import bench_parameter, effect_name
-from bayesbl.config.files import load_file
+from bayesbl.config.kinds import bench_parameter, effect_name
+from bayesbl.config.loading import load_file
 from bayesbl.config.sections import Items, Section, Tolerance, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.noise.process import NoiseModel
@@ -162,6 +162,22 @@ class ParameterEntry(_Uncertain):
         return BenchParameter(value, (self.tolerance or 0.0) * unit)
 
 
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """What a part of a bench refuses is refused here in the same words."""
+    try:
+        yield
+    except BenchError as error:
+        refuse(error.problem, found=error.found, expected=error.expected)
+
+
+def kind_of(noise: NoiseModel) -> str:
+    """What a bench file calls noise."""
+    if noise.degrees_of_freedom is not None:
+        return "student_t"
+    return "ar" if noise.coefficients else "white"
+
+
 class _NoiseEntry(Section):
     """Noise of a channel; ``sd`` is that of the noise, not of its innovations."""
 
@@ -172,22 +188,15 @@ class _NoiseEntry(Section):
 
     @model_validator(mode="after")
     def _coefficients_of_ar(self) -> Self:
-        if (self.kind == "student_t") != (self.degrees_of_freedom is not None):
-            refuse(
-                "Degrees of freedom belong to Student-t noise.",
-                found=f'kind = "{self.kind}", degrees_of_freedom {self.degrees_of_freedom}',
-                expected='kind = "student_t" with degrees_of_freedom, or neither',
-            )
-        if self.kind != "student_t" and (self.kind == "ar") != bool(self.coefficients):
-            refuse(
-                "Coefficients belong to autoregressive noise.",
-                found=f'kind = "{self.kind}" with {len(self.coefficients)} coefficients',
-                expected='kind = "ar" with coefficients, or kind = "white" without',
-            )
-        try:
-            self.model()
-        except BenchError as error:
-            refuse(error.problem, found=error.found, expected=error.expected)
+        with _refusing():
+            if self.kind != (kind := kind_of(self.model())):
+                refuse(
+                    "Degrees of freedom belong to Student-t noise, coefficients alone to an "
+                    "autoregressive one, neither to a white one.",
+                    found=f'kind = "{self.kind}" with {len(self.coefficients)} coefficients and '
+                    f"degrees_of_freedom {self.degrees_of_freedom}",
+                    expected=f'kind = "{kind}", or other keys',
+                )
         return self
 
     def model(self) -> NoiseModel:
@@ -401,30 +410,23 @@ class EffectEntry(Section):
 
     @model_validator(mode="after")
     def _parameters_of_effect(self) -> Self:
-        for name in self.parameters:
-            try:
-                effect_named(self.name).parameter(name)
-            except BenchError as error:
-                refuse(error.problem, found=name, expected=error.expected)
+        with _refusing():
+            effect_named(self.name).complete(dict.fromkeys(self.parameters, 0.0))
         return self
 
 
 class _LearnedSection(Section):
     """A term of no known law; what makes no sense is refused as the term itself refuses it."""
 
-    term: ClassVar[type[LearnedTorque | EncoderError]]
-
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
-        try:
+        with _refusing():
             self.learned()
-        except BenchError as error:
-            refuse(error.problem, found=error.found, expected=error.expected)
         return self
 
-    def learned(self) -> Any:
+    def learned(self) -> LearnedTerm:
         """As the bench takes it."""
-        return self.term(**dict(self))
+        return LearnedTerm(**dict(self))
 
 
 class LearnedTorqueSection(_LearnedSection):
@@ -435,16 +437,14 @@ class LearnedTorqueSection(_LearnedSection):
     ``reverses``. ``period`` in rad, rad/s or s; ``sd_nm`` of constant, cosines and sines.
     """
 
-    term = LearnedTorque
-
     side: Side
     variable: Variable
     period: float = Field(gt=0.0)
-    constant_nm: float = 0.0
-    cosine_nm: Items[float]
-    sine_nm: Items[float]
+    constant: float = Field(default=0.0, alias="constant_nm")
+    cosine: Items[float] = Field(alias="cosine_nm")
+    sine: Items[float] = Field(alias="sine_nm")
     reverses: bool = False
-    sd_nm: Items[float] = ()
+    sd: Items[float] = Field(default=(), alias="sd_nm")
 
 
 class EncoderErrorSection(_LearnedSection):
@@ -454,12 +454,14 @@ class EncoderErrorSection(_LearnedSection):
     θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad); ``sd_rad`` of cosines and sines.
     """
 
-    term = EncoderError
+    period: float = Field(gt=0.0, alias="period_rad")
+    cosine: Items[float] = Field(alias="cosine_rad")
+    sine: Items[float] = Field(alias="sine_rad")
+    sd: Items[float] = Field(default=(), alias="sd_rad")
 
-    period_rad: float = Field(gt=0.0)
-    cosine_rad: Items[float]
-    sine_rad: Items[float]
-    sd_rad: Items[float] = ()
+    def learned(self) -> LearnedTerm:
+        """As the bench takes it."""
+        return LearnedTerm(side=ENCODER, variable="motor_angle", constant=0.0, **dict(self))
 
 
 class BenchFile(Section):
@@ -492,29 +494,17 @@ class BenchFile(Section):
                 )
         return parameters
 
-    @field_validator("effects")
-    @classmethod
-    def _each_once(cls, effects: tuple[EffectEntry, ...]) -> tuple[EffectEntry, ...]:
-        require_different([effect.name for effect in effects], "An effect is listed twice.")
-        return effects
-
     @model_validator(mode="after")
-    def _parts_are_stated_once(self) -> Self:
-        named = {effect.name for effect in self.effects}
-        for table in ("belt", "arm", "base", "gap"):
-            effect = "gap_variation" if table == "gap" else table
-            if getattr(self, table) is not None and effect in named:
-                refuse(
-                    "A part of the joint is stated twice.",
-                    found=f"[{table}] and the effect {effect}",
-                    expected="one of them",
-                )
-        if self.measurement.speed_filter_s > 0.0 and AVERAGING.name in named:
-            refuse(
-                "The averaging of the speed is stated twice.",
-                found=f"speed_filter_s under [measurement] and the effect {AVERAGING.name}",
-                expected="one of them",
-            )
+    def _effects_are_stated_once(self) -> Self:
+        tables = ("belt", self.belt), ("arm", self.arm), ("base", self.base)
+        others = ("gap_variation", self.gap), (AVERAGING.name, self.measurement.speed_filter_s)
+        stated = [effect.name for effect in self.effects]
+        stated += [name for name, table in (*tables, *others) if table]
+        require_different(
+            stated,
+            "An effect is stated twice, under [[effects]], in a table of its own or as "
+            "speed_filter_s.",
+        )
         return self
 
     def _effects(self, values: Mapping[str, float]) -> Iterator[BenchEffect]:
@@ -659,15 +649,16 @@ def dump_bench(bench: Bench) -> str:
     if measurement.encoder_counts is not None:
         tables["measurement"]["encoder_counts"] = measurement.encoder_counts
     for learned in bench.learned_terms:
-        tables[learned.block] = dataclasses.asdict(learned)
+        section = EncoderErrorSection if learned.is_of_encoder else LearnedTorqueSection
+        stated = {key: getattr(learned, key) for key in section.model_fields}
+        tables[learned.block] = section.model_construct(**stated).model_dump(by_alias=True)
     return tomli_w.dumps(tables)
 
 
 def _noise_table(noise: NoiseModel, sd_name: str) -> dict[str, Any]:
-    table: dict[str, Any] = {"kind": "ar" if noise.coefficients else "white"}
-    table[sd_name] = noise.standard_deviation
+    table = {"kind": kind_of(noise), sd_name: noise.standard_deviation}
     if noise.coefficients:
         table["coefficients"] = list(noise.coefficients)
     if noise.degrees_of_freedom is not None:
-        table |= {"kind": "student_t", "degrees_of_freedom": noise.degrees_of_freedom}
+        table["degrees_of_freedom"] = noise.degrees_of_freedom
     return table

@@ -14,8 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.flank_change import require_flank_change
+from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from bayesbl.bench.effect_declaration import RigidLaw
-from bayesbl.bench.learned import LearnedTorque, Variable
+from bayesbl.bench.learned import LearnedTerm, Variable
 from bayesbl.diagnosis.disagreement import Use
 from bayesbl.recording.types import BoolArray, FloatArray
 
@@ -192,7 +192,7 @@ class Series:
         phase = 2.0 * math.pi * x[:, None] * k / self.period
         return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
 
-    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTorque:
+    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTerm:
         """With coefficients of the waves, (2 orders,), and their standard deviations."""
         decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
         waves = coefficients * decay
@@ -200,7 +200,7 @@ class Series:
         if sds is not None:
             constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
             sd = (constant, *(sds * decay).tolist())
-        return LearnedTorque(
+        return LearnedTerm(
             "motor",
             self.variable,
             self.period,

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.bench.learned import EncoderError, LearnedTorque
+from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
 from bayesbl.config.bench import dump_bench
 from bayesbl.diagnosis.diagnosis import Diagnosis, PieceSignals
 from bayesbl.diagnosis.residuals import FALSE_LINES, MAP_POINTS, ChannelResiduals, ResidualAnalysis
@@ -72,8 +72,8 @@ def _unknown(name: str) -> Variable:
 POSTERIOR = Group("posterior", coordinates=(CHAIN, DRAW), named=_unknown, optional=True)
 
 LEARNED = {
-    LearnedTorque.block: Group(
-        LearnedTorque.block,
+    LEARNED_TORQUE: Group(
+        LEARNED_TORQUE,
         table("""
             torque_nm (point) | N m | learned torque against the side it acts at, turning forwards
             sd_nm (point) | N m | its standard deviation
@@ -81,8 +81,8 @@ LEARNED = {
         table("variable (point) | 1 | what it depends on, in rad, rad/s or s"),
         optional=True,
     ),
-    EncoderError.block: Group(
-        EncoderError.block,
+    ENCODER_ERROR: Group(
+        ENCODER_ERROR,
         table("""
             angle_rad (point) | rad | what the motor's encoder shows too much
             sd_rad (point) | rad | its standard deviation

@@ -11,7 +11,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 import xarray as xr
 
-from bayesbl.bench.learned import EncoderError, LearnedTerm, Side, Variable
+from bayesbl.bench.learned import LearnedTerm, Side, Variable
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.matching.posterior import DirectPosterior
@@ -183,7 +183,7 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
         answer["augmented_bench"] = AUGMENTED_BENCH
     if found.learned is not None:
         told = _learned(found.learned)
-        if isinstance(found.learned.term, EncoderError):
+        if found.learned.term.is_of_encoder:
             told["amplitude_rad"] = found.learned.amplitude
             answer["encoder_error"] = told
         else:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import RigidLaw
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
@@ -16,7 +16,7 @@ from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import require_channels, require_unclipped
-from bayesbl.recording.lost_samples import even
+from bayesbl.recording.repairs import even
 from bayesbl.recording.types import BoolArray, Recording
 
 MOST_EXCLUDED = 0.5

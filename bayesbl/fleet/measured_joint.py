@@ -20,8 +20,8 @@ import xarray as xr
 from pydantic import ValidationError
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.files import problems_of
 from bayesbl.config.kinds import KINDS
+from bayesbl.config.loading import problems_of
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED
 from bayesbl.errors import UnavailableError, UserError

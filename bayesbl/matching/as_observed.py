@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
 from bayesbl.bench.parameters import rotation_period_s
-from bayesbl.bench.simulation import ACCURACY, simulate_channels, simulate_motions, simulate_speeds
+from bayesbl.bench.simulation import ACCURACY, simulate_channels, simulate_motions
 from bayesbl.matching.observed import Observed
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
@@ -55,10 +55,10 @@ def simulated(
         matrix = _begun_at(matrix, seen.motor_start_rad, workers)
     size = samples, seen.sampling_hz
     moments, order = _within_a_rotation(matrix, samples, seen.sampling_hz)
-    if len(seen.signals) == 1:
-        made = simulate_speeds(matrix, *size, moments_s=moments, **rest)[:, None, :]
-    else:
-        made = simulate_channels(matrix, *size, moments_s=moments, **rest)[:, [SPEED, CURRENT]]
+    alone = len(seen.signals) == 1
+    made = simulate_channels(matrix, *size, moments_s=moments, speed_alone=alone, **rest)
+    if not alone:
+        made = made[:, [SPEED, CURRENT]]
     return made if order is None else made[:, :, order]
 
 

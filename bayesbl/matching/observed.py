@@ -24,11 +24,14 @@ from bayesbl.matching.motor_lines import MotorLines
 from bayesbl.noise.quantisation import Rounding, speed_steps
 from bayesbl.recording.checks import (
     SPEED_AVERAGED_S,
+    cycle_of,
+    first_move,
+    moves,
     require_plausible_current,
+    require_same_motion,
     speed_in_another_unit,
 )
-from bayesbl.recording.lost_samples import UNEVEN_STAMPS, even
-from bayesbl.recording.moving import cycle_of, first_move, moves, require_same_motion
+from bayesbl.recording.repairs import UNEVEN_STAMPS, even
 from bayesbl.recording.repetition import Repetition, repetition
 from bayesbl.recording.types import (
     MOTOR_CURRENT,

@@ -206,7 +206,7 @@ def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
                 unknowns.append(Unknown(name, low, simulated_range(name)[1], given.value, given.sd))
     for learned in bench.learned_terms:
         unknowns += shift_unknowns(learned, recordings)
-        known = zip(learned.names, learned.coefficients, learned.deviations, strict=False)
+        known = zip(learned.names, learned.coefficients, learned.sd, strict=False)
         unknowns += [Unknown(name, centre=value, sd=sd) for name, value, sd in known if sd > 0.0]
     return unknowns
 

@@ -45,7 +45,7 @@ from bayesbl.noise.rotation_noise import Noise
 from bayesbl.probabilities import normal_isf
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, StageProgress, of_stage
-from bayesbl.recording.moving import moves
+from bayesbl.recording.checks import moves
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.intervals import interval
 from bayesbl.results.store import read_tree

@@ -21,7 +21,7 @@ from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
 from bayesbl.measurement.measurement import ExpectedSd, Measurement, Measurer, Reason, Task, Verdict
 from bayesbl.probabilities import normal_isf
-from bayesbl.recording.moving import moves
+from bayesbl.recording.checks import moves
 from bayesbl.recording.types import FloatArray, Recording
 
 FALSE_ALARM = 0.01

@@ -21,8 +21,7 @@ import xarray as xr
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.flank_change import require_flank_change
+from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import PUBLISHED
 from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bayesbl.bench.bench import Bench
+from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.bench.effects import effect_named
-from bayesbl.bench.flank_change import require_flank_change
-from bayesbl.bench.learned import LEARNED_TERMS
+from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
 from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
@@ -85,8 +84,7 @@ from bayesbl.model_search.joint_change import (
 )
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.progress import StageProgress, of_stage
-from bayesbl.recording.checks import require_alive
-from bayesbl.recording.moving import moves
+from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
 from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
@@ -596,12 +594,12 @@ def unit_and_meaning(name: str) -> tuple[str, str]:
         return "s", "how much later the controller was given its reference than is recorded"
     if name in PARAMETER_INFO:
         return PARAMETER_INFO[name].unit or "1", PARAMETER_INFO[name].meaning
-    learned = {term.block: term for term in LEARNED_TERMS}.get(name.partition("__")[0])
-    if learned is not None:
-        what = learned.block.replace("_", " ")
-        if name == learned.shift_slot:
+    block, _, own = name.partition("__")
+    if block in (LEARNED_TORQUE, ENCODER_ERROR):
+        what = block.replace("_", " ")
+        if own.startswith("shift"):
             return "1", f"where the variable of the {what} is at the first sample, rad or s"
-        return learned.unit, f"coefficient of the {what}: {name.partition('__')[2]}"
+        return "rad" if block == ENCODER_ERROR else "N m", f"coefficient of the {what}: {own}"
     if "__" in name:
         item = declaration_of(name)
         return item.unit or "1", f"{item.meaning} of {name.partition('__')[0]}"

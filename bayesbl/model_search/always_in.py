@@ -33,8 +33,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import EFFECTS, effect_named, sampled_lateness_s
-from bayesbl.bench.joint_size import search_scale
+from bayesbl.bench.effects import EFFECTS, effect_named, sampled_lateness_s, search_scale
 from bayesbl.bench.kernel import RPM, Slot
 from bayesbl.bench.parameters import (
     BENCH_PARAMETERS,

@@ -14,17 +14,8 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effect_declaration import (
-    PHASE,
-    Amplitude,
-    Effect,
-    EffectParameter,
-    Resonance,
-    Role,
-    Shape,
-)
-from bayesbl.bench.effects import EFFECTS, effect_named
-from bayesbl.bench.joint_size import search_scale
+from bayesbl.bench.effect_declaration import PHASE, Effect, EffectParameter, Resonance, Role
+from bayesbl.bench.effects import EFFECTS, effect_named, search_scale
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
@@ -302,17 +293,17 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
     starts: tuple[FloatArray, ...] = ()
     scanned: dict[int, FloatArray] = {}
     if effect.enters in ("load", "shaft"):
-        main = next(p for p in sought if isinstance(p, Amplitude))
+        main = next(p for p in sought if p.is_amplitude)
         grid = main.high * np.array(_SCANNED_SHARES)
         scanned[0] = grid if main.low >= 0.0 else np.concatenate([-grid[:0:-1], grid])
-    shape = [i for i, p in enumerate(sought) if isinstance(p, Shape) and not p.starts]
+    shape = [i for i, p in enumerate(sought) if not p.is_amplitude and not p.starts]
     if shape:
         i = shape[0]
         middle = np.geomspace(sought[i].low, sought[i].high, 7)[2:6]
         starts = tuple(np.where(np.arange(neutral.size) == i, m, neutral) for m in middle)
         if scanned:
             scanned[i] = middle
-    for i, own in ((i, p.starts) for i, p in enumerate(sought) if isinstance(p, Shape)):
+    for i, own in ((i, p.starts) for i, p in enumerate(sought) if not p.is_amplitude):
         starts += tuple(np.where(np.arange(neutral.size) == i, start, neutral) for start in own)
     return replace(candidate, starts=starts, scanned=scanned)
 
@@ -344,7 +335,7 @@ def _near(
     least, most = 0.25 * np.min(places, axis=0), 4.0 * np.max(places, axis=0)
     columns = zip(unknowns, effect.parameters, np.transpose(places), least, most, strict=True)
     for unknown, parameter, values, low, high in columns:
-        if isinstance(parameter, Amplitude):
+        if parameter.is_amplitude:
             yield replace(unknown, low=float(low), high=float(high))
         elif np.ptp(values) > 0.0:
             yield replace(unknown, low=max(unknown.low, float(low)))
@@ -356,9 +347,7 @@ def _usual(bench: Bench, effect: Effect, parameters: Sequence[EffectParameter]) 
     """Usual sizes of an effect's parameters on a bench."""
     return np.array(
         [
-            abs(search_scale(bench, effect, p) * p.typical)
-            if isinstance(p, Amplitude)
-            else math.nan
+            abs(search_scale(bench, effect, p) * p.typical) if p.is_amplitude else math.nan
             for p in parameters
         ]
     )
@@ -366,7 +355,7 @@ def _usual(bench: Bench, effect: Effect, parameters: Sequence[EffectParameter]) 
 
 def _lowest(parameter: EffectParameter) -> float:
     """Lower end of the range that a search uses."""
-    if isinstance(parameter, Amplitude) and parameter.sought_from is not None:
+    if parameter.sought_from is not None:
         return parameter.sought_from
     return parameter.low
 

@@ -17,8 +17,9 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SIGNATURES = tuple((at, SIGNATURE) for at in (0, 512, 1024, 2048))
 """At which bytes it may stand, after a block of the writer's own."""
 
-_OWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
-"""HDF5's own; all others are libraries that it looks for in a folder and runs."""
+_OWN_FILTERS = range(1, 7)
+"""HDF5's own (deflate, shuffle, fletcher32, szip, nbit, scaleoffset); all others are libraries that
+it looks for in a folder and runs."""
 
 _DEEPEST = 32
 

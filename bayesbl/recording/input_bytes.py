@@ -20,14 +20,6 @@ MEMORY_MB = 2000.0
 
 PACKED = ".gz"
 
-_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
-
 
 def read_input(path: Path) -> bytes:
     """The bytes of a regular file; nothing else is read, as it may wait or have no end.
@@ -41,25 +33,20 @@ def read_input(path: Path) -> bytes:
         If the path has a NUL.
     """
     mode = os.stat(path).st_mode
-    kind = next((name for is_kind, name in _KINDS if is_kind(mode)), None)
-    if kind:  # not even opened: a socket cannot be, and a pipe may wait for its writer
+    if not stat.S_ISREG(mode):  # not even opened: a socket cannot be, a pipe waits for its writer
+        kind = "a folder" if stat.S_ISDIR(mode) else "a device, a socket or a pipe"
         raise OSError(errno.EINVAL, f"{kind}, not a file")
     flags = os.O_RDONLY | os.O_NONBLOCK
     with open(os.open(path, flags), "rb") as stream:
-        largest = memory_bytes()
-        require_size(os.fstat(stream.fileno()).st_size)
-        data = stream.read(largest + 1)
-    if len(data) > largest:
-        raise _too_large("more")
+        largest, size = memory_bytes(), os.fstat(stream.fileno()).st_size
+        data = stream.read(largest + 1) if size <= largest else b""
+    if max(size, len(data)) > largest:
+        raise OSError(
+            errno.EFBIG,
+            f"{max(size, len(data)) / 1e6:.5g} MB, above the limit of {largest / 1e6:g} MB; the "
+            f"environment variable {LIMIT_VARIABLE} raises it",
+        )
     return data
-
-
-def require_size(size: int | None) -> None:
-    """Raise ``OSError`` for what is larger than the limit, in bytes, or does not say."""
-    if size is None:
-        raise _too_large("an unknown size")
-    if size > memory_bytes():
-        raise _too_large(f"{size / 1e6:.5g} MB")
 
 
 def require_memory(file: Path, size: float, what: str = "its content, unpacked") -> None:
@@ -137,11 +124,3 @@ def unpacked(path: Path, data: bytes) -> bytes:
         ) from None
     require_memory(path, len(whole), "unpacked, or more")
     return whole
-
-
-def _too_large(size: str) -> OSError:
-    return OSError(
-        errno.EFBIG,
-        f"{size}, above the limit of {memory_bytes() / 1e6:g} MB; the environment variable "
-        f"{LIMIT_VARIABLE} raises it",
-    )

@@ -20,6 +20,7 @@ from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 from bayesbl.errors import RecordingError, UnavailableError, UserError, shortened
 from bayesbl.libraries import absent
@@ -84,7 +85,7 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
                 expected=_WHOLE.format(kind=format_.name),
             ) from None
         told.seek(0)
-        with suppress(EOFError, ValueError, KeyError, TypeError):
+        with suppress(EOFError, ValueError, KeyError, TypeError, BadZipFile):
             return _received(told)
     raise _broken(format_.name, file, ended.returncode)
 
@@ -147,32 +148,30 @@ _NAMED = ("file", "units", "clocks", "withheld", "repairs")
 
 
 def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
-    """A line of JSON and the columns as NumPy writes them: what comes back is never unpickled."""
+    """A text of JSON and the columns as NumPy saves them: what comes back is never unpickled."""
+    import numpy as np
+
     if isinstance(result, UserError):
         told = {key: getattr(result, key) for key in _ERROR}
         told["is_unavailable"] = isinstance(result, UnavailableError)
-        stream.write(json.dumps(told).encode() + b"\n")
+        np.savez(stream, json.dumps(told))
         return
-    from numpy.lib.format import write_array
-
-    head: dict[str, object] = {key: getattr(result, key) for key in _NAMED}
-    stream.write(json.dumps({**head, "columns": list(result.arrays)}).encode() + b"\n")
-    for values in result.plain_arrays():
-        write_array(stream, values, allow_pickle=False)
+    head = {key: getattr(result, key) for key in _NAMED} | {"columns": list(result.arrays)}
+    np.savez(stream, json.dumps(head), *result.plain_arrays())
 
 
 def _received(stream: IO[bytes]) -> ArrayTable:
-    head = json.loads(stream.readline())
-    if "problem" in head:
-        kind = UnavailableError if head.pop("is_unavailable") else RecordingError
-        raise kind(head.pop("problem"), **head)
-    from numpy.lib.format import read_array
+    import numpy as np
 
     from bayesbl.recording.array_table import ArrayTable
 
-    names = head.pop("columns")
-    arrays = {name: read_array(stream, allow_pickle=False) for name in names}
-    return ArrayTable(arrays=arrays, **head)
+    with np.load(stream, allow_pickle=False) as sent:
+        text, *columns = (sent[name] for name in sent.files)
+    head = json.loads(str(text))
+    if "problem" in head:
+        kind = UnavailableError if head.pop("is_unavailable") else RecordingError
+        raise kind(head.pop("problem"), **head)
+    return ArrayTable(arrays=dict(zip(head.pop("columns"), columns, strict=True)), **head)
 
 
 def _limit(size: int) -> None:

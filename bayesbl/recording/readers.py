@@ -31,14 +31,15 @@ from bayesbl.recording.channels import (
 from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
 from bayesbl.recording.formats import Format, formats
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
-from bayesbl.recording.lost_samples import bridge, without_lost
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
+    bridge,
     held,
     mended_clock,
     new_values,
     told,
     unwrapped,
+    without_lost,
     without_strays,
 )
 from bayesbl.recording.types import FloatArray, Recording, Source

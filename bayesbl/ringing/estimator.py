@@ -22,7 +22,7 @@ from bayesbl.noise.quantisation import speed_steps
 from bayesbl.noise.rotation_noise import NoiseKind, estimate_noise
 from bayesbl.progress import Progress
 from bayesbl.recording.checks import ready_for_fit, require_no_drift, require_rotations
-from bayesbl.recording.lost_samples import UNEVEN_STAMPS, even
+from bayesbl.recording.repairs import UNEVEN_STAMPS, even
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.ringing.cleaning import in_words, without_drift, without_motor_lines
 from bayesbl.ringing.covariance import PointEstimate as PointEstimate

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.diagnose import Compared, DiagnoseConfig, Method
+from bayesbl.config.kinds import Compared, DiagnoseConfig, Method
 from bayesbl.config.loading import config_from_options
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
@@ -32,8 +32,7 @@ from bayesbl.diagnosis.task import INERTIAS, Task
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.channels import ColumnSpec
-from bayesbl.recording.checks import is_constant, with_speed
-from bayesbl.recording.moving import is_one_speed, moves
+from bayesbl.recording.checks import is_constant, is_one_speed, moves, with_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import (
     LOAD_POSITION,

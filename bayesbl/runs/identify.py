@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.flank_change import heaviest, require_flank_change
+from bayesbl.bench.bench import Bench, heaviest, require_flank_change
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import IdentifyConfig
 from bayesbl.errors import ConfigError

@@ -16,8 +16,7 @@ from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from bayesbl.arguments import Tree, checked
-from bayesbl.config.files import require_text_names
-from bayesbl.config.loading import config_from_options, files_of, load_config
+from bayesbl.config.loading import config_from_options, files_of, load_config, require_text_names
 from bayesbl.config.sections import RunConfig
 from bayesbl.errors import ConfigError, ResultError, UserError
 from bayesbl.recording.input_bytes import read_input

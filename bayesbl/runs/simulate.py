@@ -16,7 +16,7 @@ from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, cycle, sine, strokes, torque_ramps
 from bayesbl.config.bench import dump_bench
-from bayesbl.config.files import load_file
+from bayesbl.config.loading import load_file
 from bayesbl.config.simulate import MotionSection, SimulatedRecording, SimulateFile
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.processes import in_threads
@@ -170,17 +170,10 @@ def _simulated(
     rng = np.random.default_rng(seed)
     drawn = float(rng.uniform(0.0, 2.0 * np.pi))
     with _of_entry(config_path, number):
-        if entry.motion is not None:
-            return bench.simulate_motion(
-                entry.gap_rad,
-                motion_of(entry.motion, bench.value("gear_ratio")),
-                sampling_hz=entry.sampling_hz,
-                motor_start_angle_rad=entry.motor_start_angle_rad,
-                seed=rng,
-                name=entry.name,
-            )
+        moving, ratio = entry.motion, bench.value("gear_ratio")
         return bench.simulate(
             entry.gap_rad,
+            None if moving is None else motion_of(moving, ratio),
             rotations=entry.rotations,
             sampling_hz=entry.sampling_hz,
             start_angle_rad=drawn if entry.start_angle_rad is None else entry.start_angle_rad,

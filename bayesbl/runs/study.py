@@ -53,8 +53,8 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ValidationError
 
-from bayesbl.config.files import config_error, problems_of
 from bayesbl.config.kinds import StudyConfig
+from bayesbl.config.loading import config_error, problems_of
 from bayesbl.errors import ConfigError, UserError, WorkerError
 from bayesbl.results.folder import figure_title
 from bayesbl.results.provenance import git_commit, provenance_of

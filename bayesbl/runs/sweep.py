@@ -10,8 +10,7 @@ from typing import Literal, TypedDict
 import numpy as np
 import xarray as xr
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.flank_change import require_flank_change
+from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve

@@ -300,7 +300,7 @@ def test_a_mistake_is_told_before_the_folder_is_looked_at(
     assert "before.csv" in capsys.readouterr().err
 
 
-def test_exchanged_columns_are_said_to_be_no_speed(
+def test_exchanged_columns_are_asked_about(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -310,4 +310,4 @@ def test_exchanged_columns_are_said_to_be_no_speed(
     )
     (tmp_path / "before.csv").write_text(text)
     assert cli.status(["check", "fit.toml"]) == cli.WRONG
-    assert "does not look like a speed" in capsys.readouterr().err
+    assert "is this another column" in capsys.readouterr().err

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesbl.bench.effect_declaration import ORDER, PHASE, Amplitude, Effect, Shape
+from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, EffectParameter
 from bayesbl.bench.effects import EFFECT_BY_NAME, EFFECTS, repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import CURRENT, POSITION, SPEED, Slot
-from bayesbl.bench.learned import LEARNED_TERMS
+from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
 from bayesbl.bench.parameters import check_parameters
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.config.bench import reference_bench
@@ -27,12 +27,12 @@ BY_AMPLITUDE = pytest.mark.parametrize(
 )
 
 
-def settings(effect: Effect, amplitudes: tuple[Amplitude, ...]) -> dict[str, float]:
+def settings(effect: Effect, amplitudes: tuple[EffectParameter, ...]) -> dict[str, float]:
     """The effect at its typical shape, with these amplitudes at their typical strength."""
     return {
         f"{effect.name}__{item.name}": item.typical
         for item in effect.parameters
-        if isinstance(item, Shape) or item in amplitudes
+        if not item.is_amplitude or item in amplitudes
     }
 
 
@@ -61,7 +61,7 @@ def does_repeat(parameters: np.ndarray) -> bool:
 
 @BY_AMPLITUDE
 def test_what_is_declared_to_repeat_repeats_and_nothing_else(
-    effect: Effect, amplitude: Amplitude
+    effect: Effect, amplitude: EffectParameter
 ) -> None:
     given = settings(effect, (amplitude,))
     if effect.has_order:
@@ -94,14 +94,14 @@ def test_shapes_change_nothing_while_no_amplitude_is_on(effect: Effect) -> None:
 
 @BY_AMPLITUDE
 def test_every_amplitude_shows_at_its_typical_strength(
-    effect: Effect, amplitude: Amplitude
+    effect: Effect, amplitude: EffectParameter
 ) -> None:
     change = simulated(bench(**settings(effect, (amplitude,)))) - simulated(bench())
     largest = np.max(np.abs(change), axis=1)
     assert largest[SPEED] > 0.1 or largest[CURRENT] > 0.02 or largest[POSITION] > 0.1
 
 
-def refused(effect: Effect, item: Amplitude | Shape, value: float) -> bool:
+def refused(effect: Effect, item: EffectParameter, value: float) -> bool:
     """Whether the simulator refuses the effect with another value of one parameter."""
     given = settings(effect, effect.amplitudes) | {f"{effect.name}__{item.name}": value}
     wrong = ""
@@ -181,6 +181,6 @@ def test_a_declaration_is_complete_and_consistent(effect: Effect) -> None:
 def test_each_effect_has_its_own_place_and_slots_in_the_kernel() -> None:
     assert len({effect.place for effect in EFFECTS}) == len(EFFECTS)
     slots = {slot for effect in EFFECTS for slot in effect.slots.values()}
-    learned = tuple(f"{term.block}__" for term in LEARNED_TERMS)
+    learned = (f"{LEARNED_TORQUE}__", f"{ENCODER_ERROR}__")
     own = {slot for slot in Slot if slot.name.startswith(learned)}
     assert slots == {slot for slot in Slot if "__" in slot.name} - own

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import INTEGRAL, MOTOR_ANGLE, MOTOR_SPEED, RPM, TWIST, TWIST_SPEED
-from bayesbl.bench.learned import EncoderError
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.simulation import simulate_channels, start_states
 from bayesbl.config.bench import dump_bench, load_bench, parse_bench, reference_bench
 from bayesbl.errors import BenchError, ConfigError
@@ -21,10 +21,12 @@ from bayesbl.errors import BenchError, ConfigError
 BENCH = reference_bench()
 TURN = 2.0 * math.pi
 GAP_RAD = 8e-4
-ERROR = EncoderError(TURN, (3e-4, -1e-4, 0.0, 5e-5), (1e-4, 2e-4, 0.0, -2e-5))
+ERROR = LearnedTerm(
+    "encoder", "motor_angle", TURN, 0.0, (3e-4, -1e-4, 0.0, 5e-5), (1e-4, 2e-4, 0.0, -2e-5)
+)
 
 
-def with_error(error: EncoderError = ERROR) -> Bench:
+def with_error(error: LearnedTerm = ERROR) -> Bench:
     return replace(BENCH, gap_form="dead_zone", encoder_error=error)
 
 
@@ -91,7 +93,7 @@ def test_each_order_is_its_slope_times_the_speed_through_the_closed_loop(speed_r
     carried = load * shaft / (load + shaft) / p["gear_ratio"] ** 2
     plant = 1.0 / (p["motor_inertia_kg_m2"] * s + carried)
     gains = p["speed_gain_nm_s_per_rad"] + p["integral_gain_nm_per_rad"] / s
-    size = abs(speed_rpm) * np.arange(1, 5) * np.hypot(ERROR.cosine_rad, ERROR.sine_rad)
+    size = abs(speed_rpm) * np.arange(1, 5) * np.hypot(ERROR.cosine, ERROR.sine)
     assert ERROR.slopes * abs(speed_rpm) == pytest.approx(size)
     answered = size / np.abs(1.0 + plant * gains)
     driven = answered / RPM * np.abs(gains) / p["torque_constant_nm_per_a"]
@@ -108,18 +110,18 @@ def test_it_repeats_with_the_load_where_the_gear_ratio_is_whole() -> None:
 
 
 def test_a_bench_file_gives_back_the_same_bench() -> None:
-    bench = with_error(replace(ERROR, sd_rad=tuple(1e-6 for _ in ERROR.names)))
+    bench = with_error(replace(ERROR, sd=tuple(1e-6 for _ in ERROR.names)))
     assert parse_bench(dump_bench(bench), "bench.toml") == bench
     assert bench.fingerprint() != replace(bench, encoder_error=None).fingerprint()
 
 
 def test_an_error_without_sense_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="as many sines as cosines"):
-        EncoderError(TURN, (1e-4,), ())
+        LearnedTerm("encoder", "motor_angle", TURN, 0.0, (1e-4,), ())
     with pytest.raises(BenchError, match="standard deviation for each coefficient"):
-        replace(ERROR, sd_rad=(1e-6,))
+        replace(ERROR, sd=(1e-6,))
     with pytest.raises(BenchError, match="run backwards"):
-        EncoderError(TURN, (0.0, 0.6), (0.0, 0.0))
+        LearnedTerm("encoder", "motor_angle", TURN, 0.0, (0.0, 0.6), (0.0, 0.0))
     file = tmp_path / "bench.toml"
     file.write_text(dump_bench(with_error()).replace("    -2e-05,\n", ""))
     with pytest.raises(ConfigError, match="as many sines as cosines"):

@@ -8,8 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.flank_change import require_flank_change, steady_torque_nm
+from bayesbl.bench.bench import (
+    Bench,
+    BenchEffect,
+    EffectParameterValue,
+    require_flank_change,
+    steady_torque_nm,
+)
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.bench.steady import contact_rates, sampled_period, settling_time_s
 from bayesbl.cli import WRONG, status

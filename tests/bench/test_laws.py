@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_simpson
 from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.kernel import RPM, STATES, Slot
 from bayesbl.bench.parameters import BENCH_PARAMETERS, ParameterInfo, check_parameters
-from bayesbl.bench.simulation import simulate_channels, simulate_speeds, simulate_states
+from bayesbl.bench.simulation import simulate_channels, simulate_states
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError
 
@@ -91,7 +91,7 @@ def test_no_gap_gives_the_linear_frequency_response(load_frequency_hz: float) ->
     p = bench.vector(gap_rad=0.0)
     samples = rotations * per_rotation
     rate = per_rotation * load_frequency_hz
-    speed = simulate_speeds(p, samples, rate, accuracy_rpm=1e-5)[0]
+    speed = simulate_channels(p, samples, rate, accuracy_rpm=1e-5, speed_alone=True)[0, 0]
     wave = np.exp(-1j * 2.0 * math.pi * np.arange(samples) / per_rotation)
     measured = 2.0 * np.mean((speed - speed.mean()) * wave) / RPM
 
@@ -263,7 +263,7 @@ def test_what_makes_no_sense_is_refused_with_its_name(
     settings: dict[str, float], message: str
 ) -> None:
     with pytest.raises(BenchError, match=message):
-        simulate_speeds(BENCH.vector(**{"gap_rad": 1e-3, **settings}), 500, 500.0)
+        simulate_channels(BENCH.vector(**{"gap_rad": 1e-3, **settings}), 500, 500.0)
 
 
 @pytest.mark.parametrize(
@@ -276,7 +276,7 @@ def test_what_makes_no_sense_is_refused_with_its_name(
 )
 def test_failed_rows_can_be_nan(settings: dict[str, Any]) -> None:
     p = BENCH.vector(gap_rad=1e-3, **settings)
-    speed = simulate_speeds(p, 100, 500.0, failures="nan")
+    speed = simulate_channels(p, 100, 500.0, failures="nan", speed_alone=True)[:, 0]
     assert np.all(np.isfinite(speed[0]))
     assert np.all(np.isnan(speed[1]))
 

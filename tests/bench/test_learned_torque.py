@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import repeat_each_rotation, turn_with_the_motor
 from bayesbl.bench.kernel import DAHL, INTEGRAL, MOTOR_ANGLE, MOTOR_SPEED, RPM, TWIST, TWIST_SPEED
-from bayesbl.bench.learned import LearnedTorque
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.simulation import simulate_channels, start_states
 from bayesbl.config.bench import dump_bench, load_bench, parse_bench, reference_bench
 from bayesbl.errors import BenchError, ConfigError
@@ -22,26 +22,26 @@ TURN = 2.0 * math.pi
 GAP_RAD = 8e-4
 
 TORQUES = {
-    "over the load angle": LearnedTorque(
+    "over the load angle": LearnedTerm(
         "load", "load_angle", TURN, 2.0, (5.0, 0.0, 3.0), (-4.0, 6.0, 1.0)
     ),
-    "reversing": LearnedTorque("motor", "load_angle", TURN, 0.1, (0.05,), (-0.02,), reverses=True),
-    "over the motor angle": LearnedTorque(
+    "reversing": LearnedTerm("motor", "load_angle", TURN, 0.1, (0.05,), (-0.02,), reverses=True),
+    "over the motor angle": LearnedTerm(
         "motor", "motor_angle", TURN * 1.37, 0.0, (0.05, 0.02), (0.01, -0.03)
     ),
-    "over the speed": LearnedTorque("motor", "motor_speed", 900.0, 0.0, (0.05,), (0.1,)),
-    "over time": LearnedTorque("motor", "time", 0.137, 0.0, (0.05, 0.0), (0.0, 0.02)),
+    "over the speed": LearnedTerm("motor", "motor_speed", 900.0, 0.0, (0.05,), (0.1,)),
+    "over time": LearnedTerm("motor", "time", 0.137, 0.0, (0.05, 0.0), (0.0, 0.02)),
 }
 EACH = pytest.mark.parametrize("torque", list(TORQUES.values()), ids=list(TORQUES))
 
 
-def with_torque(torque: LearnedTorque) -> Bench:
+def with_torque(torque: LearnedTerm) -> Bench:
     return replace(BENCH, gap_form="dead_zone", learned_torque=torque)
 
 
 @pytest.mark.long
 @EACH
-def test_the_simulator_agrees_with_scipy(torque: LearnedTorque) -> None:
+def test_the_simulator_agrees_with_scipy(torque: LearnedTerm) -> None:
     bench = with_torque(torque)
     p = {name: item.value for name, item in bench.parameters.items()}
     n, speed_ref = p["gear_ratio"], -2000.0 / RPM
@@ -92,7 +92,7 @@ def test_the_simulator_agrees_with_scipy(torque: LearnedTorque) -> None:
 
 
 @EACH
-def test_what_repeats_every_rotation_is_what_is_said_to(torque: LearnedTorque) -> None:
+def test_what_repeats_every_rotation_is_what_is_said_to(torque: LearnedTerm) -> None:
     run = with_torque(torque).vector(gap_rad=GAP_RAD, start_angle_rad=0.4)
     speed = simulate_channels(run, 3600, 500.0)[0, 1]
     repeats = bool(np.max(np.abs(speed[1800:] - speed[:1800])) < 0.01)
@@ -103,17 +103,17 @@ def test_what_repeats_every_rotation_is_what_is_said_to(torque: LearnedTorque) -
 
 
 @EACH
-def test_a_bench_file_gives_back_the_same_bench(torque: LearnedTorque) -> None:
-    bench = with_torque(replace(torque, sd_nm=tuple(0.1 for _ in torque.names)))
+def test_a_bench_file_gives_back_the_same_bench(torque: LearnedTerm) -> None:
+    bench = with_torque(replace(torque, sd=tuple(0.1 for _ in torque.names)))
     assert parse_bench(dump_bench(bench), "bench.toml") == bench
     assert bench.fingerprint() != replace(bench, learned_torque=None).fingerprint()
 
 
 def test_a_torque_without_sense_is_refused_in_words(tmp_path) -> None:
     with pytest.raises(BenchError, match="as many sines as cosines"):
-        LearnedTorque("load", "load_angle", TURN, 0.0, (1.0,), ())
+        LearnedTerm("load", "load_angle", TURN, 0.0, (1.0,), ())
     with pytest.raises(BenchError, match="acts at the motor"):
-        LearnedTorque("load", "motor_angle", TURN, 0.0, (1.0,), (1.0,))
+        LearnedTerm("load", "motor_angle", TURN, 0.0, (1.0,), (1.0,))
     file = tmp_path / "bench.toml"
     text = dump_bench(with_torque(TORQUES["reversing"])).replace("    -0.02,\n", "")
     file.write_text(text)

@@ -14,8 +14,7 @@ from places import CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.bench import load_bench
-from bayesbl.config.files import load_file
-from bayesbl.config.loading import load_config
+from bayesbl.config.loading import load_config, load_file
 from bayesbl.config.simulate import SimulateFile
 from bayesbl.errors import UserError
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
 
-from bayesbl.config.limit import Limit
 from bayesbl.config.loading import config_from_options, dump_config, load_config
+from bayesbl.config.measurement import Limit
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.presentation.answer import in_unit_of_limit

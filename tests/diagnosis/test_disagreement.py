@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesbl.config.diagnose import Method as Configured
+from bayesbl.config.kinds import Method as Configured
 from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, residuals_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import ResidualNoise, disagreement_table, piece_residuals

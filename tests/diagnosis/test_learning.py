@@ -11,7 +11,7 @@ import pytest
 from rigid_machine import bench, recording
 from test_rigid import inverse, named
 
-from bayesbl.bench.learned import EncoderError, LearnedTorque, waves_over
+from bayesbl.bench.learned import waves_over
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import reference_bench
 from bayesbl.diagnosis.closed_loop.learned_in_loop import Series, aligned, learned_term
@@ -141,9 +141,9 @@ def test_two_speeds_tell_an_error_of_the_encoder_from_a_torque(independent, wher
     assert (found.term.side, found.alike) == (where, ())
     fit = found.explanation.fit
     assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 4.0 * fit.sd(GAP)
-    if isinstance(found.term, EncoderError):
-        size = np.hypot(found.term.cosine_rad, found.term.sine_rad)[:2]
-        sd = np.hypot(*np.reshape(found.term.sd_rad, (2, -1)))[:2]
+    if found.term.is_of_encoder:
+        size = np.hypot(found.term.cosine, found.term.sine)[:2]
+        sd = np.hypot(*np.reshape(found.term.sd, (2, -1)))[:2]
         assert np.all(np.abs(size - [2.5e-4, 1.5e-4]) < 4.0 * sd)
         assert augmented_bench(found.explanation).encoder_error == found.term
 
@@ -158,7 +158,7 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     found = learned_term(nominal, [(nominal, [])], motor_angle_known=False)
     assert found is not None
     torque = found.term
-    assert isinstance(torque, LearnedTorque)
+    assert not torque.is_of_encoder
     assert (torque.side, torque.variable, torque.reverses) == ("load", "load_angle", True)
     # 10 (1 + 0.5 cos(θ + 0.7) + 0.25 sin(2θ + 1.4))
     truth = {
@@ -168,11 +168,11 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
         "cosine 2": 2.5 * math.sin(1.4),
         "sine 2": 2.5 * math.cos(1.4),
     }
-    orders = len(torque.cosine_nm)
+    orders = len(torque.cosine)
     places = dict(zip(truth, (0, 1, 1 + orders, 2, 2 + orders), strict=True))
     for name, place in places.items():
         error = torque.coefficients[place] - truth[name]
-        assert abs(error) < 4.0 * torque.sd_nm[place] + 0.1, name  # the simulators smooth apart
+        assert abs(error) < 4.0 * torque.sd[place] + 0.1, name  # the simulators smooth apart
     fit = found.explanation.fit
     assert abs(math.log(fit.value(GAP) / GAP_RAD)) < 4.0 * fit.sd(GAP)
     before = abs(math.log(nominal.fit.value(GAP) / GAP_RAD)) / nominal.fit.sd(GAP)

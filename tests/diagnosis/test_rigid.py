@@ -30,7 +30,7 @@ from bayesbl.diagnosis.rigid.inverse import (
 )
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
-from bayesbl.recording.lost_samples import even
+from bayesbl.recording.repairs import even
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, MOTOR_TORQUE, Recording
 
 CUTOFF_HZ = 20.0
@@ -108,7 +108,7 @@ def test_the_work_of_the_motor_is_stored_or_rubbed_off() -> None:
         effect("motor_coulomb_friction", torque_nm=0.7),
         effect("motor_viscous_friction", coefficient_nm_s_per_rad=0.01),
     )
-    moved = Motion(time, angle, speed, acceleration, np.zeros(time.size, complex), "position")
+    moved = Motion(time, angle, speed, acceleration, np.zeros(time.size, complex))
     power = required_torque(moved, rubbing) * speed
     inertia = 2e-3 + LOAD_INERTIA / RATIO**2
     stored = 0.5 * inertia * speed**2 - 300.0 * np.cos(angle / RATIO)

@@ -14,7 +14,7 @@ import bayesbl
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.cli import status
 from bayesbl.config.bench import load_bench
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.rigid.orders import OrderedRest, clearest
 from bayesbl.diagnosis.rigid.speed_loop import (

@@ -169,7 +169,7 @@ def test_strokes_tell_what_a_slower_turn_does_not() -> None:
     """Gap and ratio within 3.5 standard deviations, a delayed reference found beside them."""
     rng = np.random.default_rng(4)
     motion = strokes(joint().value("gear_ratio"), (-0.8, 0.8), 2000.0, 8000.0, 0.15, 6.0)
-    made = joint().simulate_motion(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name="strokes")
+    made = joint().simulate(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name="strokes")
     late = motion.speed_rpm(made.time_s + DELAY_S)
     made = replace(made, channels={**only_compared(made.channels), REFERENCE_SPEED: late})
     stroked = (*recordings()[:2], observed(made, data_sheet()))
@@ -201,7 +201,7 @@ def test_a_joint_that_only_strokes_is_identified_from_strokes_alone() -> None:
     for seed, (reach, speed_rpm) in enumerate(((0.8, 2000.0), (0.8, 1000.0), (0.25, 2000.0))):
         motion = strokes(ratio, (-reach, reach), speed_rpm, 8000.0, 0.15, 6.0)
         rng, name = np.random.default_rng([8, seed]), f"strokes {seed}"
-        made = joint().simulate_motion(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name=name)
+        made = joint().simulate(GAP_RAD, motion, sampling_hz=250.0, seed=rng, name=name)
         stroked.append(observed(made, data_sheet()))
     of_strokes = replace(problem(data_sheet()), used=tuple(stroked))
     found = identify(of_strokes, SETTINGS, np.random.SeedSequence(2))

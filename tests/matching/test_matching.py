@@ -121,7 +121,7 @@ def test_in_a_motion_too_whatever_the_drive_feeds_forward(
     bench = replace(reference_bench(), measurement=NOISE)
     bench = bench.with_parameters(position_gain_per_s=position_gain_per_s)
     motion = strokes(bench.value("gear_ratio"), (-0.5, 0.5), 1500.0, 6000.0, 0.15, 8.0)
-    made = bench.simulate_motion(8e-4, motion, seed=np.random.default_rng(1))
+    made = bench.simulate(8e-4, motion, seed=np.random.default_rng(1))
     acceleration = np.gradient(motion.speed_rpm(made.time_s), made.time_s)
     speed = made.motor_speed_rpm + 2e-3 * acceleration * (fed_forward_a_s_per_rpm > 0.0)
     for sign in (1.0, -1.0):

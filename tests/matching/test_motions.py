@@ -25,7 +25,7 @@ from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fi
 from bayesbl.measurement.motion_verdict import unknown_start
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
 from bayesbl.noise.process import NoiseModel
-from bayesbl.recording.moving import cycle_of, moves
+from bayesbl.recording.checks import cycle_of, moves
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
     MOTOR_SPEED,
@@ -55,7 +55,7 @@ def recorded(
 ) -> Recording:
     """A noisy recording of a motion, with both references."""
     rng = np.random.default_rng(seed)
-    return bench.simulate_motion(GAP_RAD, motion, sampling_hz=sampling_hz, seed=rng, name="r")
+    return bench.simulate(GAP_RAD, motion, sampling_hz=sampling_hz, seed=rng, name="r")
 
 
 def only(recording: Recording, *left_out: str) -> Recording:
@@ -169,7 +169,7 @@ def test_the_gap_of_many_valleys_is_the_true_one(
     ends = (-reach_rad, reach_rad)
     motion = strokes(120.0, ends, speed_rpm, acceleration_rpm_per_s, 0.15, duration_s)
     rng = np.random.default_rng(77)
-    fit = fitted(BENCH.simulate_motion(gap_rad, motion, seed=rng, name="r"))
+    fit = fitted(BENCH.simulate(gap_rad, motion, seed=rng, name="r"))
     error = math.log(fit.value(GAP, "r") / gap_rad)
     assert abs(error) < 4.0 * fit.sd(GAP, "r")
 

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import EFFECTS
-from bayesbl.bench.joint_size import search_scale
+from bayesbl.bench.effects import EFFECTS, search_scale
 from bayesbl.bench.motion import strokes
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
@@ -146,7 +145,7 @@ def test_friction_is_the_same_law_in_other_units(scale: Scale) -> None:
         )
         run = made.rubbing()
         run = replace(run, measurement=replace(run.measurement, speed_noise=NoiseModel(0.0)))
-        recording = run.simulate_motion(GAP_RAD, motion, sampling_hz=250.0 / made.time)
+        recording = run.simulate(GAP_RAD, motion, sampling_hz=250.0 / made.time)
         return np.asarray(recording.motor_speed_rpm / made.speed)
 
     assert turning(scale) == pytest.approx(turning(Scale()), abs=0.01)

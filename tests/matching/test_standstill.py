@@ -37,9 +37,7 @@ def recording(*, held: bool = False, creep_a: float = 0.0) -> Recording:
     """Strokes whose reference is held or not, with so much more current at rest."""
     size = int(DURATION_S * RATE_HZ)
     motion = held_motion(ASKED, size, RATE_HZ) if held else ASKED
-    made = BENCH.simulate_motion(
-        GAP_RAD, motion, sampling_hz=RATE_HZ, seed=np.random.default_rng(2)
-    )
+    made = BENCH.simulate(GAP_RAD, motion, sampling_hz=RATE_HZ, seed=np.random.default_rng(2))
     channels = {name: made.channels[name] for name in ("motor_speed_rpm", MOTOR_CURRENT)}
     channels[REFERENCE_SPEED] = ASKED.speed_rpm(made.time_s)
     made = replace(made, channels=channels)

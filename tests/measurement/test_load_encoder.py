@@ -44,7 +44,7 @@ def joint() -> Bench:
 def recorded(load_gap_rad: float = GAP_RAD, name: str = "r") -> Recording:
     """Of δ by the motor, and by the load's encoder of 2^19 counts."""
     bench, seed = joint(), np.random.default_rng(5)
-    made = bench.simulate_motion(GAP_RAD, MOTION, sampling_hz=250.0, seed=seed, name=name)
+    made = bench.simulate(GAP_RAD, MOTION, sampling_hz=250.0, seed=seed, name=name)
     at = bench.vector(gap_rad=load_gap_rad, start_angle_rad=MOTION.start_angle_rad)
     states = simulate_motions(at, MOTION, made.samples, 250.0, states=True)[0]
     step = 2.0 * np.pi / 2**19

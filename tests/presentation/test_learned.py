@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.groups import diagnosis_tree
@@ -16,8 +16,10 @@ from bayesbl.presentation.diagnosis import headline, learned
 from bayesbl.presentation.figures.diagnosis import learned_course
 
 TURN = 2.0 * math.pi
-TORQUE = LearnedTorque("motor", "motor_angle", TURN, 0.0, (0.02, 0.0), (0.01, 0.03))
-ERROR = EncoderError(TURN, (3e-4, 0.0, 0.0, 1e-4), (0.0, 2e-4, 0.0, 0.0))
+TORQUE = LearnedTerm("motor", "motor_angle", TURN, 0.0, (0.02, 0.0), (0.01, 0.03))
+ERROR = LearnedTerm(
+    "encoder", "motor_angle", TURN, 0.0, (3e-4, 0.0, 0.0, 1e-4), (0.0, 2e-4, 0.0, 0.0)
+)
 
 
 def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:

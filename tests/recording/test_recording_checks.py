@@ -223,12 +223,10 @@ def test_a_part_at_another_speed_is_named_with_its_time_range(example: Recording
         checks.require_one_speed(with_speed(example, slow * example.motor_speed_rpm))
 
 
-@pytest.mark.parametrize(
-    ("channel", "how"), [("motor_position_rad", "evenly"), ("motor_current_a", "never stays")]
-)
-def test_what_is_no_speed_is_said_to_be_none(example: Recording, channel: str, how: str) -> None:
+@pytest.mark.parametrize("channel", ["motor_position_rad", "motor_current_a"])
+def test_what_is_no_speed_is_asked_for_its_column(example: Recording, channel: str) -> None:
     exchanged = replace(example, channels={"motor_speed_rpm": example.channels[channel]})
-    with pytest.raises(RecordingError, match=f"does not look like a speed.*{how}"):
+    with pytest.raises(RecordingError, match="is this another column"):
         checks.require_one_speed(exchanged)
 
 

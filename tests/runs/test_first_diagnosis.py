@@ -10,7 +10,7 @@ import pytest
 from bayesbl.bench.bench import Bench
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.config.loading import dump_config, load_config
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (

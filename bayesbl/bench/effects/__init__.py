@@ -7,17 +7,22 @@ that no other file holds a list of them. To add one: ``docs/extending.md``.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import ORDER, Effect
+from bayesbl.bench.effect_declaration import ORDER, Effect, EffectParameter
 from bayesbl.bench.kernel import OVER_LOAD_ANGLE, OVER_MOTOR_ANGLE, OVER_SPEED, OVER_TIME, Slot
 from bayesbl.declared import declared
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import FloatArray
+
+if TYPE_CHECKING:
+    from bayesbl.bench.bench import Bench
 
 EFFECTS: tuple[Effect, ...] = tuple(
     sorted(declared(sys.modules[__name__], Effect), key=lambda effect: effect.place)
@@ -120,3 +125,52 @@ def turn_with_the_motor(matrix: FloatArray) -> bool:
     learned &= matrix[:, Slot.learned_torque__variable] == OVER_MOTOR_ANGLE
     learned |= matrix[:, Slot.encoder_error__orders] != 0.0
     return bool(np.any(matrix[:, _WITH_MOTOR_ANGLE] != 0.0) or np.any(learned))
+
+
+# How large a joint is beside the one that the ranges are made for: a motor of 20 N m has ten times
+# the friction of one of 2 N m. What is sought in N m or rad/s goes with torques and speed; angles,
+# times and pure numbers stay as they are.
+GRAVITY_TORQUE_NM = 425.0
+SHAFT_STIFFNESS_NM_PER_RAD = 1.2e5
+GEAR_RATIO = 120.0
+REFERENCE_SPEED_RPM = 2000.0
+"""Of the reference bench."""
+
+_POWERS = {
+    "": (0, 0),
+    "rad": (0, 0),
+    "rad²": (0, 0),
+    "s": (0, 0),
+    "N m": (1, 0),
+    "N m/s": (1, 0),
+    "N m/rad³": (1, 0),
+    "N m s/rad": (1, -1),
+    "N m s²/rad²": (1, -2),
+    "rad/(N m)": (-1, 0),
+    "kg m²": (1, -2),
+    "rad/s": (0, 1),
+    "s/rad": (0, -1),
+}
+"""Of torque and speed in each unit."""
+
+
+def search_scale(bench: Bench, effect: Effect, parameter: EffectParameter) -> float:
+    """By what the range and the grid of a catalogue's parameter are multiplied on a bench, a pure
+    number: 1 on the reference bench.
+
+    The torque of a joint is that of gravity, or what winds its shaft by as much as on the
+    reference bench, whichever is larger: an upright axis has no gravity.
+    """
+    torque = abs(bench.value("gravity_torque_nm")) / GRAVITY_TORQUE_NM
+    if bench.drive == "two_mass":
+        stiffness = bench.value("shaft_stiffness_nm_per_rad") / SHAFT_STIFFNESS_NM_PER_RAD
+        torque = max(torque, stiffness)
+    torque = torque or 1.0
+    speed = abs(bench.value("reference_speed_rpm")) / REFERENCE_SPEED_RPM or 1.0
+    gear = bench.value("gear_ratio") / GEAR_RATIO
+    torque_power, speed_power = _POWERS[parameter.unit]
+    if effect.enters == "motor":
+        torque /= gear
+    else:
+        speed /= gear
+    return math.pow(torque, torque_power) * math.pow(speed, speed_power)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import Amplitude, Effect, RigidLaw
+from bayesbl.bench.effect_declaration import Effect, EffectParameter, RigidLaw
 from bayesbl.recording.types import FloatArray
 
 
@@ -26,7 +26,7 @@ BACKLASH = Effect(
     sentence="The gap itself, where the nominal bench has none.",
     equation="δ → δ + gap",
     parameters=(
-        Amplitude(
+        EffectParameter(
             "gap_rad",
             "rad",
             "half the clearance, at the load",
@@ -52,8 +52,8 @@ BACKLASH = Effect(
 )
 
 
-def _share(name: str, meaning: str, typical: float) -> Amplitude:
-    return Amplitude(
+def _share(name: str, meaning: str, typical: float) -> EffectParameter:
+    return EffectParameter(
         name,
         "",
         meaning,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import Amplitude, Effect, Law, RigidLaw, Shape
+from bayesbl.bench.effect_declaration import Effect, EffectParameter, Law, RigidLaw, shape
 
-_LAG = Amplitude(
+_LAG = EffectParameter(
     "time_s",
     "s",
     "time constant T",
@@ -64,7 +64,7 @@ SAMPLED_CONTROL = Effect(
     equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = s ω(kT) + (1 − s) (θ_k − θ_{k−1})/T, "
     "held from (k + d) T on",
     parameters=(
-        Amplitude(
+        EffectParameter(
             "period_s",
             "s",
             "period T of the speed controller",
@@ -73,7 +73,7 @@ SAMPLED_CONTROL = Effect(
             not_negative=True,
             sought_from=1e-4,  # at the usual noise shorter ones do not show, and cost time
         ),
-        Shape(
+        shape(
             "delay_periods",
             "",
             "computing and dead time d in periods",
@@ -86,7 +86,7 @@ SAMPLED_CONTROL = Effect(
             # as the periods that a search tries: dead times from 0.4 to 14 ms.
             starts=(0.0, 4.0, 16.0),
         ),
-        Shape(
+        shape(
             "instant_share",
             "",
             "share s of the speed that is read of the instant",
@@ -103,8 +103,8 @@ SAMPLED_CONTROL = Effect(
 _NOTHING: Law = lambda motion, bench, given: np.zeros_like(motion.speed)  # noqa: E731
 
 
-def _skew(name: str, typical: float) -> Amplitude:
-    return Amplitude(
+def _skew(name: str, typical: float) -> EffectParameter:
+    return EffectParameter(
         name,
         "s",
         "time by which this channel lags the true signal",
@@ -143,7 +143,7 @@ SPEED_AVERAGING = Effect(
     sentence="The recorded speed is a mean over the time before each sample.",
     equation="ω_meas(t) = (θ_meas(t) − θ_meas(t − T))/T",
     parameters=(
-        Amplitude(
+        EffectParameter(
             "time_s",
             "s",
             "time T that the speed is averaged over",

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
     ORDER,
     PHASE,
-    Amplitude,
     Effect,
+    EffectParameter,
     Parameters,
-    RigidBench,
     RigidLaw,
     RigidMotion,
     order,
     phase,
 )
 from bayesbl.recording.types import FloatArray
+
+if TYPE_CHECKING:
+    from bayesbl.bench.bench import Bench
 
 # Felt only while the teeth touch. It repeats with the load only if the gear ratio times n is whole.
 GEAR_TRANSMISSION_ERROR = Effect(
@@ -25,7 +29,7 @@ GEAR_TRANSMISSION_ERROR = Effect(
     sentence="The gear passes motion on unevenly, once or more per motor turn.",
     equation="Δθ → Δθ + a sin(n θ_m + φ), Δω → Δω + a n ω_m cos(n θ_m + φ)",
     parameters=(
-        Amplitude(
+        EffectParameter(
             "angle_rad",
             "rad",
             "amplitude a at the load",
@@ -51,7 +55,7 @@ GEAR_TRANSMISSION_ERROR = Effect(
 )
 
 
-def torque_nm(motion: RigidMotion, bench: RigidBench, given: Parameters) -> FloatArray:
+def torque_nm(motion: RigidMotion, bench: Bench, given: Parameters) -> FloatArray:
     """What is taken for acceleration and is not: the encoder's sway, differentiated as the rest."""
     ratio = bench.value("gear_ratio")
     inertia = bench.value("motor_inertia_kg_m2") + bench.value("load_inertia_kg_m2") / ratio**2
@@ -66,7 +70,7 @@ ENCODER_ECCENTRICITY = Effect(
     sentence="The encoder disc sits off centre: the measured angle sways once per motor turn.",
     equation="θ_meas = θ_m + e sin(θ_m + φ), ω_meas = ω_m (1 + e cos(θ_m + φ)), inside the loop",
     parameters=(
-        Amplitude(
+        EffectParameter(
             "angle_rad",
             "rad",
             "amplitude e",

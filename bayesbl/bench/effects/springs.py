@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Amplitude, Effect, Resonance, Shape
+from bayesbl.bench.effect_declaration import Effect, EffectParameter, Resonance, shape
 
 
-def _compliance(meaning: str, high: float, typical: float) -> Amplitude:
-    return Amplitude(
+def _compliance(meaning: str, high: float, typical: float) -> EffectParameter:
+    return EffectParameter(
         "compliance_rad_per_nm",
         "rad/(N m)",
         f"{meaning}, one over its stiffness",
@@ -16,8 +16,8 @@ def _compliance(meaning: str, high: float, typical: float) -> Amplitude:
     )
 
 
-def _damping(symbol: str, high: float, typical: float) -> Shape:
-    return Shape(
+def _damping(symbol: str, high: float, typical: float) -> EffectParameter:
+    return shape(
         "damping_time_s",
         "s",
         f"damping over stiffness {symbol}",
@@ -42,7 +42,7 @@ BELT = Effect(
     parameters=(
         _compliance("stretch over torque at the motor c_b", high=0.1, typical=0.006),
         _damping("t_b", high=2e-3, typical=2e-4),
-        Shape(
+        shape(
             "reducer_share",
             "",
             "share s of the motor's inertia that is behind the belt",
@@ -80,7 +80,7 @@ ARM = Effect(
     parameters=(
         _compliance("bending over torque c_a", high=2e-4, typical=8e-6),
         _damping("t_a", high=1e-2, typical=1e-3),
-        Shape(
+        shape(
             "inertia_share",
             "",
             "share s of the load's inertia that is behind the spring",
@@ -91,7 +91,7 @@ ARM = Effect(
             positive_scale=True,
             bounded=True,
         ),
-        Shape(
+        shape(
             "gravity_share",
             "",
             "share g of gravity's torque that is behind the spring",
@@ -126,7 +126,7 @@ BASE = Effect(
     parameters=(
         _compliance("turn over torque c_f", high=2e-5, typical=5e-7),
         _damping("t_f", high=1e-2, typical=1e-3),
-        Shape(
+        shape(
             "inertia_kg_m2",
             "kg m²",
             "inertia of the base J_f about the joint's axis",

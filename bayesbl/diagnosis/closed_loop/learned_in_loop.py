@@ -16,14 +16,7 @@ from typing import Literal
 import numpy as np
 
 from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned import (
-    EncoderError,
-    LearnedTerm,
-    LearnedTorque,
-    Side,
-    Variable,
-    waves_over,
-)
+from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable, waves_over
 from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.prediction import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
@@ -74,18 +67,12 @@ class Series:
     orders: int = LEARNED_HARMONICS
     size: float = 0.0
 
-    @property
-    def kind(self) -> type[LearnedTerm]:
-        """Torque or error of the encoder."""
-        return EncoderError if self.side == EncoderError.side else LearnedTorque
-
     def term(self, coefficients: FloatArray) -> LearnedTerm:
         """With these coefficients: the constant, which no encoder has, cosines, sines."""
         constant, *waves = map(float, coefficients)
         cosine, sine = tuple(waves[: self.orders]), tuple(waves[self.orders :])
-        if self.side == "encoder":
-            return EncoderError(self.period, cosine, sine)
-        return LearnedTorque(
+        constant = 0.0 if self.side == ENCODER else constant
+        return LearnedTerm(
             self.side, self.variable, self.period, constant, cosine, sine, self.reverses
         )
 
@@ -97,7 +84,7 @@ class Series:
     @property
     def free(self) -> list[int]:
         """Places of what is fitted: beside a zero of its own a constant is an offset."""
-        without_constant = self.own_zero or self.side == EncoderError.side
+        without_constant = self.own_zero or self.side == ENCODER
         return list(range(int(without_constant), 2 * self.orders + 1))
 
     @property
@@ -115,21 +102,21 @@ class Learned:
     ----------
     explanation
         With the coefficients among its unknowns.
-    kind
-        Torque or error of the encoder.
+    block
+        Whether it is a torque or an error of the encoder.
     alike
         Other variables or sides that the recordings do not tell from it.
     """
 
     explanation: Explanation
-    kind: type[LearnedTerm]
+    block: str
     alike: tuple[LearnedTerm, ...]
 
     @property
     def term(self) -> LearnedTerm:
         """As fitted, with standard deviations."""
         found = learned_terms(self.explanation.fit)
-        return next(term for term in found if isinstance(term, self.kind))
+        return next(term for term in found if term.block == self.block)
 
     @property
     def gap_share(self) -> float:
@@ -179,7 +166,7 @@ def learned_term(
         every = [
             replace(one, orders=_shown(fit.model, one), size=_typical_size(near.fit, one))
             for one in _series(remaining, motor_angle_known)
-            if one.kind.block not in known
+            if one.nothing.block not in known
         ]
         odds = math.log(EXPECTED_HYPOTHESES / max(1, len(every)))
         for series, sizes in _promised(near.with_derivatives(), every):
@@ -187,7 +174,7 @@ def learned_term(
                 made = _fitted(base, series, sizes)
                 evidence = weighed(made, noise=noise).log_evidence - without + odds
                 evidence += _log_prior(made.fit, fit.point.size)
-                fitted.append((evidence, Learned(made, series.kind, ())))
+                fitted.append((evidence, Learned(made, series.nothing.block, ())))
     fitted.sort(key=lambda one: -one[0])
     if not fitted or fitted[0][0] < -math.log1p(-NAMED_AT):
         return None
@@ -365,11 +352,11 @@ def _fitted(base: Explanation, series: Series, sizes: FloatArray) -> Explanation
         whole = abs(2.0 * math.pi / period % 1.0) < 1e-6
         if not (series.variable == "motor_angle" and whole):
             half = 0.5 * WHOLE * period
-            unknowns.append(Unknown(series.kind.period_slot, period - half, period + half))
+            unknowns.append(Unknown(series.nothing.period_slot, period - half, period + half))
             start.append(period)
         for seen, shift in zip(model.recordings[1:], shifts[1:], strict=True):
             reach = 1.5 * period
-            unknowns.append(Unknown(series.kind.shift_slot, -reach, reach, recording=seen.name))
+            unknowns.append(Unknown(series.nothing.shift_slot, -reach, reach, recording=seen.name))
             start.append((shift + 0.5 * period) % period - 0.5 * period)
     extended = _with(model, series, unknowns)
     own = base.fit.point.size

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.flank_change import heaviest, require_flank_change
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.bench.bench import Bench, heaviest, require_flank_change
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.closed_loop.diagnosis import MOST_EFFECTS, diagnosis_of, search
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.task import (
@@ -34,8 +33,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.progress import StageProgress, of_stage
-from bayesbl.recording.checks import require_alive, require_channels
-from bayesbl.recording.moving import moves
+from bayesbl.recording.checks import moves, require_alive, require_channels
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import EffectParameter, RigidLaw, Shape
+from bayesbl.bench.effect_declaration import EffectParameter, RigidLaw
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
-from bayesbl.bench.learned import LearnedTorque
+from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, Series, candidate_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
@@ -303,7 +303,7 @@ class FreeMotionView:
             for item in effect_named(name).parameters:
                 lower = 0.0 if TORQUE_LAWS[name].not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
-                if isinstance(item, Shape):
+                if not item.is_amplitude:
                     lower, upper = (share * self._speed for share in SHAPE_RANGE)
                 value = start.get(f"{name}.{item.name}", self._first(item))
                 shared[f"{name}.{item.name}"] = (value, lower, upper)
@@ -312,7 +312,7 @@ class FreeMotionView:
     def _first(self, parameter: EffectParameter) -> float:
         """A small share of the torques at work: where a search for an effect starts."""
         speed = self._speed
-        if isinstance(parameter, Shape):
+        if not parameter.is_amplitude:
             return 0.3 * speed
         torque = self._torque
         scales = {
@@ -367,7 +367,7 @@ class FreeMotionView:
         i: int,
         effects: tuple[str, ...],
         values: Values,
-        torque: LearnedTorque | None = None,
+        torque: LearnedTerm | None = None,
     ) -> FloatArray:
         piece = self.pieces[i]
         try:
@@ -382,7 +382,7 @@ class FreeMotionView:
         i: int,
         effects: tuple[str, ...],
         values: Values,
-        torque: LearnedTorque | None = None,
+        torque: LearnedTerm | None = None,
     ) -> FloatArray:
         piece = self.pieces[i]
         settings = {name: values[name] for name in self.unknown}

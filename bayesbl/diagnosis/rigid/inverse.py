@@ -30,8 +30,8 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, RigidLaw, direction
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
-from bayesbl.bench.learned import LearnedTorque, Variable, variable_of
-from bayesbl.config.diagnose import DiagnoseConfig
+from bayesbl.bench.learned import Variable, variable_of
+from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.diagnosis.comparison import (
     AffineModel,
     Candidate,
@@ -82,7 +82,7 @@ from bayesbl.diagnosis.task import (
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
-from bayesbl.recording.lost_samples import widened
+from bayesbl.recording.repairs import widened
 from bayesbl.recording.types import (
     LOAD_POSITION,
     MOTOR_CURRENT,
@@ -102,7 +102,7 @@ def _laws(every: Iterable[tuple[Effect, RigidLaw | None]]) -> Mapping[str, Rigid
     for effect, law in every:
         if law is not None:
             amplitude = effect.parameter(law.amplitude)
-            not_negative = law.not_negative or getattr(amplitude, "not_negative", False)
+            not_negative = law.not_negative or amplitude.not_negative
             found[effect.name] = replace(law, not_negative=not_negative)
     return MappingProxyType(found)
 
@@ -857,7 +857,6 @@ class InverseView:
         if any(effect_named(e.name).is_periodic and PHASE not in e.parameters for e in effects):
             return None
         assert answer.learned is not None
-        assert isinstance(answer.learned.term, LearnedTorque)
         bench = replace(self.bench, learned_torque=answer.learned.term)
         fitted = {k: v.value for k, v in answer.bench_parameters.items()}
         return bench.with_parameters(**fitted).with_effects(*bench.effects, *effects)

@@ -26,6 +26,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation
 
+from bayesbl.bench.effect_declaration import RigidMotion
 from bayesbl.errors import RecordingError
 from bayesbl.recording.types import (
     MOTOR_POSITION,
@@ -96,22 +97,14 @@ class LowPass:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """Motion of the motor, each of shape (n,), SI.
+class Motion(RigidMotion):
+    """Motion of the motor as it was measured, each of shape (n,), SI.
 
-    ``sway`` is d²/dt² exp(i θ_m), differentiated as the rest: what an eccentric encoder adds.
     ``source``: ``position`` or ``speed``, whichever the derivatives come from; from speed alone the
-    angle is its integral, known but for where it starts. ``friction_width``: speed over which dry
-    friction changes its sign, rad/s; 0 for a sign that jumps.
+    angle is its integral, known but for where it starts.
     """
 
-    time_s: FloatArray
-    angle: FloatArray
-    speed: FloatArray
-    acceleration: FloatArray
-    sway: ComplexArray
-    source: str
-    friction_width: float = 0.0
+    source: str = "position"
 
     def shifted(self, time_s: float) -> Motion:
         """The motion as it was ``time_s`` earlier; the ends stand still beyond the recording.
@@ -151,7 +144,7 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
         angle, speed = low_pass(position), low_pass.derivative(position)
         acceleration = low_pass.derivative(position, 2)
         sway = _sway(angle, low_pass)
-        return Motion(recording.time_s, angle, speed, acceleration, sway, "position")
+        return Motion(recording.time_s, angle, speed, acceleration, sway)
     measured = recording.channels.get(MOTOR_SPEED)
     if measured is None:
         raise RecordingError(
@@ -164,7 +157,8 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     smooth = low_pass(speed)
     angle = np.asarray(cumulative_trapezoid(smooth, dx=period, initial=0.0))
     acceleration = low_pass.derivative(speed)
-    return Motion(recording.time_s, angle, smooth, acceleration, _sway(angle, low_pass), "speed")
+    sway = _sway(angle, low_pass)
+    return Motion(recording.time_s, angle, smooth, acceleration, sway, source="speed")
 
 
 def _sway(angle: FloatArray, low_pass: LowPass) -> ComplexArray:

@@ -64,8 +64,7 @@ from bayesbl.model_search.linear import (
     search,
 )
 from bayesbl.progress import StageProgress
-from bayesbl.recording.checks import require_channels
-from bayesbl.recording.moving import is_one_speed
+from bayesbl.recording.checks import is_one_speed, require_channels
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, BoolArray, ComplexArray, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 

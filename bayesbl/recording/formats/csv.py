@@ -47,8 +47,15 @@ def read_csv(file: Path, data: bytes) -> ArrayTable:
         If it is not text, or holds no table or no sample. Nothing of it is quoted before its lines
         have proved to be numbers.
     """
-    from bayesbl.recording.event_log import form_of_events, read_events
-    from bayesbl.recording.text_table import EXPECTED, layout_of, lines_of, middle_of, table_of_text
+    from bayesbl.recording.text_table import (
+        EXPECTED,
+        form_of_events,
+        layout_of,
+        lines_of,
+        middle_of,
+        read_events,
+        table_of_text,
+    )
 
     for begin in range(0, len(data), _LONGEST_LINE):
         part = data[begin : begin + _LONGEST_LINE]

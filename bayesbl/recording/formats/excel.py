@@ -54,8 +54,7 @@ def _check_size(file: Path, data: bytes) -> None:
 
 def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
     """A sheet, as the text that it would be: numbers of cells with all their digits."""
-    from bayesbl.recording.array_table import Group
-    from bayesbl.recording.cells import decimal_mark, number_in
+    from bayesbl.recording.array_table import Group, decimal_mark, number_in
     from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of_text
 
     rows = list(_rows(file, sheet))
