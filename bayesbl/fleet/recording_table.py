@@ -74,6 +74,10 @@ class RecordingTable:
     def __len__(self) -> int:
         return int(self._rows.num_rows)
 
+    def rows(self) -> list[dict[str, Any]]:
+        """All of them."""
+        return list(self._rows.to_pylist())
+
     def holds_measured(self, **wanted: str) -> bool:
         """Whether a recording was measured here, and could be used, whose row has these values."""
         return bool(self._outcomes(device=None, **wanted) - UNUSABLE)
