@@ -1,15 +1,11 @@
 """A broker of messages (MQTT 5): where it is, who we are to it, what it says when it refuses.
 
-What a device has to say waits on its disk until ``collect`` says that it is stored.
-
-A broker carries it; that it has taken a message says nothing: another client may have asked
-for the topic, and a broker may lose what it holds. So each message is known by its SHA-256, which
-``collect`` sends back once its row is on the disk; until then the message is sent again, each time
-after twice as long, so that few copies of it wait at a broker while ``collect`` is away.
+A device sends its answers to it, and it keeps them for ``collect``.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import queue
@@ -20,7 +16,7 @@ import threading
 import time
 import tomllib
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,10 +24,10 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
 from bayesbl.errors import BrokerError, ConfigError
-from bayesbl.fleet.message import REPLIES, name_of, replies
+from bayesbl.fleet.message import encoded_answer
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import read_input
-from bayesbl.results.atomic import PrivateFolder
+from bayesbl.results.atomic import replacing
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -105,7 +101,6 @@ def read_address(url: str) -> Address:
     if parts.scheme not in PORTS or not host:
         raise ConfigError("This is no address of a broker.", where="URL", expected=_EXPECTED)
     wrong = not topic or topic.startswith("$") or any(sign in topic for sign in "+#\0")
-    wrong |= topic.rpartition("/")[2] == REPLIES
     if wrong or parts.query or parts.fragment:
         raise ConfigError(
             "This address names no topic.",
@@ -170,7 +165,8 @@ def stays_known_by(folder: Path) -> str:
     """
     file = folder / _CLIENT
     if not file.is_file():
-        PrivateFolder(folder).write(_CLIENT, f"bayesbl-{uuid.uuid4().hex}".encode(), durable=True)
+        with replacing(file, durable=True) as temporary:
+            temporary.write_text(f"bayesbl-{uuid.uuid4().hex}")
     return file.read_text()
 
 
@@ -257,106 +253,53 @@ class OnlyOnce:
 NOBODY_LISTENS = 16
 """MQTT 5's reason code where no client, present or away, has asked for the topic."""
 
-FIRST_AGAIN_S, LONGEST_AGAIN_S = 600.0, 6 * 3600.0
-"""After which a message is sent again; doubled each time."""
-
-EXPIRES_S = 7 * 24 * 3600
-"""After which a broker may forget a copy: some 30 of them are there at most."""
-
-REPLY_S = 5.0
-"""For which a run that ends by itself waits for ``collect``, once the broker has all."""
+SEND_ALL_AFTER_S = 7 * 24 * 3600.0
+"""After which a device sends all of its answers again, and a broker may forget a copy."""
 
 _POLL_S = 0.5
-_DIGITS = 12
-_WAITING, _ASIDE, _SENT_FILE = ".json", ".refused", "sent"
-
-Again = dict[str, tuple[float, float]]
-"""By file: when it is sent again, in seconds since 1970, and how long after the last time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Outbox:
-    """Messages that wait, a file each, numbered in the order in which they are to be sent.
-
-    Attributes
-    ----------
-    device
-        What this device calls itself in each of them.
-    """
-
-    folder: PrivateFolder
-    device: str
-
-    def put(self, message: bytes, subject: str) -> None:
-        """Keep a message, unless it waits already; it is on the disk when this returns.
-
-        An older one of the same subject goes: sent once more, it would take the newer one's place.
-
-        Raises
-        ------
-        OSError
-            If the disk is full, or the folder cannot be written for another reason.
-        """
-        waiting, name = self.waiting(), name_of(message)
-        if not any(_name_in(file) == name for file in waiting):
-            number = int(waiting[-1][:_DIGITS]) + 1 if waiting else 1
-            about = name_of(subject.encode())[:_DIGITS]
-            file = f"{number:0{_DIGITS}d}-{about}-{name}{_WAITING}"
-            self.folder.write(file, message, durable=True)
-            for older in waiting:
-                if f"-{about}-" in older:
-                    self.folder.delete(older)
-
-    def waiting(self) -> list[str]:
-        """Files of all messages that wait, the oldest first."""
-        return sorted(name for name in self.folder.entries() if name.endswith(_WAITING))
-
-    def sent(self) -> Again:
-        """What the broker has taken, as far as that was kept."""
-        try:
-            kept = json.loads(self.folder.read(_SENT_FILE))
-            return {str(file): (float(due), float(pause)) for file, (due, pause) in kept.items()}
-        except (OSError, ValueError, TypeError, AttributeError):
-            return {}
-
-    def settle(self, stored: set[str], refused: set[str]) -> int:
-        """Forget what is stored, set aside what was refused; how many of these there are now."""
-        aside = [file for file in self.waiting() if _name_in(file) in refused]
-        for file in aside:
-            self.folder.write(file.removesuffix(_WAITING) + _ASIDE, self.folder.read(file))
-        for file in self.waiting():
-            if _name_in(file) in stored | refused:
-                self.folder.delete(file)
-        return len(aside)
-
-
-def _name_in(file: str) -> str:
-    return file.rpartition("-")[2].removesuffix(_WAITING)
+_SENT = "sent.json"
 
 
 class Sender:
-    """Sends what waits in an outbox, in order and until it is stored; connects by itself."""
+    """Sends the answers of a device, each until a broker has taken it; connects by itself.
+
+    That a broker has taken an answer does not say that it reaches ``collect``: another client may
+    have asked for the topic, and a broker may lose what it holds. So all are sent again each week,
+    and at once to a broker that has lost what it knew; ``collect`` keeps each once.
+
+    Parameters
+    ----------
+    folder
+        Where it keeps its name and what it has sent.
+    """
 
     def __init__(
         self,
-        outbox: Outbox,
+        folder: Path,
         address: Address,
         credentials: Credentials,
         say: Callable[[str], None],
     ) -> None:
-        self._outbox, self._address, self._say = outbox, address, OnlyOnce(say)
-        self._client = make_client(address, credentials, outbox.device, acknowledge_by_hand=False)
-        self._client.on_publish = self._on_publish
+        self._file, self._device = folder / _SENT, stays_known_by(folder)
+        self._address, self._say = address, OnlyOnce(say)
+        self._client = make_client(address, credentials, self._device, acknowledge_by_hand=False)
+        self._client.on_publish = lambda client, data, mid, reason, more: self._taken.put(reason)
         self._client.on_connect = self._on_connect
-        self._client.on_subscribe = self._on_subscribe
-        self._client.on_message = self._on_message
         self._client.on_connect_fail = self._on_connect_fail
-        self._answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._again = outbox.sent()
-        self._taken: set[str] = set()
-        self._listening = threading.Event()
+        self._answers: dict[tuple[str, str], tuple[str, bytes]] = {}
+        self._taken: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._sent, self._since_s = self._kept()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def offer(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Answers to send; a newer one of the same file takes the place of an older."""
+        for row in rows:
+            if row["device"] is not None:
+                continue  # of another, that was collected here
+            message = encoded_answer(row, self._device)
+            name = hashlib.sha256(message).hexdigest()
+            self._answers[row["joint"], row["file"]] = name, message
 
     def start(self) -> None:
         """Begin to connect and to send."""
@@ -367,61 +310,43 @@ class Sender:
         self._thread.start()
 
     def stop(self, wait_s: float = 0.0) -> int:
-        """End, once nothing waits or after a time; how many messages are not stored yet.
-
-        The time is for the broker; where it has them all, ``collect`` is waited for less long.
-        """
+        """End, once nothing waits or after a time; how many answers wait still."""
         end = time.monotonic() + wait_s
-        taken_until = time.monotonic() + REPLY_S
-        while (waiting := self._outbox.waiting()) and time.monotonic() < end:
-            if any(self._is_due(file) for file in waiting if file not in self._taken):
-                taken_until = time.monotonic() + REPLY_S
-            elif time.monotonic() > taken_until:
-                break
+        while self._waiting() and time.monotonic() < end:
             time.sleep(0.05)
         self._stop.set()
         self._thread.join()
-        with suppress(OSError):  # what is lost of it is sent once more
-            self._outbox.folder.write(_SENT_FILE, json.dumps(self._again).encode())
         self._client.disconnect()
         self._client.loop_stop()
-        return len(self._outbox.waiting())
+        self._keep()
+        return len(self._waiting())
+
+    def _waiting(self) -> list[tuple[str, bytes]]:
+        return [one for one in list(self._answers.values()) if one[0] not in self._sent]
 
     def _run(self) -> None:
         pause = FIRST_WAIT_S
         while not self._stop.is_set():
-            waiting = self._outbox.waiting()
-            self._again = {file: self._again[file] for file in waiting if file in self._again}
-            due = [file for file in waiting if self._is_due(file)]
-            if not due or not self._listening.wait(_POLL_S):
+            if not 0.0 <= time.time() - self._since_s < SEND_ALL_AFTER_S:  # a clock may be set
+                self._sent, self._since_s = set(), time.time()
+            waiting = self._waiting()
+            if not waiting:
                 self._stop.wait(_POLL_S)
-            elif self._sent(min(due, key=self._due_s)):
+            elif self._is_taken(*waiting[0]):
                 pause = FIRST_WAIT_S
+                if len(waiting) == 1:
+                    self._keep()
             else:
                 self._stop.wait(pause)
                 pause = min(2 * pause, LONGEST_WAIT_S)
 
-    def _due_s(self, file: str) -> float:
-        """When a message is to be sent: the oldest first of those that have not been."""
-        return self._again.get(file, (0.0, 0.0))[0]
-
-    def _is_due(self, file: str) -> bool:
-        now = time.time()
-        return not now < self._due_s(file) <= now + LONGEST_AGAIN_S  # a clock may be set
-
-    def _sent(self, file: str) -> bool:
-        """Whether the broker has taken a message; it is waited for however long that takes."""
-        _, last_s = self._again.get(file, (0.0, 0.0))
-        next_s = min(max(2.0 * last_s, FIRST_AGAIN_S), LONGEST_AGAIN_S)
-        try:
-            message = self._outbox.folder.read(file)
-        except FileNotFoundError:
-            return True  # it has just been stored
-        forgotten = _properties("PUBLISH", MessageExpiryInterval=EXPIRES_S)
-        self._client.publish(self._address.topic, message, qos=1, properties=forgotten)
+    def _is_taken(self, name: str, message: bytes) -> bool:
+        """Whether the broker has taken an answer; it is waited for however long that takes."""
+        expires = _properties("PUBLISH", MessageExpiryInterval=int(SEND_ALL_AFTER_S))
+        self._client.publish(self._address.topic, message, qos=1, properties=expires)
         while not self._stop.is_set():
             try:
-                reason = self._answers.get(timeout=_POLL_S)
+                reason = self._taken.get(timeout=_POLL_S)
             except queue.Empty:
                 continue
             if reason.value == NOBODY_LISTENS:
@@ -434,45 +359,28 @@ class Sender:
                 self._say(f"The broker refuses {self._address.in_words}: {reason}. Answers wait.")
                 return False
             self._say(f"Answers go to {self._address.in_words}.")
-            self._again[file] = time.time() + next_s, next_s
-            self._taken.add(file)
+            self._sent.add(name)
             return True
         return False
 
-    # Called by paho's thread, which holds locks that publish() takes: nothing is published here.
-    def _on_publish(
-        self, client: object, data: object, mid: int, reason: Any, more: object
-    ) -> None:
-        self._answers.put(reason)
+    def _kept(self) -> tuple[set[str], float]:
+        """Names of what was sent, and since when; what is lost of it is sent once more."""
+        try:
+            kept = json.loads(self._file.read_bytes())
+            return set(map(str, kept["sent"])), float(kept["since_s"])
+        except (OSError, ValueError, TypeError, KeyError):
+            return set(), time.time()
 
-    def _on_message(self, client: object, data: object, message: Any) -> None:
-        # A disk that fails costs nothing but another copy of what is stored.
-        with suppress(OSError):
-            refused = self._outbox.settle(*replies(bytes(message.payload)))
-            if refused:
-                self._say(
-                    f"`bayesbl collect` could not use {refused} of the answers; they are set aside "
-                    f"in {self._outbox.folder.path}. Are both of one version?"
-                )
+    def _keep(self) -> None:
+        sent = self._sent.intersection(name for name, _ in self._answers.values())
+        with suppress(OSError), replacing(self._file) as file:
+            file.write_text(json.dumps({"since_s": self._since_s, "sent": sorted(sent)}))
 
     def _on_connect(self, client: Any, data: object, flags: Any, reason: Any, more: object) -> None:
         if reason.is_failure:
             self._say(f"The broker does not let us in: {reason}. Answers wait.")
-        else:
-            if not flags.session_present:  # the broker has lost what it knew
-                self._again = {}
-            client.subscribe(f"{self._address.topic}/{REPLIES}", qos=1)
-
-    def _on_subscribe(
-        self, client: object, data: object, mid: int, reasons: list[Any], more: object
-    ) -> None:
-        if reasons[0].is_failure:
-            self._say(
-                f"The broker does not let us read {self._address.topic}/{REPLIES}, where `bayesbl "
-                f"collect` says what it has stored: {reasons[0]}. Answers wait."
-            )
-        else:
-            self._listening.set()
+        elif not flags.session_present:  # the broker has lost what it knew
+            self._sent = set()
 
     def _on_connect_fail(self, client: object, data: object) -> None:
         self._say(f"{unreachable(self._address, sys.exception())} Answers wait until it can.")

@@ -1,12 +1,11 @@
-"""Messages between devices and ``collect``: JSON of one schema, which says what device it is from.
+"""Messages of devices to ``collect``: a row of ``recordings.parquet`` each, as JSON.
 
-A device sends rows of ``recordings.parquet``. Whatever may come from a network is checked: what
-``watch`` cannot have written is refused with its reason.
+Whatever may come from a network is checked: what ``watch`` cannot have written is refused with its
+reason.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import re
@@ -25,15 +24,6 @@ SCHEMA = 2
 LARGEST_MESSAGE_BYTES = 1_000_000
 """An answer takes some 1,200 bytes."""
 
-ANSWER = "recording"
-"""Kind of a message that holds a row."""
-
-STORED, REFUSED = "stored", "refused"
-"""What ``collect`` answers: SHA-256 of messages that it has stored, and of those set aside."""
-
-REPLIES = "stored"
-"""Last level of the topic that ``collect`` answers on, below that of a message."""
-
 LONGEST_TEXT = 10_000
 
 LARGEST_RPM = 1e6
@@ -47,53 +37,6 @@ _GAP = (
     *QUANTILE_COLUMNS,
 )
 _AMPLITUDE = ("amplitude_rpm_low", "amplitude_rpm_high")
-
-
-def encoded(kind: str, given: object, device: str) -> bytes:
-    """A message of a kind."""
-    return json.dumps({"schema": SCHEMA, "device": device, kind: given}, allow_nan=False).encode()
-
-
-def name_of(message: bytes) -> str:
-    """SHA-256 of a message, by which it is known to both sides."""
-    return hashlib.sha256(message).hexdigest()
-
-
-def replies(message: bytes) -> tuple[set[str], set[str]]:
-    """Names of messages that are stored, and of those that were refused; none if it is no reply."""
-    try:
-        kind, given, _ = decoded(message)
-    except ValueError:
-        return set(), set()
-    names = {name for name in given if isinstance(name, str)} if isinstance(given, list) else set()
-    return (names if kind == STORED else set()), (names if kind == REFUSED else set())
-
-
-def decoded(message: bytes) -> tuple[str, Any, str]:
-    """Kind and content of a message, and the device that it is from.
-
-    Raises
-    ------
-    ValueError
-        If it is none, with a reason that may be printed.
-    """
-    if len(message) > LARGEST_MESSAGE_BYTES:
-        raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
-    try:
-        content = json.loads(message, parse_constant=_no_number, object_pairs_hook=_once)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
-        raise ValueError("it is no JSON") from None
-    except ValueError as error:  # of a number with thousands of digits, also
-        raise ValueError(shortened(str(error), 100)) from None
-    if not isinstance(content, dict) or content.pop("schema", None) != SCHEMA:
-        raise ValueError(f"it is no message of schema {SCHEMA}")
-    device = content.pop("device", None)
-    if not isinstance(device, str) or not _DEVICE.fullmatch(device):
-        raise ValueError("it does not say which device it is from")
-    if len(content) != 1:
-        raise ValueError("it has other parts than schema, device and one more")
-    ((kind, given),) = content.items()
-    return kind, given, device
 
 
 def _no_number(text: str) -> NoReturn:
@@ -114,7 +57,7 @@ def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
         for name, value in row.items()
         if value is not None and not (isinstance(value, float) and not math.isfinite(value))
     }
-    return encoded(ANSWER, given, device)
+    return json.dumps({"schema": SCHEMA, "device": device, "recording": given}).encode()
 
 
 def _column(name: str, kind: str) -> Any:
@@ -156,11 +99,23 @@ def decoded_answer(message: bytes) -> dict[str, Any]:
     ValueError
         If it is no answer, or something in it cannot be, with a reason that may be printed.
     """
-    kind, given, device = decoded(message)
-    if kind != ANSWER:
-        raise ValueError(f"there is no message of the kind {shortened(kind)!r}")
+    if len(message) > LARGEST_MESSAGE_BYTES:
+        raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
     try:
-        found = _Row.model_validate(given)
+        content = json.loads(message, parse_constant=_no_number, object_pairs_hook=_once)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        raise ValueError("it is no JSON") from None
+    except ValueError as error:  # of a number with thousands of digits, also
+        raise ValueError(shortened(str(error), 100)) from None
+    if not isinstance(content, dict) or content.pop("schema", None) != SCHEMA:
+        raise ValueError(f"it is no message of schema {SCHEMA}")
+    device = content.pop("device", None)
+    if not isinstance(device, str) or not _DEVICE.fullmatch(device):
+        raise ValueError("it does not say which device it is from")
+    if content.keys() != {"recording"}:
+        raise ValueError("it has other parts than schema, device and recording")
+    try:
+        found = _Row.model_validate(content["recording"])
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))

@@ -17,7 +17,7 @@ from bayesbl.errors import ResultError
 from bayesbl.fleet.inventory import file_of_another
 from bayesbl.fleet.measured_joint import FAILED, REFUSED
 from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RECORDINGS_FILE, require_tables, schema_of
-from bayesbl.results.atomic import locked_sibling, replacing, staging
+from bayesbl.results.atomic import locked_sibling, replacing
 from bayesbl.results.folder import is_finished, require_no_link
 
 if TYPE_CHECKING:
@@ -67,12 +67,14 @@ class RecordingTable:
             )
         with locked_sibling(output, _BESIDE) as beside:
             path = output / RECORDINGS_FILE
-            with staging(path):
-                pass  # what a killed writer left is gone
             yield cls(path, beside, _read(path))
 
     def __len__(self) -> int:
         return int(self._rows.num_rows)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """All of them."""
+        return list(self._rows.to_pylist())
 
     def holds_measured(self, **wanted: str) -> bool:
         """Whether a recording was measured here, and could be used, whose row has these values."""

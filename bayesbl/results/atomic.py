@@ -1,33 +1,26 @@
-"""Files and folders that appear whole or not at all, by one writer at a time, and are ours alone.
+"""Files that appear whole or not at all, and hidden folders that one process at a time holds.
 
-What is being written is in a hidden folder beside its place and is renamed when it is whole. A
-process that is killed leaves at most such a folder, which the next writer of the same place takes:
-one that is still in use is known by a lock, which the system drops with the process.
+What is being written has another name and is renamed when it is whole. What a run keeps until it
+ends is in a hidden folder beside its output: it is locked, which the system ends with the process,
+and the next run into the same output takes it over.
 
 Others may be able to write beside an output folder. So a hidden folder is made for this user alone,
-and one that is there already is used only if it is this user's and nobody else can write it.
+and one that is there already is used only if nobody else can write it.
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
-import secrets
 import shutil
 import stat
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from bayesbl.errors import ResultError
 
-_STAGING = ".staging"
-_REPLACED = ".replaced"
-_PART = ".part"
-_DEAD_AFTER_S = 3600.0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -43,17 +36,31 @@ def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     Raises
     ------
     ResultError
-        If nothing can be written there, what is there is no file, or another process writes it.
+        If nothing can be written there, or what is there is no file.
+    OSError
+        What the system said in the block, a full disk say, of ``path``.
     """
     path = Path(path)
     require_replaceable(path)
-    with staging(path) as new:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=".bayesbl-", dir=path.parent))
+    except OSError as error:
+        raise unwritable(path, error) from None
+    try:
+        new = folder / path.name
         yield new
         if durable:
             _to_disk(new)
         os.replace(new, path)
-    if durable:
-        _to_disk(path.parent)
+        if durable:
+            _to_disk(path.parent)
+    except OSError as error:
+        if error.errno is not None:
+            error.filename = str(path)
+        raise
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def require_replaceable(path: Path) -> None:
@@ -70,49 +77,6 @@ def require_replaceable(path: Path) -> None:
             file=path,
             expected="a new file, or one to replace with --force",
         )
-
-
-@contextmanager
-def staging(path: Path) -> Iterator[Path]:
-    """A place in a hidden folder beside ``path``; what is still there at the end is deleted.
-
-    Raises
-    ------
-    ResultError
-        If no folder can be made there, or another process has it.
-    OSError
-        What the system said in the block, a full disk say, of ``path``: the hidden folder is gone.
-    """
-    with locked_sibling(path, _STAGING) as folder:
-        _tidy(folder, path)
-        try:
-            yield folder / path.name
-        except OSError as error:
-            if error.errno is not None:
-                error.filename = str(path)
-            raise
-        finally:
-            _tidy(folder, path)
-
-
-def restore(path: Path) -> None:
-    """Give a folder its name back if :func:`replace_folder` was killed between its two renames."""
-    if os.path.lexists(sibling(path, _STAGING) / _REPLACED) and not os.path.lexists(path):
-        with staging(path):
-            pass
-
-
-def replace_folder(new: Path, path: Path, require: Callable[[Path], None]) -> None:
-    """Give a folder that was made in :func:`staging` its name, in place of one that has it.
-
-    ``require``: raises if the latter, once nobody finds it by its name, must be kept after all; as
-    wherever this fails or is killed, it then gets its name back.
-    """
-    if path.exists():
-        aside = new.with_name(_REPLACED)
-        path.rename(aside)
-        require(aside)
-    new.rename(path)
 
 
 @contextmanager
@@ -145,102 +109,39 @@ def sibling(output: Path, suffix: str) -> Path:
     return output.with_name(f".{output.name}{suffix}")
 
 
-@dataclass(frozen=True, slots=True)
-class PrivateFolder:
-    """Small files in a folder of this user alone, each whole or absent; made when it is written.
+def make_own(folder: Path) -> None:
+    """A folder of this user alone, made where there is none.
 
-    Every method raises :class:`~bayesbl.errors.ResultError` if it is a link, or others own it or
-    can write it.
+    Raises
+    ------
+    ResultError
+        If what is there may be of somebody else.
+    OSError
+        If no folder can be made.
     """
-
-    path: Path
-
-    def entries(self) -> dict[str, os.stat_result]:
-        """Files by name, none if there is no folder; not what is being written."""
-        return {name: found for name, found in self._files().items() if not name.endswith(_PART)}
-
-    def read(self, name: str) -> bytes:
-        """The content of a file; raises ``OSError`` where there is none."""
-        require_own(self.path)
-        return (self.path / name).read_bytes()
-
-    def write(self, name: str, content: bytes, *, durable: bool = False) -> None:
-        """A file, in place of one that is there.
-
-        Parameters
-        ----------
-        durable
-            As of :func:`replacing`.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with suppress(FileExistsError):
-                self.path.mkdir(0o700)
-        except OSError as error:
-            raise unwritable(self.path, error) from None
-        require_own(self.path)
-        # Several processes may write the same file, each with the same content.
-        part = self.path / f"{secrets.token_hex(8)}{_PART}"
-        try:
-            part.touch(0o600, exist_ok=False)
-            part.write_bytes(content)
-            if durable:
-                _to_disk(part)
-            os.replace(part, self.path / name)
-        except OSError as error:
-            error.filename = str(self.path / name)
-            raise
-        finally:
-            part.unlink(missing_ok=True)
-        if durable:
-            _to_disk(self.path)
-
-    def delete(self, name: str) -> None:
-        """A file; one that is gone already is no error."""
-        require_own(self.path)
-        (self.path / name).unlink(missing_ok=True)
-
-    def tidy(self) -> None:
-        """Delete what writers that were killed have left: nobody writes for so long."""
-        for name, status in self._files().items():
-            if name.endswith(_PART) and time.time() - status.st_mtime > _DEAD_AFTER_S:
-                self.delete(name)
-
-    def clear(self) -> None:
-        """Delete every file, what a killed writer left too."""
-        for name in self._files():
-            self.delete(name)
-
-    def _files(self) -> dict[str, os.stat_result]:
-        found = {}
-        with suppress(FileNotFoundError):
-            require_own(self.path)
-            for entry in os.scandir(self.path):
-                with suppress(FileNotFoundError):
-                    if entry.is_file(follow_symlinks=False):
-                        found[entry.name] = entry.stat()
-        return found
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        folder.mkdir(0o700)
+    require_own(folder)
 
 
 def require_own(folder: Path) -> None:
-    """A folder is of this user alone. Nobody else can exchange it then: its folder is sticky, or
-    whoever can write there could exchange every result too.
+    """Nobody can write in a folder but this user, and whoever could exchange it as a whole.
+
+    That is the owner of the folder above it, and those who may write there unless it is sticky.
 
     Raises
     ------
     FileNotFoundError
         If nothing is there.
     ResultError
-        If it is no folder, or one that others own or can write.
+        If it is no folder, or others can write in it.
     """
-    status = os.lstat(folder)
-    private = status.st_uid == os.geteuid() and not status.st_mode & _OTHERS_WRITE
-    if not stat.S_ISDIR(status.st_mode) or not (private or _is_as_made_here(folder, status)):
+    status, above = os.lstat(folder), os.stat(folder.parent)
+    exchange = 0 if above.st_mode & stat.S_ISVTX else above.st_mode
+    writers = status.st_mode & _OTHERS_WRITE & ~exchange
+    is_ours = status.st_uid in (os.geteuid(), above.st_uid) and not writers
+    if not stat.S_ISDIR(status.st_mode) or not is_ours:
         raise ResultError(
             "This folder may be of somebody else, and is not used.",
             file=folder,
@@ -249,26 +150,11 @@ def require_own(folder: Path) -> None:
         )
 
 
-def _is_as_made_here(folder: Path, status: os.stat_result) -> bool:
-    """Whether a folder that is made beside this one looks the same: some file systems have no
-    owners and no permissions."""
-    try:
-        probe = tempfile.mkdtemp(prefix=".bayesbl-", dir=folder.parent)
-        made = os.lstat(probe)
-        os.rmdir(probe)
-    except OSError:
-        return False
-    return status.st_uid == made.st_uid and not status.st_mode & ~made.st_mode & _OTHERS_WRITE
-
-
 def _locked(folder: Path, output: Path) -> int:
     """A handle that holds the lock of a folder, which is made."""
     while True:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError):
-            folder.mkdir(0o700)
         try:
-            require_own(folder)
+            make_own(folder)
             handle = os.open(folder, os.O_RDONLY)
         except FileNotFoundError:
             continue  # the run that held the lock has removed the folder
@@ -287,18 +173,6 @@ def _locked(folder: Path, output: Path) -> int:
             if os.path.samestat(os.fstat(handle), os.lstat(folder)):
                 return handle
         os.close(handle)
-
-
-def _tidy(folder: Path, path: Path) -> None:
-    """Empty the hidden folder of a path; what was replaced by nothing gets its name back."""
-    aside = folder / _REPLACED
-    if os.path.lexists(aside) and not os.path.lexists(path):
-        aside.rename(path)
-    for entry in os.scandir(folder):
-        if entry.is_dir(follow_symlinks=False):
-            shutil.rmtree(entry, ignore_errors=True)
-        else:
-            os.unlink(entry)
 
 
 def _to_disk(path: Path) -> None:

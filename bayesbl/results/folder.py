@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError, shortened
-from bayesbl.results.atomic import replace_folder, restore, staging, unwritable
+from bayesbl.results.atomic import locked_sibling, sibling, unwritable
 
 
 def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
@@ -106,10 +106,10 @@ FIGURES = "figures"
 AUGMENTED_BENCH = "augmented_bench.toml"
 IDENTIFIED_BENCH = "bench.toml"
 
-_WITHOUT_MANIFEST = frozenset({RESULT_FILE, SUMMARY_FILE, CONFIG_FILE, AUGMENTED_BENCH})
-"""What a result consists of that has none."""
-
 _MADE_LATER = frozenset({MANIFEST_FILE, "report.html", FIGURES})
+
+_STAGING = ".staging"
+_REPLACED = ".replaced"
 
 
 def is_finished(path: str | Path) -> bool:
@@ -130,7 +130,9 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
         a file at this path or above it.
     """
     path = Path(os.path.abspath(path))
-    restore(path)
+    if os.path.lexists(sibling(path, _STAGING) / _REPLACED):
+        with _staging(path):
+            pass  # a run was killed between the two renames of new_result
     require_no_file(path)
     require_no_link(path)
     if not os.path.exists(path):  # Path.exists raises for a name that is too long
@@ -148,12 +150,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
             found=_listed(os.listdir(path)),
             expected="another folder (--out), or --force to replace the result",
         )
-    _require_only_own(path, path)
-
-
-def _require_only_own(folder: Path, path: Path) -> None:
-    """Nothing is in a folder, that has or had this path, but an earlier result."""
-    foreign = _entries(folder) - (_own(folder) if is_finished(folder) else set())
+    foreign = _entries(path) - (_own(path) if is_finished(path) else set())
     if foreign:
         raise ResultError(
             "This folder holds files that are not part of a result, and is left as it is.",
@@ -216,13 +213,40 @@ def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     """
     path = Path(os.path.abspath(path))
     require_free(path, force=force)
-    with staging(path) as folder:
+    with _staging(path) as staging:
+        folder = staging / path.name
         folder.mkdir()
         yield folder
         require_free(path, force=force)
         text = json.dumps({"files": sorted(_entries(folder))}, indent=1, ensure_ascii=False)
         (folder / MANIFEST_FILE).write_text(text + "\n", encoding="utf-8")
-        replace_folder(folder, path, partial(_require_only_own, path=path))
+        if path.exists():
+            path.rename(staging / _REPLACED)
+        folder.rename(path)
+
+
+@contextmanager
+def _staging(path: Path) -> Iterator[Path]:
+    """The hidden folder that the result of a path is made in, empty before and after."""
+    with locked_sibling(path, _STAGING) as folder:
+        _empty(folder, path)
+        try:
+            yield folder
+        except OSError as error:
+            if error.errno is not None:
+                error.filename = str(path)
+            raise
+        finally:
+            _empty(folder, path)
+
+
+def _empty(folder: Path, path: Path) -> None:
+    """Empty a hidden folder; a result that was replaced by nothing gets its name back."""
+    aside = folder / _REPLACED
+    if os.path.lexists(aside) and not os.path.lexists(path):
+        aside.rename(path)
+    for entry in folder.iterdir():
+        shutil.rmtree(entry, ignore_errors=True)
 
 
 def figure_title(name: str) -> str:
@@ -232,7 +256,7 @@ def figure_title(name: str) -> str:
 
 def _own(folder: Path) -> set[str]:
     """What is in a folder that a run has written: its manifest's, and what is drawn later."""
-    files: Collection[str] = _WITHOUT_MANIFEST
+    files: Collection[str] = ()
     with suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
         stored = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))["files"]
         files = [name for name in stored if isinstance(name, str)]

@@ -23,8 +23,9 @@ import json
 import math
 import os
 import platform
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+import tempfile
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import date
 from functools import cache
@@ -35,7 +36,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 
 from bayesbl.errors import ResultError
-from bayesbl.results.atomic import PrivateFolder, locked_sibling, require_own
+from bayesbl.results.atomic import locked_sibling, make_own, require_own, unwritable
 from bayesbl.results.provenance import code_sha256, dependency_versions
 
 T = TypeVar("T")
@@ -140,6 +141,9 @@ def _restored(plain: Any, arrays: Mapping[str, Array]) -> Any:
 
 _UNFINISHED = ".unfinished"
 
+_PART = ".part"
+"""Of what is being written; a writer that is killed leaves it."""
+
 
 def code_identity() -> str:
     """All code that numbers come from: this package's, Python's, the dependencies'."""
@@ -194,7 +198,7 @@ class WorkStore:
     @property
     def holds_work(self) -> bool:
         """Whether there is anything that a later run could go on from."""
-        return bool(self._entries())
+        return bool(self._files())
 
     def get(self, what: str, inputs: object, make: Callable[[], T], kind: type[T]) -> T:
         """Finished work: recalled, or made and kept.
@@ -221,7 +225,8 @@ class WorkStore:
             return None
         key, decoded = self.address_of(what, inputs), decoder(kind)  # type: ignore[arg-type]
         try:
-            head, _, content = PrivateFolder(self.folder).read(key).partition(b"\n")
+            require_own(self.folder)
+            head, _, content = (self.folder / key).read_bytes().partition(b"\n")
             return decoded(content) if head == _head(key, content) else None
         except Exception:
             # What is damaged fails in any way; then the work is made again.
@@ -239,38 +244,58 @@ class WorkStore:
         """
         if self.folder is None:
             return
+        try:
+            make_own(self.folder)
+        except OSError as error:
+            raise unwritable(self.folder, error) from None
         key, content = self.address_of(what, inputs), encoded(value)
-        PrivateFolder(self.folder).write(key, _head(key, content) + b"\n" + content)
+        # Several processes may keep the same work.
+        handle, part = tempfile.mkstemp(_PART, dir=self.folder)
+        try:
+            with open(handle, "wb") as file:
+                file.write(_head(key, content) + b"\n" + content)
+            os.replace(part, self.folder / key)
+        except OSError as error:
+            error.filename = str(self.folder / key)
+            with suppress(OSError):
+                os.unlink(part)
+            raise
 
     def clear(self) -> None:
         """Forget all."""
-        if self.folder is not None:
-            PrivateFolder(self.folder).clear()
+        self._delete(self._files())
 
     def keep_latest(self, *, size_bytes: float = math.inf, count: float = math.inf) -> None:
         """Delete the oldest entries until the others are no more, and take no more, than this."""
-        latest = sorted(self._entries().items(), key=lambda entry: -entry[1].st_mtime_ns)
+        latest = sorted(self._files().items(), key=lambda entry: -entry[1].st_mtime_ns)
         taken, old = 0, []
         for number, (name, status) in enumerate(latest, start=1):
             taken += status.st_size
             if taken > size_bytes or number > count:
                 old.append(name)
-        self._forget(old)
+        self._delete(old)
 
     def keep_only(self, addresses: Collection[str]) -> None:
-        """Forget all but what is under these addresses."""
-        self._forget(self._entries().keys() - set(addresses))
+        """Forget all but what is under these addresses, or is being written."""
+        names = self._files().keys() - set(addresses)
+        self._delete(name for name in names if not name.endswith(_PART))
 
-    def _forget(self, names: Collection[str]) -> None:
+    def _delete(self, names: Iterable[str]) -> None:
         if self.folder is not None:
-            folder = PrivateFolder(self.folder)
-            folder.tidy()
             for name in names:
-                folder.delete(name)
+                (self.folder / name).unlink(missing_ok=True)
 
-    def _entries(self) -> dict[str, os.stat_result]:
+    def _files(self) -> dict[str, os.stat_result]:
         """Files in the folder, by name."""
-        return {} if self.folder is None else PrivateFolder(self.folder).entries()
+        found = {}
+        with suppress(FileNotFoundError):
+            if self.folder is not None:
+                require_own(self.folder)
+                for entry in os.scandir(self.folder):
+                    with suppress(FileNotFoundError):
+                        if entry.is_file(follow_symlinks=False):
+                            found[entry.name] = entry.stat()
+        return found
 
     def address_of(self, what: str, inputs: object) -> str:
         """Where finished work of these inputs is kept."""

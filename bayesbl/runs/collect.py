@@ -1,14 +1,12 @@
 """``bayesbl collect``: what ``watch`` publishes, as rows of one table, each answer once.
 
-When its row is on the disk, a message is acknowledged, and its device is told: a cut at any moment
-loses nothing, and what then comes twice is one row. Of a message that cannot be used the reason is
-said, and its device sets it aside.
+When its row is on the disk, a message is acknowledged: a cut at any moment loses nothing, and what
+then comes twice is one row. Of a message that cannot be used the reason is said.
 """
 
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,15 +25,7 @@ from bayesbl.fleet.broker import (
     stays_known_by,
     unreachable,
 )
-from bayesbl.fleet.message import (
-    LARGEST_MESSAGE_BYTES,
-    REFUSED,
-    REPLIES,
-    STORED,
-    decoded_answer,
-    encoded,
-    name_of,
-)
+from bayesbl.fleet.message import LARGEST_MESSAGE_BYTES, decoded_answer
 from bayesbl.fleet.recording_table import RecordingTable
 
 if TYPE_CHECKING:
@@ -78,7 +68,7 @@ def collect(
     with RecordingTable.opened(output) as table:
         name = stays_known_by(table.beside)
         client = make_client(address, credentials, name, acknowledge_by_hand=True)
-        collecting = _Collecting(client, name, address, table, OnlyOnce(say), say, tell, once)
+        collecting = _Collecting(client, address, table, OnlyOnce(say), say, tell, once)
         client.on_connect = collecting.on_connect
         client.on_subscribe = collecting.on_subscribe
         client.on_message = collecting.on_message
@@ -93,7 +83,6 @@ class _Collecting:
     """One thread: no acknowledgement can meet another connection than its message came by."""
 
     client: Client
-    name: str
     address: Address
     table: RecordingTable
     say: OnlyOnce
@@ -153,12 +142,10 @@ class _Collecting:
     def _store(self) -> None:
         """First on the disk, then acknowledged."""
         rows = []
-        answers: dict[str, dict[str, list[str]]] = defaultdict(lambda: {STORED: [], REFUSED: []})
         for message in self.arrived:
             payload = bytes(message.payload)
             try:
                 rows += self.table.put(decoded_answer(payload))
-                kind = STORED
             except OSError:
                 raise  # the disk's, not the message's
             except Exception as error:
@@ -166,14 +153,7 @@ class _Collecting:
                 told = str(error) if isinstance(error, ValueError) else type(error).__name__
                 size, topic = len(payload), message.topic
                 self.say_always(f"A message of {size} bytes on {topic!r} cannot be used: {told}.")
-                kind = REFUSED
-            answers[message.topic][kind].append(name_of(payload))
         self.table.save()
-        for topic, kinds in answers.items():
-            for kind, names in kinds.items():
-                if names:
-                    reply = encoded(kind, names, self.name)
-                    self.client.publish(f"{topic}/{REPLIES}", reply, qos=1)
         for message in self.arrived:
             self.client.ack(message.mid, message.qos)
         self.arrived.clear()
@@ -184,14 +164,10 @@ class _Collecting:
         self, client: Client, data: object, flags: object, reason: Any, more: object
     ) -> None:
         """Ask for the topic and those below it, as the session may have done before."""
-        from paho.mqtt.subscribeoptions import SubscribeOptions
-
         if reason.is_failure:
             self._refused(str(reason))
         else:
-            client.subscribe(
-                f"{self.address.topic}/#", options=SubscribeOptions(qos=1, noLocal=True)
-            )
+            client.subscribe(f"{self.address.topic}/#", qos=1)
 
     def on_subscribe(
         self, client: Client, data: object, mid: int, reasons: list[Any], more: object
@@ -204,11 +180,8 @@ class _Collecting:
             self.say(f"Waiting for answers from {self.address.in_words}.")
 
     def on_message(self, client: Client, data: object, message: MQTTMessage) -> None:
-        """Keep a message until it is stored; what collectors say is none."""
-        if message.topic.endswith(f"/{REPLIES}"):
-            client.ack(message.mid, message.qos)
-        else:
-            self.arrived.append(message)
+        """Keep a message until it is stored."""
+        self.arrived.append(message)
 
     def _refused(self, reason: str) -> None:
         self.refusal = reason

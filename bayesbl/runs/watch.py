@@ -2,8 +2,8 @@
 
 Each is measured as ``bayesbl fleet`` measures it, and its answer is kept where a fleet of the same
 configuration looks for it. The order of steps makes a cut at any moment harmless: the answer is
-kept by its content, then lies in the outbox, then is a row. A recording without a row is taken up
-again from whichever of these is there, and the same answer sent twice is one row.
+kept by its content, then is a row, then is sent. A recording without a row is taken up again from
+what is kept, and the same answer sent twice is one row.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 
 from bayesbl.config.fleet import FleetConfig
 from bayesbl.errors import ConfigError
-from bayesbl.fleet.broker import Address, Credentials, Outbox, Sender, stays_known_by
+from bayesbl.fleet.broker import Address, Credentials, Sender
 from bayesbl.fleet.inventory import (
     FileState,
     Found,
@@ -38,10 +38,9 @@ from bayesbl.fleet.measured_joint import (
     fits_beside,
     measure_recording,
 )
-from bayesbl.fleet.message import encoded_answer
 from bayesbl.fleet.plant_tables import recording_row
 from bayesbl.fleet.recording_table import RecordingTable
-from bayesbl.results.atomic import PrivateFolder, sibling
+from bayesbl.results.atomic import sibling
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.fleet import KEPT, identity, job_maker
 
@@ -55,8 +54,6 @@ LARGEST_KEPT_BYTES = 500_000_000
 
 LAST_SENT_WAIT_S = 30.0
 """For which a run that ends by itself waits for the broker."""
-
-_OUTBOX = "outbox"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,14 +97,9 @@ def watch(
     config = _with_folder(config, asked.folder)
     joints = {joint.name: joint for joint in read_joints(config.fleet)}
     with RecordingTable.opened(asked.output) as table:
-        outbox = None
-        if asked.publish is not None:
-            outbox = Outbox(PrivateFolder(table.beside / _OUTBOX), stays_known_by(table.beside))
-            outbox.folder.tidy()
         store = WorkStore(sibling(config.run.output, KEPT))
-        measuring = _Measuring(config, joints, table, outbox, store, tell)
-        with _sending(asked, outbox, say):
-            _watch(asked, measuring)
+        with _sending(asked, table, say) as offer:
+            _watch(asked, _Measuring(config, joints, table, store, offer, tell))
 
 
 def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
@@ -131,20 +123,24 @@ def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
 
 
 @contextmanager
-def _sending(asked: Watched, outbox: Outbox | None, say: Callable[[str], None]) -> Iterator[None]:
-    if asked.publish is None or outbox is None:
-        yield
+def _sending(
+    asked: Watched, table: RecordingTable, say: Callable[[str], None]
+) -> Iterator[Callable[[list[dict[str, Any]]], None]]:
+    """All rows are sent, and those that the block gives, if there is an address to send them to."""
+    if asked.publish is None:
+        yield lambda rows: None
         return
-    sender = Sender(outbox, asked.publish, asked.credentials, say)
+    sender = Sender(table.beside, asked.publish, asked.credentials, say)
+    sender.offer(table.rows())
     sender.start()
     wait_s = 0.0
     try:
-        yield
+        yield sender.offer
         wait_s = LAST_SENT_WAIT_S
     finally:
         left = sender.stop(wait_s)
         if left:
-            say(f"Answers that `bayesbl collect` has not stored yet: {left}. They are sent again.")
+            say(f"Answers that the broker has not taken yet: {left}. They are sent again.")
 
 
 def _watch(asked: Watched, measuring: _Measuring) -> None:
@@ -175,8 +171,8 @@ class _Measuring:
     config: FleetConfig
     joints: Mapping[str, Joint]
     table: RecordingTable
-    outbox: Outbox | None
     store: WorkStore
+    offer: Callable[[list[dict[str, Any]]], None]
     tell: Callable[[Mapping[str, Any]], None]
 
     def took(self, one: Found) -> bool:
@@ -226,10 +222,8 @@ class _Measuring:
         row |= identity(one, sha256)
         if self.table.knows(row):
             return
-        if self.outbox is not None:
-            of = f"{row['joint']}\n{row['file']}"
-            self.outbox.put(encoded_answer(row, self.outbox.device), of)
         changed = self.table.put(row)
         self.table.save()
+        self.offer(changed)
         for one_row in changed:
             self.tell(one_row)

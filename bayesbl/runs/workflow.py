@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import RESULT_FILE
-from bayesbl.errors import ConfigError, ResultError, UserError
+from bayesbl.errors import ConfigError, UserError
 from bayesbl.results.atomic import unwritable
 from bayesbl.results.folder import (
     CONFIG_FILE,
@@ -102,11 +102,9 @@ def work_of(config: RunConfig, options: Options) -> Iterator[WorkStore]:
         If the output folder holds a finished result that is not given up, or may not be written.
     """
     output = config.run.output
-    if is_finished(output):
-        with suppress(ResultError), WorkStore.beside(output, fresh=True):
-            pass  # forgets the work of a run that was killed after its result was there
-    require_free(output, force=options.force)
-    with WorkStore.beside(output, fresh=options.force) as work:
+    # A run may have been killed when its result was there, and its work not yet forgotten.
+    with WorkStore.beside(output, fresh=options.force or is_finished(output)) as work:
+        require_free(output, force=options.force)
         yield work
 
 

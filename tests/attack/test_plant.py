@@ -190,11 +190,7 @@ def collected(plant: Path, broker: Broker) -> list[dict[str, object]]:
     return table(plant / "all") if (plant / "all/recordings.parquet").exists() else []
 
 
-def outbox(plant: Path) -> list[Path]:
-    return list((plant / ".watched.growing/outbox").glob("*.json"))
-
-
-def test_another_subscriber_empties_no_outbox(plant, broker):
+def test_what_another_subscriber_got_instead_comes_again(plant, broker):
     """The broker takes what another client has asked for, and ``collect`` gets nothing of it."""
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
@@ -211,16 +207,12 @@ def test_another_subscriber_empties_no_outbox(plant, broker):
         for day in ("2025-01-01", "2025-02-01"):
             put(plant, "J1", day)
         address = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
-        with patch("bayesbl.fleet.broker.REPLY_S", 0.5):
+        watched(plant, publish=address, credentials=ANN)
+        assert len(got) >= 2
+        assert collected(plant, broker) == []
+        with patch("bayesbl.fleet.broker.SEND_ALL_AFTER_S", 1.0):
             watched(plant, publish=address, credentials=ANN)
-            assert len(got) >= 2
-            assert len(outbox(plant)) == 2
-            assert collected(plant, broker) == []
-            (outbox(plant)[0].parent / "sent").unlink()  # some minutes later
-            watched(plant, publish=address, credentials=ANN)
-            assert len(collected(plant, broker)) == 2
-            watched(plant, publish=address, credentials=ANN)
-        assert outbox(plant) == []
+        assert len(collected(plant, broker)) == 2
     finally:
         other.loop_stop()
         other.disconnect()
@@ -241,26 +233,3 @@ def test_two_devices_with_one_joint_name_keep_their_rows(plant, broker, tmp_path
     rows = collected(plant, broker)
     assert len({row["sha256"] for row in rows}) == len({row["device"] for row in rows}) == 2
     assert {row["outcome"] for row in rows} == {"usable"}
-
-
-def test_what_collect_refuses_waits_on_the_device(plant, broker):
-    put(plant, "J1", "2025-01-01")
-    collected(plant, broker)
-    address = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
-    with patch.object(watching, "encoded_answer", lambda row, device: b"of another version"):
-        watched(plant, publish=address, credentials=ANN)
-    assert collected(plant, broker) == []
-    watched(plant, publish=address, credentials=ANN)
-    assert outbox(plant) == []
-    (aside,) = (plant / ".watched.growing/outbox").glob("*.refused")
-    assert aside.read_bytes() == b"of another version"
-
-
-def test_an_outbox_is_readable_by_its_owner_alone(plant, broker):
-    put(plant, "J1", "2025-01-01")
-    address = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
-    with patch.object(watching, "LAST_SENT_WAIT_S", 0.0):
-        watched(plant, publish=address, credentials=ANN)
-    (file,) = outbox(plant)
-    assert file.stat().st_mode & 0o77 == 0
-    assert file.parent.stat().st_mode & 0o77 == 0

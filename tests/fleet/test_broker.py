@@ -24,7 +24,6 @@ def test_addresses_are_read_with_their_usual_ports():
         ("mqtts://b", "names no topic"),
         ("mqtts://b/p/%23", "names no topic"),
         ("mqtts://b/$SYS", "names no topic"),
-        ("mqtts://b/p/stored", "names no topic"),
         ("mqtts://b/p?x=hunter2", "names no topic"),
         ("mqtts://b:port/p", "cannot be read"),
     ],

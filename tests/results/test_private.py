@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bayesbl.errors import ResultError
-from bayesbl.results import work
-from bayesbl.results.atomic import PrivateFolder, replacing
+from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import new_result, require_free
 from bayesbl.results.work import WorkStore
 
@@ -40,7 +38,7 @@ def test_a_link_planted_where_a_run_keeps_its_work_is_refused(tmp_path, foreign,
     (tmp_path / f".out{suffix}").symlink_to(foreign, target_is_directory=True)
     with (
         pytest.raises(ResultError, match="somebody else"),
-        work.locked_sibling(tmp_path / "out", suffix),
+        locked_sibling(tmp_path / "out", suffix),
     ):
         pass
     if suffix == ".unfinished":
@@ -72,12 +70,9 @@ def test_a_folder_of_another_user_is_not_taken_for_our_own(tmp_path):
 
 
 def test_a_planted_staging_folder_is_not_followed(tmp_path, foreign):
-    for name in ("out", "file"):
-        (tmp_path / f".{name}.staging").symlink_to(foreign, target_is_directory=True)
+    (tmp_path / ".out.staging").symlink_to(foreign, target_is_directory=True)
     with pytest.raises(ResultError, match="somebody else"):
         make(tmp_path / "out")
-    with pytest.raises(ResultError, match="somebody else"), replacing(tmp_path / "file") as file:
-        file.write_text("text")
     assert (foreign / "thesis.tex").read_text() == "mine"
 
 
@@ -140,40 +135,21 @@ def test_only_what_the_manifest_lists_is_replaced(tmp_path):
     assert sorted(entry.name for entry in out.iterdir()) == ["manifest.json", "summary.json"]
 
 
-def test_what_a_user_puts_there_while_a_result_is_replaced_is_kept(tmp_path, monkeypatch):
-    make(tmp_path / "out")
-    real = Path.rename
-
-    def rename(source: Path, target: Path) -> Path:
-        if source == tmp_path / "out":
-            (source / "notes.txt").write_text("mine")
-        return real(source, target)
-
-    monkeypatch.setattr(Path, "rename", rename)
-    with pytest.raises(ResultError, match=r"out: .*notes\.txt"):
-        make(tmp_path / "out")
-    assert (tmp_path / "out/notes.txt").read_text() == "mine"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
-
-
-def test_files_are_whole_or_absent_and_a_full_disk_leaves_none(tmp_path, monkeypatch):
-    folder = PrivateFolder(tmp_path / "kept")
-    folder.write("a", b"first")
-    monkeypatch.setattr(os, "replace", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "full")))
-    with pytest.raises(OSError, match="full") as caught:
-        folder.write("a", b"second")
-    assert caught.value.filename == str(tmp_path / "kept/a")
-    assert folder.read("a") == b"first"
-    assert os.listdir(tmp_path / "kept") == ["a"]
-
-
-def test_what_killed_writers_left_goes_and_what_is_being_written_stays(tmp_path):
+def test_work_is_whole_or_absent_and_a_full_disk_leaves_none(tmp_path, monkeypatch):
     store = WorkStore(tmp_path / "kept")
     store.keep("work", 1, np.arange(3))
-    for name, age_s in (("new.part", 0.0), ("old.part", 7200.0)):
-        (tmp_path / "kept" / name).touch()
-        os.utime(tmp_path / "kept" / name, (time.time() - age_s,) * 2)
-    store.keep_latest(count=1)
-    assert (tmp_path / "kept/new.part").exists()
-    assert not (tmp_path / "kept/old.part").exists()
+    before = os.listdir(tmp_path / "kept")
+    monkeypatch.setattr(os, "replace", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "full")))
+    with pytest.raises(OSError, match="full") as caught:
+        store.keep("work", 2, np.arange(3))
+    assert str(caught.value.filename).startswith(str(tmp_path / "kept"))
     assert store.recall("work", 1, np.ndarray) is not None
+    assert os.listdir(tmp_path / "kept") == before
+
+
+def test_what_is_being_written_is_not_forgotten_with_what_is_not_needed(tmp_path):
+    store = WorkStore(tmp_path / "kept")
+    store.keep("work", 1, np.arange(3))
+    (tmp_path / "kept/other.part").touch()
+    store.keep_only(())
+    assert os.listdir(tmp_path / "kept") == ["other.part"]
