@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import fcntl
 import os
-import shutil
 import stat
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from bayesbl.errors import ResultError
+
+STAGING = ".staging"
+"""Suffix of the hidden folder in which an output is made."""
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
@@ -36,31 +37,28 @@ def replacing(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     Raises
     ------
     ResultError
-        If nothing can be written there, or what is there is no file.
+        If nothing can be written there, what is there is no file, or another process writes it.
     OSError
         What the system said in the block, a full disk say, of ``path``.
     """
     path = Path(path)
     require_replaceable(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=".bayesbl-", dir=path.parent))
-    except OSError as error:
-        raise unwritable(path, error) from None
-    try:
+    with locked_sibling(path, STAGING) as folder:
         new = folder / path.name
-        yield new
-        if durable:
-            _to_disk(new)
-        os.replace(new, path)
-        if durable:
-            _to_disk(path.parent)
-    except OSError as error:
-        if error.errno is not None:
-            error.filename = str(path)
-        raise
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        new.unlink(missing_ok=True)  # of a writer that was killed
+        try:
+            yield new
+            if durable:
+                _to_disk(new)
+            os.replace(new, path)
+            if durable:
+                _to_disk(path.parent)
+        except OSError as error:
+            if error.errno is not None:
+                error.filename = str(path)
+            raise
+        finally:
+            new.unlink(missing_ok=True)
 
 
 def require_replaceable(path: Path) -> None:

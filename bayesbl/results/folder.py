@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError, shortened
-from bayesbl.results.atomic import locked_sibling, sibling, unwritable
+from bayesbl.results.atomic import STAGING, locked_sibling, sibling, unwritable
 
 
 def require_apart(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
@@ -108,7 +108,6 @@ IDENTIFIED_BENCH = "bench.toml"
 
 _MADE_LATER = frozenset({MANIFEST_FILE, "report.html", FIGURES})
 
-_STAGING = ".staging"
 _REPLACED = ".replaced"
 
 
@@ -130,7 +129,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
         a file at this path or above it.
     """
     path = Path(os.path.abspath(path))
-    if os.path.lexists(sibling(path, _STAGING) / _REPLACED):
+    if os.path.lexists(sibling(path, STAGING) / _REPLACED):
         with _staging(path):
             pass  # a run was killed between the two renames of new_result
     require_no_file(path)
@@ -228,7 +227,7 @@ def new_result(path: str | Path, *, force: bool = False) -> Iterator[Path]:
 @contextmanager
 def _staging(path: Path) -> Iterator[Path]:
     """The hidden folder that the result of a path is made in, empty before and after."""
-    with locked_sibling(path, _STAGING) as folder:
+    with locked_sibling(path, STAGING) as folder:
         _empty(folder, path)
         try:
             yield folder
