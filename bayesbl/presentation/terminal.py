@@ -14,6 +14,8 @@ import io
 import re
 import sys
 import textwrap
+import threading
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, TextIO
@@ -171,25 +173,54 @@ def _print_row_by_row(table: Table, console: Console) -> None:
             console.print(Text(_INDENT + line), soft_wrap=True)
 
 
+SILENT_S = 2.0
+"""Longest silence in a pipe at first."""
+
+SILENT_SHARE = 0.1
+"""Of the time since the begin, that a silence grows to: a line more for each tenth that it lasts
+longer, so that the log of a day has a hundred lines."""
+
+
 @contextmanager
 def progress(console: Console) -> Iterator[StageProgress]:
-    """A bar on ``console`` (standard error's), if it is a terminal, until the block ends.
+    """Shown on ``console`` (standard error's) until the block ends.
 
     Yields what a run calls with what it does and how many steps are done of how many: a stage,
-    which may end before the last one, or a row's cases.
+    which may end before the last one, or a row's cases. On a terminal it is a bar. In a log, what
+    is being done and since when is said again before a silence becomes long: from a thread, as
+    imports, compilation and a single long step report nothing themselves.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     # Rich takes a pipe for a terminal where FORCE_COLOR asks for colours, as notebooks do.
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    shown = console.file.isatty()
-    with Progress(*columns, console=console, transient=True, disable=not shown) as bars:
-        task = bars.add_task("Starting", total=None)
-        yield lambda stage, done, count: bars.update(
-            task, description=stage, completed=done, total=count
-        )
+    if console.file.isatty():
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeElapsedColumn as Elapsed
+
+        name = TextColumn("{task.description}", markup=False)
+        columns = (name, BarColumn(bar_width=24), MofNCompleteColumn(), Elapsed())
+        with Progress(*columns, console=console, transient=True) as bars:
+            task = bars.add_task("Starting", total=None)
+
+            def show(stage: str, done: int, count: int, /) -> None:
+                bars.update(task, description=stage, completed=done, total=count)
+
+            yield show
+        return
+    begin_s, ended, state = time.monotonic(), threading.Event(), ["Starting"]
+
+    def tell(stage: str, done: int, count: int, /) -> None:
+        state[0] = f"{stage}: {done} of {count}"
+
+    def speak() -> None:
+        lasting_s = 0.0
+        while not ended.wait(max(SILENT_S, SILENT_SHARE * lasting_s)):
+            lasting_s = time.monotonic() - begin_s
+            line = f"{state[0]}, after {lasting_s:.0f} s"
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    thread = threading.Thread(target=speak, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield tell
+    finally:
+        ended.set()
+        thread.join()
