@@ -26,7 +26,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED, RunConfig, Section, name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.channels import did_you_mean, did_you_mean_file
-from bayesbl.recording.formats import formats
+from bayesbl.recording.formats import FORMATS
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of
 from bayesbl.units import unit_of
 
@@ -254,7 +254,7 @@ class _Document:
         ConfigError
             If there is no such file, or it is not TOML.
         """
-        if suffix_of(path) in formats() and os.path.isfile(path):
+        if suffix_of(path) in FORMATS and os.path.isfile(path):
             raise ConfigError(
                 "This is a recording, or not a configuration at all.",
                 file=path,

@@ -29,7 +29,7 @@ from bayesbl.recording.channels import (
     did_you_mean_file,
 )
 from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
-from bayesbl.recording.formats import Format, formats
+from bayesbl.recording.formats import FORMATS, Format
 from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
@@ -280,16 +280,15 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
 
 
 def _format_of(path: Path) -> Format:
-    known = formats()
     suffix = suffix_of(path)
-    if suffix not in known:
+    if suffix not in FORMATS:
         raise RecordingError(
             "Files of this kind cannot be read as recordings.",
             file=path,
             found=f'"{path.suffix}"' if path.suffix else "no suffix",
-            expected=" or ".join(known) + ", or one of these packed as .gz",
+            expected=" or ".join(FORMATS) + ", or one of these packed as .gz",
         )
-    return known[suffix]
+    return FORMATS[suffix]
 
 
 def _check_length(table: ArrayTable, column: Column, stamps: int) -> None:

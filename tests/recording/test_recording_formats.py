@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from added_module import added_module
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_files import (
@@ -434,30 +433,26 @@ import io
 import numpy as np
 
 from bayesbl.recording.array_table import ArrayTable
-from bayesbl.recording.formats import Format
 
 
-def read_npz(file, data):
+def read(file, data):
     return ArrayTable(str(file), dict(np.load(io.BytesIO(data)).items()))
-
-
-FORMAT = Format("NPZ", (".npz",), read_npz)
 """
 
 
-def test_a_file_in_the_folder_of_formats_is_a_format(tmp_path: Path) -> None:
+def test_a_module_and_a_row_are_a_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = tmp_path / "modules" / "numpy_columns.py"
     module.parent.mkdir()
     module.write_text(A_FORMAT)
+    monkeypatch.syspath_prepend(module.parent)
     path = tmp_path / "joint.npz"
     np.savez(path, **{name: np.array(values) for name, values in PLAIN.items()})
     with pytest.raises(RecordingError, match="cannot be read as recordings"):
         read_recording(path)
-    with added_module(formats, module):
-        recording = read_recording(path)
-        assert "NPZ" in formats.names()
-    np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
-    assert ".npz" not in formats.formats()
+    added = formats.Format("NPZ", (".npz",), "numpy_columns")
+    monkeypatch.setitem(formats.FORMATS, ".npz", added)
+    np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
+    assert "NPZ" in formats.names()
 
 
 ABOVE = "Trace V3.2;Achse 2;14.03.2026 08:12:33\nAbtastzeit;1 ms\n\n"

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bayesbl.recording.formats import Format
+import asammdf
+import numpy as np
 
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
+from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, numbered, table_of_groups
 
 _NAMES_4 = {
     3: "a formula", 4: "a table", 5: "a table", 6: "a table of ranges", 7: "a table of text",
@@ -26,12 +26,8 @@ _NAMES_3 = {
 """Conversions that are no factor and offset, by their number in MDF 4 and in MDF 3."""
 
 
-def read_mdf(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Every channel of one dimension, in the units after its conversion where that is linear."""
-    import asammdf
-
-    from bayesbl.recording.array_table import table_of_groups
-
     with asammdf.MDF(io.BytesIO(data)) as stored:
         groups = [_group(stored, number) for number in range(len(stored.groups))]
         return table_of_groups(file, groups)
@@ -70,9 +66,6 @@ class _Scale:
 
 
 def _group(stored: Any, number: int) -> Group:
-    import numpy as np
-
-    from bayesbl.recording.array_table import Group, numbered
 
     channels = stored.groups[number].channels
     scales = [_Scale(channel.conversion) for channel in channels]
@@ -120,6 +113,3 @@ def _unit(channel: Any) -> str:
     unit = unit or getattr(channel, "unit", "") or ""
     text = unit.decode("latin-1") if isinstance(unit, bytes) else str(unit)
     return text.strip("\0 ")
-
-
-FORMAT = Format("MDF", (".mf4", ".mdf"), read_mdf, "asammdf", ((0, b"MDF "), (0, b"UnFinMF")))
