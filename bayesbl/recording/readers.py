@@ -26,11 +26,10 @@ from bayesbl.recording.channels import (
     REFERENCE_POSITION,
     REFERENCE_SPEED,
     ColumnSpec,
-    did_you_mean_file,
 )
 from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
 from bayesbl.recording.formats import FORMATS, Format
-from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
+from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
     bridge,
@@ -231,19 +230,7 @@ def _seconds(
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
-        data = read_input(path)
-    except (FileNotFoundError, NotADirectoryError):
-        raise UnavailableError(
-            "There is no such file." + did_you_mean_file(path),
-            file=path,
-            expected="an existing recording",
-        ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise UnavailableError(
-            "The file cannot be read.", file=path, found=reason, expected="a readable file"
-        ) from None
+    data = input_or_refusal(path, UnavailableError, "an existing recording")
     if not data[:1000].strip() and not data.strip():
         raise RecordingError(
             "The file is empty.", file=path, found=f"{len(data)} bytes", expected="a recording"
