@@ -188,7 +188,7 @@ def test_no_formula_of_a_file_is_evaluated_on_any_channel_or_master(
     assert not (tmp_path / "was_run").exists()
     table = read_table(path)
     with pytest.raises(RecordingError, match="a formula"):
-        table.numbers([table.columns.index(SPEED)])
+        table.numbers([SPEED])
 
 
 def test_two_groups_of_one_name_are_not_mixed(tmp_path: Path) -> None:

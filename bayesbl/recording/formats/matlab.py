@@ -69,7 +69,6 @@ def _columns(
 
 
 def _mat5_variables(data: bytes) -> dict[str, Any]:
-
     stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
     return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
 
@@ -101,7 +100,6 @@ def _is_text(cell: Any) -> bool:
 
 
 def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
-
     require_whole(data, partial(RecordingError, file=file))
 
     def variables(group: Any, depth: int) -> dict[str, Any]:

@@ -147,7 +147,6 @@ def _groups(series: _Series) -> list[Group]:
 
 
 def _group(name: str, rows: _Rows, units: Mapping[str, str]) -> Group:
-
     stamps_ns, received_ns = np.array(rows.stamps_ns), np.array(rows.received_ns)
     columns: dict[str, AnyArray] = {}
     for field, values in rows.fields.items():

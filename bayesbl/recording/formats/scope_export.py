@@ -96,7 +96,7 @@ def _groups(
     columns: list[dict[str, AnyArray]] = []
     units: dict[str, str] = {}
     for start, end in zip(starts, [*starts[1:], width], strict=True):
-        stamps = table.numbers([start])[:, 0]
+        stamps = table.numbers([table.columns[start]])[:, 0]
         kept = np.isfinite(stamps) & (stamps != np.concatenate([[np.nan], stamps[:-1]]))
         time = stamps[kept]
         if time.size and time[0] >= _FILETIME:
