@@ -28,11 +28,11 @@ import numpy as np
 import xarray as xr
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     NonNegativeInt,
     PositiveInt,
+    Strict,
     model_validator,
 )
 
@@ -54,7 +54,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.bench.simulation import SpeedSource
 from bayesbl.config.bench import load_bench
-from bayesbl.config.sections import as_tuple, refuse
+from bayesbl.config.sections import Items, refuse
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
@@ -126,12 +126,12 @@ class Row(BaseModel):
     bench: Path | None = None
     curve: Path | None = None
     route: Literal["amplitude", "direct"] = "amplitude"
-    gap_rad: Annotated[float | tuple[float, float], BeforeValidator(as_tuple)] = (1e-4, 4e-3)
+    gap_rad: float | Annotated[tuple[float, float], Strict(False)] = (1e-4, 4e-3)
     bench_off: bool = False
     posterior: Literal["emcee", "short", "normal"] = "emcee"
     emcee_cases: NonNegativeInt = 0
     speed_noise_sd_rpm: float = Field(default=1.5, gt=0.0)
-    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
+    coefficients: Items[float] = (0.6,)
     degrees_of_freedom: float | None = None
     rotations: float = 5.0
     sampling_hz: float = 1000.0

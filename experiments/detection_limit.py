@@ -17,11 +17,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, BeforeValidator, ConfigDict, NonNegativeFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveInt
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -31,7 +31,7 @@ from independent_bench import Noise, plant, simulate
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.parameters import BENCH_PARAMETERS
 from bayesbl.config.bench import load_bench
-from bayesbl.config.sections import as_tuple
+from bayesbl.config.sections import Items
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, SMALLEST_GAP_RAD
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
@@ -63,7 +63,7 @@ class Row(BaseModel):
 
     name: str
     bench: Path
-    gaps_rad: Annotated[tuple[NonNegativeFloat, ...], BeforeValidator(as_tuple)] = (5e-5,)
+    gaps_rad: Items[NonNegativeFloat] = (5e-5,)
     change_rad: float = 2e-5
     pairs: PositiveInt
     noise: NonNegativeFloat = 1.0

@@ -13,16 +13,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.sections import as_tuple
+from bayesbl.config.sections import Items
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.measurement.curves import read_curve
 from bayesbl.noise.process import NoiseModel
@@ -63,10 +62,10 @@ class Row(BaseModel):
     name: str
     bench: Path
     curve: Path
-    gaps_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
+    gaps_rad: Items[float] = Field(min_length=1)
     recordings: PositiveInt
     speed_noise_sd_rpm: float = Field(default=1.5, gt=0.0)
-    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
+    coefficients: Items[float] = (0.6,)
     rotations: float = 5.0
     sampling_hz: float = 1000.0
 

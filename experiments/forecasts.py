@@ -21,13 +21,13 @@ true end.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
-from bayesbl.config.sections import as_tuple
+from bayesbl.config.sections import Items
 from bayesbl.measurement.wear import wear
 from bayesbl.recording.types import FloatArray
 
@@ -58,7 +58,7 @@ class Row(BaseModel):
         "linear", "running_in", "quadratic", "power", "exponential", "logistic", "gamma", "steps",
         "square_root", "power_0.6", "kink", "bathtub", "slowing",
     ]  # fmt: skip
-    dates: Annotated[tuple[int, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
+    dates: Items[int] = Field(min_length=1)
     cases: PositiveInt
 
 

@@ -15,18 +15,18 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 sys.path.append(str(Path(__file__).parent))
 
 from calibration_statistics import coverage_band
 from made_recordings import draw_symbols, synthetic_recording
 
-from bayesbl.config.sections import as_tuple
+from bayesbl.config.sections import Items
 from bayesbl.noise.process import NoiseModel
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator, PointEstimate
@@ -75,7 +75,7 @@ class Row(BaseModel):
     name: str
     cases: PositiveInt
     noise_sd_rpm: float = Field(default=1.5, gt=0.0)
-    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = ()
+    coefficients: Items[float] = ()
     degrees_of_freedom: float | None = None
     rotations: float = 5.0
     sampling_hz: float = 1000.0

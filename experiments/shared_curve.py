@@ -12,15 +12,14 @@ import math
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.sections import as_tuple
+from bayesbl.config.sections import Items
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.measurement.curves import read_curve
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
@@ -39,7 +38,7 @@ class Row(BaseModel):
     bench: Path
     curve: Path
     gap_rad: float = Field(gt=0.0)
-    changes_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
+    changes_rad: Items[float] = Field(min_length=1)
     pairs: PositiveInt
     rotations: float = 5.0
     sampling_hz: float = 1000.0

@@ -25,11 +25,11 @@ import numpy as np
 import xarray as xr
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     NonNegativeInt,
     PositiveInt,
+    Strict,
     model_validator,
 )
 
@@ -39,7 +39,7 @@ from calibration_statistics import coverage_band
 
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
-from bayesbl.config.sections import as_tuple, refuse
+from bayesbl.config.sections import Items, refuse
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
@@ -82,13 +82,13 @@ class Row(BaseModel):
     bench: Path
     route: Literal["amplitude", "direct"] = "amplitude"
     curve: Path | None = None
-    prior_rad: Annotated[tuple[float, float], BeforeValidator(as_tuple)] = (1e-4, 1e-2)
+    prior_rad: Annotated[tuple[float, float], Strict(False)] = (1e-4, 1e-2)
     gap_rad: float = Field(gt=0.0)
-    changes_rad: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = Field(min_length=1)
+    changes_rad: Items[float] = Field(min_length=1)
     pairs: PositiveInt
     more_without_wear: NonNegativeInt = 0
     speed_noise_sd_rpm: float = Field(gt=0.0)
-    coefficients: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = (0.6,)
+    coefficients: Items[float] = (0.6,)
     rotations: float = 5.0
     sampling_hz: float = 1000.0
 

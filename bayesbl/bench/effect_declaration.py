@@ -73,7 +73,7 @@ class EffectParameter:
     unit: str
     meaning: str
     _: KW_ONLY
-    role: Role = "amplitude"
+    role: Role
     low: float = 0.0
     high: float
     typical: float
@@ -103,7 +103,7 @@ class EffectParameter:
         )
 
 
-shape = partial(EffectParameter, role="shape")
+amplitude, shape = (partial(EffectParameter, role=role) for role in ("amplitude", "shape"))
 
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 64.0
 
@@ -306,11 +306,6 @@ class Effect:
             found=name,
             expected="one of " + ", ".join(self.slots),
         )
-
-    @property
-    def between_channels(self) -> bool:
-        """One channel alone does not show it."""
-        return self.enters == "measurement" and self.sought_alone is not None
 
     @property
     def amplitudes(self) -> tuple[EffectParameter, ...]:

@@ -266,18 +266,18 @@ def _bounds() -> Iterator[tuple[Slot, float, float, bool, str, list[Slot]]]:
 
 
 _BOUNDS = tuple(_bounds())
+_DECLARED = {effect.slots[item.name]: item for effect in EFFECTS for item in effect.parameters}
 
 
 def simulated_range(name: str) -> tuple[float, float]:
-    """Least and largest value of an effect's slot that :func:`check_parameters` takes.
+    """Least and largest value of a slot that an effect is declared to have, by the slot's name.
 
-    ``name``: ``effect__parameter``; infinite where there is no such end.
+    Infinite where there is no such end, as for what is no effect's.
     """
-    owner, _, own = name.partition("__")
-    item = effect_named(owner).parameter(own)
-    if item.bounded:
+    item = _DECLARED.get(Slot[name])
+    if item is not None and item.bounded:
         return item.low, item.high
-    return 0.0 if item.not_negative else -math.inf, math.inf
+    return 0.0 if item is not None and item.not_negative else -math.inf, math.inf
 
 
 def _refuse_where(wrong: NDArray[np.bool_], matrix: FloatArray, slot: Slot, expected: str) -> None:

@@ -25,9 +25,9 @@ from bayesbl.config.kinds import FILES, KINDS, RUNNABLE
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED, RunConfig, Section, name_of, names_of
 from bayesbl.errors import ConfigError
-from bayesbl.recording.channels import did_you_mean, did_you_mean_file
-from bayesbl.recording.formats import formats
-from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of
+from bayesbl.recording.channels import did_you_mean
+from bayesbl.recording.formats import FORMATS
+from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of
 from bayesbl.units import unit_of
 
 Location = tuple[str | int, ...]
@@ -254,27 +254,19 @@ class _Document:
         ConfigError
             If there is no such file, or it is not TOML.
         """
-        if suffix_of(path) in formats() and os.path.isfile(path):
+        if suffix_of(path) in FORMATS and os.path.isfile(path):
             raise ConfigError(
                 "This is a recording, or not a configuration at all.",
                 file=path,
                 found=f"a file ending in {path.suffix}",
                 expected=instead_of_recording or expected,
             )
+        data = input_or_refusal(path, ConfigError, expected)
         try:
-            text = read_input(path).decode("utf-8-sig")
-        except (FileNotFoundError, NotADirectoryError):
-            raise ConfigError(
-                "There is no such file." + did_you_mean_file(path), file=path, expected=expected
-            ) from None
+            text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             raise ConfigError(
                 "This is not a text file.", file=path, found="binary data", expected="TOML in UTF-8"
-            ) from None
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise ConfigError(
-                "The file cannot be read.", file=path, found=reason, expected="a TOML file"
             ) from None
         return cls(_parse(text, path), Path(os.path.abspath(path)).parent, path, text)
 

@@ -24,6 +24,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    Strict,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -125,34 +126,15 @@ def _result_file(value: object, info: ValidationInfo) -> Path:
     return _input_path(path / RESULT_FILE if os.path.isdir(path) else path, info)
 
 
-def as_tuple(value: object) -> object:
-    """A list of the file as the immutable kind."""
-    return tuple(value) if isinstance(value, list) else value
-
-
 T = TypeVar("T")
-Items = Annotated[tuple[T, ...], BeforeValidator(as_tuple)]
-"""A list of the file."""
+Items = Annotated[tuple[T, ...], Strict(False)]
+"""A list of the file, as the immutable kind."""
 
 
 def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
     if not bounds[0] < bounds[1]:
         refuse("The range is empty.", expected="[low, high] with low < high")
     return bounds
-
-
-def _positive(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] <= 0.0:
-        refuse("A gap must be positive.", found=bounds[0], expected="greater than 0")
-    return bounds
-
-
-def _gap(gap_rad: float) -> float:
-    if gap_rad < 0.0:
-        refuse("No gap is below zero.", found=gap_rad, expected="0 or above")
-    if gap_rad > math.pi:
-        refuse("A gap is less than half a turn.", found=gap_rad, expected="at most π")
-    return gap_rad
 
 
 def _symbol(name: str) -> str:
@@ -213,12 +195,14 @@ ResultFile = Annotated[Path, BeforeValidator(_result_file)]
 """A ``result.nc``, or the output folder that holds it."""
 BenchSource = ResultFile
 """A bench file, or the result of an identification: its folder or ``result.nc``."""
-Range = Annotated[tuple[float, float], BeforeValidator(as_tuple), AfterValidator(_increasing)]
-Gap = Annotated[float, AfterValidator(_gap)]
-GapBoundsFromZero = Annotated[
-    tuple[Gap, Gap], BeforeValidator(as_tuple), AfterValidator(_increasing)
+Range = Annotated[tuple[float, float], Strict(False), AfterValidator(_increasing)]
+Gap = Annotated[float, Field(ge=0.0, le=math.pi)]
+GapBoundsFromZero = Annotated[tuple[Gap, Gap], Strict(False), AfterValidator(_increasing)]
+GapBounds = Annotated[
+    tuple[Annotated[float, Field(gt=0.0, le=math.pi)], Gap],
+    Strict(False),
+    AfterValidator(_increasing),
 ]
-GapBounds = Annotated[GapBoundsFromZero, AfterValidator(_positive)]
 SymbolName = Annotated[str, AfterValidator(_symbol)]
 ChannelName = Annotated[str, AfterValidator(_channel)]
 Name = Annotated[str, AfterValidator(_name)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from bayesbl.config.sections import (
     SHORTEST_WAY_RAD,
@@ -15,7 +15,6 @@ from bayesbl.config.sections import (
     OutputPath,
     Positive,
     Section,
-    as_tuple,
     refuse,
     require_different,
     two_angles,
@@ -82,7 +81,7 @@ class TorqueRampMotion(Section):
     """The motor's torque to and fro with the output held: some cycles at each amplitude."""
 
     kind: Literal["torque_ramp"]
-    torque_nm: Annotated[tuple[Positive, ...], Field(min_length=1), BeforeValidator(as_tuple)]
+    torque_nm: Annotated[Items[Positive], Field(min_length=1)]
     cycles: int = Field(default=5, ge=1)
     period_s: Positive = 4.0
     start_angle_rad: float = 0.0
@@ -106,7 +105,7 @@ class SimulatedRecording(Section):
 
     name: Name
     file: str = Field(min_length=1)
-    gap_rad: Gap = Field(ge=0.0)
+    gap_rad: Gap
     reference_speed_rpm: float | None = None
     rotations: Positive = 5.0
     sampling_hz: Positive = 1000.0
@@ -142,9 +141,7 @@ class SimulateFile(Section):
     run: SimulateRun = SimulateRun()
     bench: BenchSource
     truth_file: str | None = Field(default=None, min_length=1)
-    recordings: Annotated[
-        tuple[SimulatedRecording, ...], Field(min_length=1), BeforeValidator(as_tuple)
-    ]
+    recordings: Annotated[Items[SimulatedRecording], Field(min_length=1)]
 
     @field_validator("recordings")
     @classmethod

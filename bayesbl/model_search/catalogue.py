@@ -261,7 +261,8 @@ def candidates(
             continue
         if "load_angle" in effect.depends_on and not load_angle_known:
             continue
-        if effect.between_channels and any(len(seen.signals) < 2 for seen in recordings):
+        between_channels = effect.enters == "measurement" and effect.sought_alone is not None
+        if between_channels and any(len(seen.signals) < 2 for seen in recordings):
             continue
         if effect.is_periodic:
             hypotheses += _periodic(bench, effect, recordings, peaks, motor_angle_known)

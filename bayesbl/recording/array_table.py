@@ -270,25 +270,16 @@ class ArrayTable:
         """Names in the order of the file."""
         return tuple(self.arrays)
 
-    def unit(self, column: int) -> str | None:
-        """What the file says of a column's unit."""
-        return self.units.get(self.columns[column])
-
-    def clock(self, column: int) -> int | None:
-        """The column that holds a column's time, where the file ties them together."""
-        name = self.clocks.get(self.columns[column])
-        return None if name is None else self.columns.index(name)
-
-    def place(self, row: int, column: int) -> str:
+    def place(self, row: int, column: str) -> str:
         """Where a value is, in words."""
         which = f"sample {row + 1}" if self.lines is None else f"line {self.lines[row]}"
-        return f'{which}, column "{self.columns[column]}"'
+        return f'{which}, column "{column}"'
 
     def without_values(self) -> ArrayTable:
         """Its names and places alone."""
         return replace(self, arrays={name: values[:0] for name, values in self.arrays.items()})
 
-    def timestamps(self, column: int) -> FloatArray | None:
+    def timestamps(self, column: str) -> FloatArray | None:
         """Seconds since the first date; ``None`` if the column does not hold dates.
 
         Raises
@@ -306,7 +297,7 @@ class ArrayTable:
             return None
         return seconds_of_dates(texts, self.file, lambda row: self.place(row, column))
 
-    def numbers(self, columns: Sequence[int]) -> FloatArray:
+    def numbers(self, columns: Sequence[str]) -> FloatArray:
         """Values of some columns, shape (n, len(columns)); missing ones are NaN.
 
         Raises
@@ -319,7 +310,7 @@ class ArrayTable:
             series[:] = self._number(column)
         return values
 
-    def samples_of(self, columns: Sequence[int]) -> int:
+    def samples_of(self, columns: Sequence[str]) -> int:
         """Number of samples that these columns have.
 
         Raises
@@ -327,7 +318,7 @@ class ArrayTable:
         RecordingError
             If it is not the same for all.
         """
-        lengths = {self.columns[column]: self._values(column).size for column in columns}
+        lengths = {column: self._values(column).size for column in columns}
         if len(set(lengths.values())) > 1:
             raise RecordingError(
                 "The columns do not have the same number of samples.",
@@ -338,19 +329,18 @@ class ArrayTable:
             )
         return lengths.popitem()[1]
 
-    def _values(self, column: int) -> AnyArray:
-        name = self.columns[column]
-        if name in self.withheld:
+    def _values(self, column: str) -> AnyArray:
+        if column in self.withheld:
             raise RecordingError(
                 "The values of this column cannot be used.",
                 file=self.file,
-                where=f'column "{name}"',
-                found=self.withheld[name],
+                where=f'column "{column}"',
+                found=self.withheld[column],
                 expected="values as they were measured, or scaled by a factor and an offset",
             )
-        return self.arrays[name]
+        return self.arrays[column]
 
-    def _number(self, column: int) -> FloatArray:
+    def _number(self, column: str) -> FloatArray:
         values = self._values(column)
         if values.dtype.kind in "biuf":
             filled = np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan)
@@ -363,12 +353,12 @@ class ArrayTable:
         raise RecordingError(
             "This column does not hold numbers.",
             file=self.file,
-            where=f'column "{self.columns[column]}"',
+            where=f'column "{column}"',
             found=kinds.get(values.dtype.kind, str(values.dtype)),
             expected="real numbers",
         )
 
-    def _number_in_text(self, values: AnyArray, column: int) -> FloatArray:
+    def _number_in_text(self, values: AnyArray, column: str) -> FloatArray:
         """Numbers among cells of text."""
         numbers = np.full(values.size, np.nan)
         for row, value in enumerate(values.tolist()):

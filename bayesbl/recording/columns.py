@@ -44,7 +44,7 @@ class Column:
     ``note`` says so where only the column's name states the unit.
     """
 
-    index: int
+    name: str
     channel: str
     unit: str | None
     note: str | None = None
@@ -67,21 +67,21 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
         channel: replace(_mapped(table, channel, spec), reversed=spec.reversed)
         for channel, spec in specs.items()
     }
-    taken = {column.index for column in channels.values()}
-    mapped = {table.clock(index) for index in taken} - {None}
+    taken = {column.name for column in channels.values()}
+    mapped = {table.clocks[name] for name in taken if name in table.clocks}
     for channel in (TIME, *CHANNELS):
-        if channel in channels or channel not in names or names.index(channel) in taken:
+        if channel in channels or channel not in names or channel in taken:
             continue
-        if not mapped or table.clock(names.index(channel)) in mapped:
+        if not mapped or table.clocks.get(channel) in mapped:
             channels[channel] = _mapped(table, channel, ColumnSpec(channel))
-    clocks = {column.index: table.clock(column.index) for column in channels.values()}
-    tied = {clock for clock in clocks.values() if clock is not None}
+    used = [column.name for column in channels.values()]
+    tied = {table.clocks[name] for name in used if name in table.clocks}
     if len(tied) > 1:
         raise RecordingError(
             "These columns were not sampled together.",
             file=table.file,
-            where=", ".join(f'"{names[index]}"' for index in clocks),
-            found=_listed(tuple(names[clock] for clock in sorted(tied))) + " as their times",
+            where=", ".join(f'"{name}"' for name in used),
+            found=_listed(tuple(name for name in names if name in tied)) + " as their times",
             expected="columns of one joint, topic or group",
         )
     if TIME not in channels and tied:
@@ -135,16 +135,16 @@ class StatedUnit:
         return replace(self, unit=None, unknown=self.unknown or self.ending or self.unit)
 
 
-def stated_unit(table: ArrayTable, index: int, name: str | None = None) -> StatedUnit:
+def stated_unit(table: ArrayTable, column: str, name: str | None = None) -> StatedUnit:
     """The unit in the file, else in the brackets of the column's name, else at the name's end.
 
     ``n [rad/s]``, ``n / rad/s``, ``n_rad_per_s``, ``nRadPerS``. Whatever looks like a unit and is
     none here is unknown: any guess would be a factor. An index (``x[0]``) and a remark are none.
     """
-    name = table.columns[index] if name is None else name
+    name = column if name is None else name
     scaled = _SCALED.search(name.strip())
     of_name = StatedUnit(name, None, scaled[0]) if scaled else _bracketed(name) or _ending(name)
-    of_file = (table.unit(index) or "").strip()
+    of_file = table.units.get(column, "").strip()
     if not re.search(r"[^\W\d_]|[%‰°'\"′″]", of_file):
         return of_name
     unit = spelled(of_file)
@@ -153,16 +153,15 @@ def stated_unit(table: ArrayTable, index: int, name: str | None = None) -> State
 
 
 def stamps_and_values(
-    table: ArrayTable, time: int, columns: Sequence[int] = ()
+    table: ArrayTable, time: str, columns: Sequence[str] = ()
 ) -> tuple[FloatArray, FloatArray]:
     """Numbers of a column of time, shape (n,), and of others, shape (n, c).
 
     Nanoseconds that a second column holds are put to seconds that are whole: ROS writes
     ``stamp.sec`` and ``stamp.nanosec``. Beside others they are the same time once more.
     """
-    name = table.columns[time]
-    whole = [re.sub("(?i)n(ano)?(?=s(ecs?|econds?)?$)", "", other) for other in table.columns]
-    rest = [i for i, n in enumerate(whole) if n == name and i != time]
+    nano = "(?i)n(ano)?(?=s(ecs?|econds?)?$)"
+    rest = [name for name in table.columns if name != time and re.sub(nano, "", name) == time]
     read = table.numbers([time, *columns, *rest])
     stamps, nanoseconds = read[:, 0], read[:, 1 + len(columns) :]
     are_parts = np.all((nanoseconds >= 0.0) & (nanoseconds < 1e9))
@@ -229,7 +228,6 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
         )
     if spec.name not in table.columns:
         raise _missing_column(table, spec.name)
-    index = table.columns.index(spec.name)
     if spec.unit is not None and not is_accepted(channel, spec.unit):
         raise RecordingError(
             "The unit is not known for this channel.",
@@ -239,10 +237,10 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
             expected=choice_of_units(channel),
         )
     if spec.unit is not None:
-        return Column(index, channel, spec.unit)
-    stated = stated_unit(table, index).of(channel)
+        return Column(spec.name, channel, spec.unit)
+    stated = stated_unit(table, spec.name).of(channel)
     # What looks like a unit may be the form of a date: time [hh:mm:ss].
-    is_of_dates = channel == TIME and table.timestamps(index) is not None
+    is_of_dates = channel == TIME and table.timestamps(spec.name) is not None
     if stated.unknown and not is_of_dates:
         raise RecordingError(
             "The file states a unit that is not known for this channel.",
@@ -251,8 +249,8 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
             found=f'"{shortened(stated.unknown)}"',
             expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
-    column = Column(index, channel, stated.unit)
-    if column.factor == 1.0 or (table.unit(index) or "").strip():
+    column = Column(spec.name, channel, stated.unit)
+    if column.factor == 1.0 or table.units.get(spec.name, "").strip():
         return column
     note = f'The unit of column "{spec.name}" is taken from its name: {stated.unit}.'
     return replace(column, note=note)

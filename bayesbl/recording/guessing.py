@@ -151,7 +151,6 @@ class _Named:
     """What a column's name and the file say of it."""
 
     table: ArrayTable
-    index: int
     name: str
     words: frozenset[str]
     stated: StatedUnit
@@ -167,7 +166,7 @@ class _Named:
         if stamps is not None:
             return stamps
         try:
-            values, _ = stamps_and_values(self.table, self.index)
+            values, _ = stamps_and_values(self.table, self.name)
         except RecordingError:
             return np.full(2, np.nan)
         return np.where(np.isfinite(values), values, np.nan)
@@ -191,7 +190,7 @@ class _Named:
     @cached_property
     def stamps(self) -> FloatArray | None:
         """Seconds since the first date, where it holds dates."""
-        return self.table.timestamps(self.index)
+        return self.table.timestamps(self.name)
 
     @property
     def increases(self) -> bool:
@@ -212,10 +211,10 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     """
     named = _of_joint(table, joint)
     chosen = _by_name(named)
-    tied = {table.clock(column.index) for column in chosen.values()} - {None}
+    tied = {table.clocks.get(column.name) for column in chosen.values()} - {None}
     if len(tied) == 1:
         (clock,) = tied
-        chosen[TIME] = next(column for column in named if column.index == clock)
+        chosen[TIME] = next(column for column in named if column.name == clock)
     clocks = [column for column in named if _channel(column) == TIME]
     if len(clocks) > 1 and not tied and chosen[TIME].name != TIME:
         finer = (c for c in clocks if not c.stated.unknown and c.increases)
@@ -241,7 +240,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         for channel, column in chosen.items()
     }
     held = {channel: series for channel, series in values.items() if np.isfinite(series).any()}
-    table.samples_of([chosen[channel].index for channel in held])
+    table.samples_of([chosen[channel].name for channel in held])
     units = _units(chosen, held)
     guesses = [_stated(channel, chosen[channel], units) for channel in held]
     if chosen.keys().isdisjoint((MOTOR_SPEED, MOTOR_POSITION)):
@@ -265,7 +264,7 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     What stands before the last slash is the joint and a side of it, as in ``motor/pos``. Only the
     side tells what a column holds. A ``joint`` is the motor's other side, or else a name.
     """
-    bare = [stated_unit(table, index).bare for index in range(len(table.columns))]
+    bare = [stated_unit(table, name).bare for name in table.columns]
     groups = [name.rpartition("/")[0] for name in bare]
     motors = {_without(group, _SIDES) for group in groups if _words(group) & {*_MOTOR.split()}}
     sides = [
@@ -273,7 +272,7 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
         for group in groups
     ]
     names = [_without(group, of) for group, of in zip(groups, sides, strict=True)]
-    inner = [_named(table, i, *of) for i, of in enumerate(zip(groups, sides, strict=True))]
+    inner = [_named(table, *of) for of in zip(table.columns, groups, sides, strict=True)]
     joints: dict[str, str] = {}
     for name, group, column in zip(names, groups, inner, strict=True):
         if name and _channel(column) in (MOTOR_SPEED, MOTOR_POSITION):
@@ -297,7 +296,7 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
             expected=f"one of them, e.g. --joint {shlex.quote(first)}",
         )
     if not joints:
-        return [_named(table, index) for index in range(len(table.columns))]
+        return [_named(table, name) for name in table.columns]
     return [column for name, column in zip(names, inner, strict=True) if name in ("", chosen)]
 
 
@@ -406,14 +405,13 @@ def _doubted(
     ]
 
 
-def _named(table: ArrayTable, index: int, group: str = "", sides: str = "") -> _Named:
+def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
     """A column; ``group``: of its joint, which stands before its own name and may tell a side."""
-    name = table.columns[index]
-    stated = stated_unit(table, index, name.removeprefix(f"{group}/"))
-    if stated.unknown and table.timestamps(index) is not None:  # time [hh:mm:ss]
+    stated = stated_unit(table, name, name.removeprefix(f"{group}/"))
+    if stated.unknown and table.timestamps(name) is not None:  # time [hh:mm:ss]
         stated = replace(stated, unknown=None)
     words = _words(stated.bare) | (_words(group) & {*sides.split()})
-    return _Named(table, index, name, words, stated)
+    return _Named(table, name, words, stated)
 
 
 def _split(text: str) -> list[str]:
@@ -614,7 +612,7 @@ def _series(column: _Named) -> FloatArray:
     count = int(np.isfinite(values).sum())
     if count < 2:
         if column.stamps is None:
-            stamps_and_values(column.table, column.index)  # says where a text is
+            stamps_and_values(column.table, column.name)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
             file=column.table.file,

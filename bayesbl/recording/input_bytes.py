@@ -10,7 +10,8 @@ import stat
 import zlib
 from pathlib import Path
 
-from bayesbl.errors import RecordingError, UnavailableError
+from bayesbl.errors import RecordingError, UnavailableError, UserError
+from bayesbl.recording.channels import did_you_mean_file
 
 LIMIT_VARIABLE = "BAYESBL_RECORDING_MEMORY_MB"
 """Environment variable that raises or lowers :data:`MEMORY_MB`: the one setting for all formats."""
@@ -47,6 +48,23 @@ def read_input(path: Path) -> bytes:
             f"environment variable {LIMIT_VARIABLE} raises it",
         )
     return data
+
+
+def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> bytes:
+    """The bytes of a file that a user names, as :func:`read_input` reads them.
+
+    Raises
+    ------
+    refusal
+        If there is no such file, or it cannot be read; ``expected`` says what it should be.
+    """
+    try:
+        return read_input(path)
+    except (FileNotFoundError, NotADirectoryError):
+        problem, found = "There is no such file." + did_you_mean_file(path), None
+    except (OSError, ValueError) as error:
+        problem, found = "The file cannot be read.", getattr(error, "strerror", None) or str(error)
+    raise refusal(problem, file=path, found=found, expected=expected)
 
 
 def require_memory(file: Path, size: float, what: str = "its content, unpacked") -> None:

@@ -19,7 +19,7 @@ import tempfile
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 from zipfile import BadZipFile
 
 from bayesbl.errors import RecordingError, UnavailableError, UserError, shortened
@@ -60,8 +60,8 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
     """
     request = {
         "path": [str(path) for path in sys.path],
-        "formats": list(formats.__path__),
-        "module": format_.read.__module__,
+        "module": format_.module,
+        "library": format_.library,
         "name": format_.name,
         "file": str(file),
         "memory": memory_bytes() + int(1e6 * SPARE_MB),
@@ -110,16 +110,16 @@ def answer(request: dict[str, object]) -> None:
     with suppress(ValueError):
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     file, kind = Path(str(request["file"])), str(request["name"])
-    formats.__path__ = request["formats"]  # type: ignore[assignment]
     # Taken into account from here on: the file's bytes are part of what it takes.
     _limit(int(request["memory"]))  # type: ignore[call-overload]
     result: ArrayTable | UserError
-    format_: Any = import_module(str(request["module"])).FORMAT
+    extras = {"dask", "matplotlib", "numba", "pyarrow"} - {str(request["library"])}
     try:
         # pandas and xarray import them where they are there; no reader needs them for that.
-        with absent(*({"dask", "matplotlib", "numba", "pyarrow"} - {format_.library})):
+        with absent(*extras):
             data = sys.stdin.buffer.read()
-            table: ArrayTable = format_.read(file, data)
+            module = import_module(str(request["module"]), formats.__name__)
+            table: ArrayTable = module.read(file, data)
         values = sum(column.size for column in table.arrays.values())
         require_memory(file, len(data) + 8.0 * values, f"its bytes and {values} numbers")
         result = table

@@ -26,11 +26,10 @@ from bayesbl.recording.channels import (
     REFERENCE_POSITION,
     REFERENCE_SPEED,
     ColumnSpec,
-    did_you_mean_file,
 )
 from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
-from bayesbl.recording.formats import Format, formats
-from bayesbl.recording.input_bytes import read_input, stem_of, suffix_of, unpacked
+from bayesbl.recording.formats import FORMATS, Format
+from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
     bridge,
@@ -116,8 +115,8 @@ def read_recording(
 
     def place(row: int, column: int | None) -> str:
         if column is None:
-            return table.place(int(rows[row]), time_column.index)
-        return table.place(int(rows[row]), others[column].index) + strays[column]
+            return table.place(int(rows[row]), time_column.name)
+        return table.place(int(rows[row]), others[column].name) + strays[column]
 
     with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
         joined = bridge if even else without_lost
@@ -135,7 +134,7 @@ def read_recording(
             unused_columns=tuple(
                 column or f"column {i + 1}"
                 for i, column in enumerate(table.columns)
-                if i not in {time_column.index, *(column.index for column in others)}
+                if column not in {time_column.name, *(column.name for column in others)}
             ),
         ),
         excluded=bridged.excluded[kept] if bridged.excluded[kept].any() else None,
@@ -167,17 +166,17 @@ def _values(
 
     What is missing, not finite or larger than anything measured is NaN.
     """
-    indices = [column.index for column in others]
-    table.samples_of([time_column.index, *indices])
-    stamps = table.timestamps(time_column.index)
+    names = [column.name for column in others]
+    table.samples_of([time_column.name, *names])
+    stamps = table.timestamps(time_column.name)
     if stamps is None:
         if time_column.unit == "datetime":
             raise _wrong_time_unit(table, time_column, "numbers", "dates")
-        stamps, values = stamps_and_values(table, time_column.index, indices)
+        stamps, values = stamps_and_values(table, time_column.name, names)
     else:
         if time_column.unit not in (None, "s", "datetime"):
             raise _wrong_time_unit(table, time_column, "dates", "numbers")
-        values = table.numbers(indices)
+        values = table.numbers(names)
     # In place and by column: a long recording is a good part of the memory.
     stamps[~np.isfinite(stamps)] = np.nan
     with np.errstate(over="ignore"):
@@ -193,7 +192,7 @@ def _wrong_time_unit(
     return RecordingError(
         "Time is not in the unit that was stated for it.",
         file=table.file,
-        where=f'column "{table.columns[column.index]}"',
+        where=f'column "{column.name}"',
         found=found,
         expected=f'{expected}, as unit = "{column.unit}" says',
     )
@@ -211,7 +210,7 @@ def _seconds(
         raise RecordingError(
             f"{problem} ({backward.size} times in all; this is the first).",
             file=table.file,
-            where=table.place(int(rows[row]), column.index),
+            where=table.place(int(rows[row]), column.name),
             found=f"{after:.12g} after {before:.12g}",
             expected="time that increases from each line to the next",
         )
@@ -223,7 +222,7 @@ def _seconds(
         raise RecordingError(
             "Time cannot be counted in seconds.",
             file=table.file,
-            where=f'column "{table.columns[column.index]}"',
+            where=f'column "{column.name}"',
             found=f"from {time[0]:.6g} to {time[-1]:.6g}",
             expected="the time of a recording",
         )
@@ -231,19 +230,7 @@ def _seconds(
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
-        data = read_input(path)
-    except (FileNotFoundError, NotADirectoryError):
-        raise UnavailableError(
-            "There is no such file." + did_you_mean_file(path),
-            file=path,
-            expected="an existing recording",
-        ) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise UnavailableError(
-            "The file cannot be read.", file=path, found=reason, expected="a readable file"
-        ) from None
+    data = input_or_refusal(path, UnavailableError, "an existing recording")
     if not data[:1000].strip() and not data.strip():
         raise RecordingError(
             "The file is empty.", file=path, found=f"{len(data)} bytes", expected="a recording"
@@ -280,16 +267,15 @@ def _parsed(path: Path) -> tuple[ArrayTable, str]:
 
 
 def _format_of(path: Path) -> Format:
-    known = formats()
     suffix = suffix_of(path)
-    if suffix not in known:
+    if suffix not in FORMATS:
         raise RecordingError(
             "Files of this kind cannot be read as recordings.",
             file=path,
             found=f'"{path.suffix}"' if path.suffix else "no suffix",
-            expected=" or ".join(known) + ", or one of these packed as .gz",
+            expected=" or ".join(FORMATS) + ", or one of these packed as .gz",
         )
-    return known[suffix]
+    return FORMATS[suffix]
 
 
 def _check_length(table: ArrayTable, column: Column, stamps: int) -> None:
@@ -297,7 +283,7 @@ def _check_length(table: ArrayTable, column: Column, stamps: int) -> None:
         raise RecordingError(
             "The recording is too short.",
             file=table.file,
-            where=f'column "{table.columns[column.index]}"',
+            where=f'column "{column.name}"',
             found=f"{stamps} samples with a time",
             expected=f"at least {MINIMUM_SAMPLES}",
         )
@@ -310,7 +296,7 @@ def _check_finite(table: ArrayTable, others: Sequence[Column], values: FloatArra
             raise RecordingError(
                 "This column holds no number.",
                 file=table.file,
-                where=f'column "{table.columns[column.index]}"',
+                where=f'column "{column.name}"',
                 found=f"NaN, infinite or empty in all {len(values)} samples",
                 expected="a finite number in every sample",
             )

@@ -23,8 +23,7 @@ from pydantic_core import to_json
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError
 from bayesbl.recording.channels import did_you_mean_file
-from bayesbl.recording.formats import formats
-from bayesbl.recording.formats.netcdf import RESULT_MARK
+from bayesbl.recording.formats import FORMATS, RESULT_MARK
 from bayesbl.recording.hdf5 import require_whole
 from bayesbl.recording.input_bytes import LIMIT_VARIABLE, memory_bytes
 from bayesbl.results.atomic import replacing
@@ -112,7 +111,7 @@ def read_tree(path: str | Path) -> xr.DataTree:
             file=file,
             expected=f"the output folder of a run; `bayesbl run {quoted}` makes it",
         )
-    if file.suffix.lower() in formats().keys() - {".nc"}:
+    if file.suffix.lower() in FORMATS.keys() - {".nc"}:
         raise ResultError(
             "This is a recording, not a result.",
             file=file,

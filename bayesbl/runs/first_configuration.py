@@ -12,7 +12,7 @@ from pathlib import Path
 from bayesbl.config.loading import require_text_names
 from bayesbl.config.sections import name_of, names_of
 from bayesbl.errors import ConfigError
-from bayesbl.recording.formats import formats
+from bayesbl.recording.formats import FORMATS
 from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
@@ -28,7 +28,7 @@ def require_new(path: Path, what: str, force: bool) -> None:
     ConfigError
         If not; ``what`` says what was to be written.
     """
-    if suffix_of(path) in formats():
+    if suffix_of(path) in FORMATS:
         raise ConfigError(
             f"A {what} under this name would be taken for a recording.",
             file=path,

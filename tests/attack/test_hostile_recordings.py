@@ -188,7 +188,7 @@ def test_no_formula_of_a_file_is_evaluated_on_any_channel_or_master(
     assert not (tmp_path / "was_run").exists()
     table = read_table(path)
     with pytest.raises(RecordingError, match="a formula"):
-        table.numbers([table.columns.index(SPEED)])
+        table.numbers([SPEED])
 
 
 def test_two_groups_of_one_name_are_not_mixed(tmp_path: Path) -> None:
@@ -407,12 +407,9 @@ def test_no_text_takes_long_or_large_memory(
 
 BREAKING = """
 import ctypes, os, sys, time
-from bayesbl.recording.formats import Format
 
 def read(file, data):
     {act}
-
-FORMAT = Format("Broken", (".broken",), read, signatures=((0, b"B"),))
 """
 ACTS = {
     "a crash": ("ctypes.string_at(0)", "breaks down.*SIGSEGV"),
@@ -427,8 +424,6 @@ ACTS = {
 def test_a_reader_that_breaks_down_costs_that_file_alone(
     act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from added_module import added_module
-
     from bayesbl.recording import formats, own_process
 
     code, sentence = ACTS[act]
@@ -441,7 +436,10 @@ def test_a_reader_that_breaks_down_costs_that_file_alone(
     path.write_bytes(b"B" * 100)
     good = tmp_path / "a.csv"
     good.write_text(plain_csv(example()))
-    with added_module(formats, module), pytest.raises(RecordingError, match=sentence) as caught:
+    monkeypatch.syspath_prepend(module.parent)
+    broken = formats.Format("Broken", (".broken",), "broken", signatures=((0, b"B"),))
+    monkeypatch.setitem(formats.FORMATS, ".broken", broken)
+    with pytest.raises(RecordingError, match=sentence) as caught:
         read_recording(path)
     assert caught.value.file == str(path)
     assert read_recording(good).samples == len(example()[TIME])

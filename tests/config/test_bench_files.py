@@ -257,7 +257,7 @@ def test_a_check_refuses_what_the_simulation_refuses(folder: Path, old, new, tol
         (
             "gap_rad = 8e-4\nrotations",
             "gap_rad = 4\nrotations",
-            ["[[recordings]] 1", "at most π"],
+            ["[[recordings]] 1", "equal to 3.14"],
         ),
         ('bench = "bench.toml"', 'bench = "benches.toml"', ["benches.toml", "no such file"]),
         ('file = "sub/reverse.csv"', 'file = "forward.csv"', ["same file"]),

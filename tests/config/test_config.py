@@ -237,7 +237,7 @@ WRONG = {
     ),
     "direct from a gap below zero": (
         "[estimator]\ngap_rad = [-1e-4, 1e-3]\n",
-        "No gap is below zero",
+        "greater than or equal to 0",
         "[estimator] gap_rad",
     ),
     "paper with baseline": (

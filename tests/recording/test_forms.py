@@ -130,12 +130,12 @@ def test_how_large_the_blocks_of_a_text_are_changes_nothing(
     for name, content in {**SPACED, **MARKS, **ENCODED, **LEFT_OUT, **MORE_COLUMNS}.items():
         path.write_bytes(content.encode() if isinstance(content, str) else content)
         monkeypatch.setattr(text_table, "_BLOCK_BYTES", 1 << 20)
-        whole, place = read_recording(path), read_table(path).place(500, 0)
+        whole, place = read_recording(path), read_table(path).place(500, "time_s")
         monkeypatch.setattr(text_table, "_BLOCK_BYTES", 70)
         cut = read_recording(path)
         np.testing.assert_array_equal(cut.time_s, whole.time_s, name)
         np.testing.assert_array_equal(cut.motor_speed_rpm, whole.motor_speed_rpm, name)
-        assert (cut.notes, read_table(path).place(500, 0)) == (whole.notes, place), name
+        assert (cut.notes, read_table(path).place(500, "time_s")) == (whole.notes, place), name
 
 
 def test_units_in_the_cells_count_and_may_not_differ(tmp_path: Path) -> None:
@@ -1075,7 +1075,7 @@ def test_nanoseconds_are_added_to_whole_seconds_only(
         f"{ns // 10**9},{ns % 10**9},1500" if whole else f"{ns / 1e9},{ns},1500" for ns in clock_ns
     ]
     path.write_text(text(rows_, f"{seconds},{nanoseconds},motor_speed_rpm"))
-    stamps, _ = stamps_and_values(read_table(path), 0)
+    stamps, _ = stamps_and_values(read_table(path), seconds)
     np.testing.assert_allclose(stamps, 1e-9 * clock_ns, atol=1e-9)
 
 

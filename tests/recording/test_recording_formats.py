@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from added_module import added_module
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_files import (
@@ -291,9 +290,9 @@ def test_a_formula_in_an_mdf_file_is_not_run(tmp_path: Path, suffix: str, versio
         file.save(path)
     table = read_table(path)
     assert table.columns == ("time_s", "linear", "formula")
-    np.testing.assert_array_equal(table.numbers([1])[:, 0], 2.0 * SPEED + 1.0)
+    np.testing.assert_array_equal(table.numbers(["linear"])[:, 0], 2.0 * SPEED + 1.0)
     with pytest.raises(RecordingError, match=r'column "formula".*values by a formula'):
-        table.numbers([2])
+        table.numbers(["formula"])
 
 
 def test_a_line_far_down_in_a_workbook_is_refused_at_once(tmp_path: Path) -> None:
@@ -316,13 +315,13 @@ def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) 
     path.write_text(header + "\n" + kept)
     table = read_table(path)
     assert table.columns == ("clock 1/time_s", "n", "clock 2/time_s", "slow")
-    assert [table.unit(i) for i in (1, 3)] == ["rad/s", "A"]
-    assert table.clock(3) == 2
-    assert table.numbers([2, 3]).shape == (20, 2)
+    assert [table.units[table.columns[i]] for i in (1, 3)] == ["rad/s", "A"]
+    assert table.clocks[table.columns[3]] == table.columns[2]
+    assert table.numbers(table.columns[2:4]).shape == (20, 2)
     # Interpolated by Scope: the slow one's samples repeated to fill the lines.
     filled = "".join(f"{i}\t{i % 7}\t{2 * (i // 2)}\t{i // 2}\n" for i in range(40))
     path.write_text(header + "\n" + filled)
-    np.testing.assert_array_equal(read_table(path).numbers([3])[:, 0], np.arange(20))
+    np.testing.assert_array_equal(read_table(path).arrays[table.columns[3]], np.arange(20))
 
 
 def test_a_channel_of_text_in_a_scope_export_is_left_and_text_among_numbers_refused(
@@ -333,10 +332,10 @@ def test_a_channel_of_text_in_a_scope_export_is_left_and_text_among_numbers_refu
     path.write_text(header + "".join(f"{i}\t{i % 7}\t{i}\tTrue\n" for i in range(20)))
     table = read_table(path)
     assert table.columns == ("time_s", "n", "on")
-    assert table.numbers([0, 1]).shape == (20, 2)
+    assert table.numbers(table.columns[:2]).shape == (20, 2)
     path.write_text(path.read_text().replace("\n5\t5\t", "\n5\tbad\t"))
     with pytest.raises(RecordingError, match=r"text in a column of numbers.*'bad'"):
-        read_table(path).numbers([0, 1])
+        (table := read_table(path)).numbers(table.columns[:2])
 
 
 @pytest.mark.parametrize(
@@ -434,30 +433,26 @@ import io
 import numpy as np
 
 from bayesbl.recording.array_table import ArrayTable
-from bayesbl.recording.formats import Format
 
 
-def read_npz(file, data):
+def read(file, data):
     return ArrayTable(str(file), dict(np.load(io.BytesIO(data)).items()))
-
-
-FORMAT = Format("NPZ", (".npz",), read_npz)
 """
 
 
-def test_a_file_in_the_folder_of_formats_is_a_format(tmp_path: Path) -> None:
+def test_a_module_and_a_row_are_a_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module = tmp_path / "modules" / "numpy_columns.py"
     module.parent.mkdir()
     module.write_text(A_FORMAT)
+    monkeypatch.syspath_prepend(module.parent)
     path = tmp_path / "joint.npz"
     np.savez(path, **{name: np.array(values) for name, values in PLAIN.items()})
     with pytest.raises(RecordingError, match="cannot be read as recordings"):
         read_recording(path)
-    with added_module(formats, module):
-        recording = read_recording(path)
-        assert "NPZ" in formats.names()
-    np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
-    assert ".npz" not in formats.formats()
+    added = formats.Format("NPZ", (".npz",), "numpy_columns")
+    monkeypatch.setitem(formats.FORMATS, ".npz", added)
+    np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
+    assert "NPZ" in formats.names()
 
 
 ABOVE = "Trace V3.2;Achse 2;14.03.2026 08:12:33\nAbtastzeit;1 ms\n\n"

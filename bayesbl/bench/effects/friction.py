@@ -11,8 +11,8 @@ import numpy as np
 from bayesbl.bench.effect_declaration import (
     ARMSTRONG,
     Effect,
-    EffectParameter,
     RigidLaw,
+    amplitude,
     direction,
     shape,
 )
@@ -26,7 +26,7 @@ MOTOR_COULOMB_FRICTION = Effect(
     sentence="Dry friction at the motor that does not depend on speed.",
     equation="J_m dω_m/dt: − T_c sign ω_m",
     parameters=(
-        EffectParameter(
+        amplitude(
             "torque_nm", "N m", "friction torque T_c", high=2.0, typical=0.2, not_negative=True
         ),
     ),
@@ -49,7 +49,7 @@ MOTOR_VISCOUS_FRICTION = Effect(
     sentence="Friction at the motor in proportion to speed.",
     equation="J_m dω_m/dt: − b ω_m",
     parameters=(
-        EffectParameter(
+        amplitude(
             "coefficient_nm_s_per_rad",
             "N m s/rad",
             "coefficient b",
@@ -78,7 +78,7 @@ MOTOR_STRIBECK_FRICTION = Effect(
     sentence="Extra friction at low speed that fades as the lubricant film builds up.",
     equation="J_m dω_m/dt: − T_s exp(−(ω_m/ω_s)²) sign ω_m",
     parameters=(
-        EffectParameter(
+        amplitude(
             "torque_nm",
             "N m",
             "extra torque at standstill T_s",
@@ -124,7 +124,7 @@ MOTOR_QUADRATIC_DRAG = Effect(
     sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
     equation="J_m dω_m/dt: − c |ω_m| ω_m",
     parameters=(
-        EffectParameter(
+        amplitude(
             "coefficient_nm_s2_per_rad2",
             "N m s²/rad²",
             "drag coefficient c",
@@ -153,7 +153,7 @@ FRICTION_ASYMMETRY = Effect(
     sentence="Viscous friction that differs between the two directions.",
     equation="J_m dω_m/dt: − c |ω_m|",
     parameters=(
-        EffectParameter(
+        amplitude(
             "coefficient_nm_s_per_rad",
             "N m s/rad",
             "half the difference of the coefficients, forward less reverse",
@@ -184,10 +184,8 @@ FRICTION_DRIFT = Effect(
     sentence="Motor friction that changes during the recording as the joint warms up.",
     equation="J_m dω_m/dt: − (T₀ + r t) sign ω_m",
     parameters=(
-        EffectParameter(
-            "torque_nm", "N m", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1
-        ),
-        EffectParameter(
+        amplitude("torque_nm", "N m", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1),
+        amplitude(
             "rate_nm_per_s",
             "N m/s",
             "change r",
@@ -220,7 +218,7 @@ GEAR_MESH_FRICTION = Effect(
     sentence="Loss in the gear in proportion to the torque it passes on.",
     equation="J_m dω_m/dt: − μ |τ_s|/N sign ω_m",
     parameters=(
-        EffectParameter(
+        amplitude(
             "coefficient",
             "",
             "share of the torque lost μ",
@@ -250,7 +248,7 @@ LOAD_COULOMB_FRICTION = Effect(
     sentence="Dry friction at the load, beyond the gap.",
     equation="J_l dω_l/dt: − T_c sign ω_l",
     parameters=(
-        EffectParameter(
+        amplitude(
             "torque_nm", "N m", "friction torque T_c", high=200.0, typical=15.0, not_negative=True
         ),
     ),
@@ -268,7 +266,7 @@ LOAD_VISCOUS_FRICTION = Effect(
     sentence="Friction at the load in proportion to its speed.",
     equation="J_l dω_l/dt: − b ω_l",
     parameters=(
-        EffectParameter(
+        amplitude(
             "coefficient_nm_s_per_rad",
             "N m s/rad",
             "coefficient b",

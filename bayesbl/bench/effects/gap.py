@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import Effect, EffectParameter, RigidLaw
+from bayesbl.bench.effect_declaration import Effect, EffectParameter, RigidLaw, amplitude
 from bayesbl.recording.types import FloatArray
 
 
@@ -26,7 +26,7 @@ BACKLASH = Effect(
     sentence="The gap itself, where the nominal bench has none.",
     equation="δ → δ + gap",
     parameters=(
-        EffectParameter(
+        amplitude(
             "gap_rad",
             "rad",
             "half the clearance, at the load",
@@ -53,7 +53,7 @@ BACKLASH = Effect(
 
 
 def _share(name: str, meaning: str, typical: float) -> EffectParameter:
-    return EffectParameter(
+    return amplitude(
         name,
         "",
         meaning,

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import Effect, EffectParameter, Law, RigidLaw, shape
+from bayesbl.bench.effect_declaration import (
+    Effect,
+    EffectParameter,
+    Law,
+    RigidLaw,
+    amplitude,
+    shape,
+)
 
-_LAG = EffectParameter(
+_LAG = amplitude(
     "time_s",
     "s",
     "time constant T",
@@ -64,7 +71,7 @@ SAMPLED_CONTROL = Effect(
     equation="K_t i = K_p e_k + K_i T Σ e_j, ω_k = s ω(kT) + (1 − s) (θ_k − θ_{k−1})/T, "
     "held from (k + d) T on",
     parameters=(
-        EffectParameter(
+        amplitude(
             "period_s",
             "s",
             "period T of the speed controller",
@@ -104,7 +111,7 @@ _NOTHING: Law = lambda motion, bench, given: np.zeros_like(motion.speed)  # noqa
 
 
 def _skew(name: str, typical: float) -> EffectParameter:
-    return EffectParameter(
+    return amplitude(
         name,
         "s",
         "time by which this channel lags the true signal",
@@ -143,7 +150,7 @@ SPEED_AVERAGING = Effect(
     sentence="The recorded speed is a mean over the time before each sample.",
     equation="ω_meas(t) = (θ_meas(t) − θ_meas(t − T))/T",
     parameters=(
-        EffectParameter(
+        amplitude(
             "time_s",
             "s",
             "time T that the speed is averaged over",

@@ -10,10 +10,10 @@ from bayesbl.bench.effect_declaration import (
     ORDER,
     PHASE,
     Effect,
-    EffectParameter,
     Parameters,
     RigidLaw,
     RigidMotion,
+    amplitude,
     order,
     phase,
 )
@@ -29,7 +29,7 @@ GEAR_TRANSMISSION_ERROR = Effect(
     sentence="The gear passes motion on unevenly, once or more per motor turn.",
     equation="Δθ → Δθ + a sin(n θ_m + φ), Δω → Δω + a n ω_m cos(n θ_m + φ)",
     parameters=(
-        EffectParameter(
+        amplitude(
             "angle_rad",
             "rad",
             "amplitude a at the load",
@@ -70,7 +70,7 @@ ENCODER_ECCENTRICITY = Effect(
     sentence="The encoder disc sits off centre: the measured angle sways once per motor turn.",
     equation="θ_meas = θ_m + e sin(θ_m + φ), ω_meas = ω_m (1 + e cos(θ_m + φ)), inside the loop",
     parameters=(
-        EffectParameter(
+        amplitude(
             "angle_rad",
             "rad",
             "amplitude e",

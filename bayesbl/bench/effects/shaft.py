@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import Effect, EffectParameter, RigidLaw, shape
+from bayesbl.bench.effect_declaration import Effect, RigidLaw, amplitude, shape
 from bayesbl.recording.types import FloatArray
 
 STIFFNESS_HARDENING = Effect(
@@ -17,9 +17,7 @@ STIFFNESS_HARDENING = Effect(
     sentence="The shaft stiffens as it is wound up.",
     equation="τ_s + k₃ e³, e the compression beyond the gap",
     parameters=(
-        EffectParameter(
-            "stiffness_nm_per_rad3", "N m/rad³", "k₃", low=-1e9, high=1e10, typical=1e9
-        ),
+        amplitude("stiffness_nm_per_rad3", "N m/rad³", "k₃", low=-1e9, high=1e10, typical=1e9),
     ),
     enters="shaft",
     depends_on=("twist",),
@@ -38,7 +36,7 @@ CONTACT_EXPONENT = Effect(
     sentence="The contact stiffens with its load (Hertz).",
     equation="τ_s + K_s e [(|e|/e₀)^m − 1], e the compression beyond the gap, e₀ = m g l/K_s",
     parameters=(
-        EffectParameter(
+        amplitude(
             "excess",
             "",
             "exponent of the flanks' torque over compression, less 1, m",
@@ -63,7 +61,7 @@ CONTACT_SOFTNESS = Effect(
     sentence="The edges of the gap are soft.",
     equation="K_s max(0, |Δθ| − δ) → its mean over a logistic δ of variance v",
     parameters=(
-        EffectParameter(
+        amplitude(
             "variance_rad2",
             "rad²",
             "variance of the edge v",
@@ -87,7 +85,7 @@ CONTACT_DAMPING = Effect(
     sentence="The contact damps more, the more it is compressed (Hunt and Crossley).",
     equation="τ_s + λ K_s |e| ė, e the compression beyond the gap",
     parameters=(
-        EffectParameter(
+        amplitude(
             "factor_s_per_rad",
             "s/rad",
             "damping over stiffness and compression λ",
@@ -110,7 +108,7 @@ GAP_DAMPING = Effect(
     sentence="The lubricant between motor and load damps within the gap too.",
     equation="τ_s = d Δω where no teeth touch",
     parameters=(
-        EffectParameter(
+        amplitude(
             "coefficient_nm_s_per_rad",
             "N m s/rad",
             "damping torque over twist speed d",
@@ -133,7 +131,7 @@ FLANK_ASYMMETRY = Effect(
     sentence="The two tooth flanks differ in stiffness.",
     equation="τ_s + a K_s |e|, e the compression beyond the gap",
     parameters=(
-        EffectParameter(
+        amplitude(
             "share",
             "",
             "half the difference of the two stiffnesses over their mean a",
@@ -172,7 +170,7 @@ SHAFT_HYSTERESIS = Effect(
     ),
     equation="τ_s + T z, dz/dt = (Δω/θ_p)(1 − z sign Δω), also inside the gap",
     parameters=(
-        EffectParameter("torque_nm", "N m", "friction torque T", high=200.0, typical=20.0),
+        amplitude("torque_nm", "N m", "friction torque T", high=200.0, typical=20.0),
         shape(
             "angle_rad",
             "rad",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from bayesbl.bench.effect_declaration import Effect, EffectParameter, Resonance, shape
+from bayesbl.bench.effect_declaration import Effect, EffectParameter, Resonance, amplitude, shape
 
 
 def _compliance(meaning: str, high: float, typical: float) -> EffectParameter:
-    return EffectParameter(
+    return amplitude(
         "compliance_rad_per_nm",
         "rad/(N m)",
         f"{meaning}, one over its stiffness",

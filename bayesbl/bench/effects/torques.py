@@ -8,9 +8,9 @@ from bayesbl.bench.effect_declaration import (
     ORDER,
     PHASE,
     Effect,
-    EffectParameter,
     Law,
     RigidLaw,
+    amplitude,
     order,
     phase,
 )
@@ -23,7 +23,7 @@ MOTOR_TORQUE_OFFSET = Effect(
     sentence="A constant torque at the motor that does not know the direction.",
     equation="J_m dω_m/dt: − T",
     parameters=(
-        EffectParameter(
+        amplitude(
             "torque_nm", "N m", "torque against forward rotation T", low=-2.0, high=2.0, typical=0.2
         ),
     ),
@@ -45,7 +45,7 @@ LOAD_TORQUE_OFFSET = Effect(
     sentence="A constant torque at the load that does not know the direction.",
     equation="J_l dω_l/dt: − T",
     parameters=(
-        EffectParameter(
+        amplitude(
             "torque_nm",
             "N m",
             "torque against forward rotation T",
@@ -72,7 +72,7 @@ GRAVITY_PHASE = Effect(
     sentence="Gravity's direction is not where the load angle's zero says.",
     equation="J_l dω_l/dt: − m_c cos θ_l",
     parameters=(
-        EffectParameter(
+        amplitude(
             "torque_nm", "N m", "torque at θ_l = 0, m_c", low=-200.0, high=200.0, typical=30.0
         ),
     ),
@@ -97,7 +97,7 @@ MOTOR_TORQUE_RIPPLE = Effect(
     sentence="Torque that repeats with the motor angle: cogging, current sensor errors.",
     equation="J_m dω_m/dt: − a sin(n θ_m + φ)",
     parameters=(
-        EffectParameter(
+        amplitude(
             "torque_nm",
             "N m",
             "amplitude a",

@@ -1,21 +1,24 @@
-"""File formats of recordings: each module here that declares a :class:`Format` adds one.
+"""File formats of recordings: a row of :data:`FORMATS` and the module that reads it.
 
-Asked by the command line's help and by configurations before any number is read, so a format
-imports what it reads with only when it reads.
+Asked by the command line's help and by configurations before any number is read, so modules are
+imported when they read.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesbl.declared import declared
+from bayesbl.recording.hdf5 import SIGNATURES
 
 if TYPE_CHECKING:
     from bayesbl.recording.array_table import ArrayTable
+
+RESULT_MARK = "bayesbl_format"
+"""Root attribute that marks a NetCDF file as a result of ours; its value counts the layouts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +31,9 @@ class Format:
         What the help calls it.
     suffixes
         Of its files, in small letters with the dot.
-    read
-        From path and bytes to named columns. Called in a process of its own, but for text; what
-        it raises there is told as a damaged file.
+    module
+        Whose function ``read`` makes named columns of path and bytes. Called in a process of its
+        own, but for text; what it raises there is told as a damaged file.
     library
         The optional library that it reads with, as it is imported; empty where there is none.
     signatures
@@ -42,7 +45,7 @@ class Format:
 
     name: str
     suffixes: tuple[str, ...]
-    read: Callable[[Path, bytes], ArrayTable]
+    module: str
     library: str = ""
     signatures: tuple[tuple[int, bytes], ...] = ()
     beside: str = ""
@@ -53,14 +56,51 @@ class Format:
             data[at : at + len(mark)] == mark for at, mark in self.signatures
         )
 
+    @property
+    def read(self) -> Callable[[Path, bytes], ArrayTable]:
+        """From path and bytes to named columns."""
+        found: Callable[[Path, bytes], ArrayTable] = import_module(self.module, __name__).read
+        return found
 
-def formats() -> dict[str, Format]:
-    """Suffix to the format of files that end in it."""
-    found = declared(sys.modules[__name__], Format)
-    return {suffix: format_ for format_ in found for suffix in format_.suffixes}
+
+_MAT_5 = ((126, b"IM"), (126, b"MI"))
+_MAT_4 = (*((0, bytes([kind, 0, 0, 0])) for kind in range(0, 60, 10)), (0, b"\x00\x00\x03\xe8"))
+"""Version 4 has no signature but the type of its first variable."""
+
+_EVERY = (
+    Format("CSV, TSV", (".csv", ".tsv", ".txt", ".log", ".lvm", ".asc", ".prn"), ".csv"),
+    Format("DIAdem or KUKA trace", (".dat",), ".diadem", beside=".r64"),
+    Format("Excel", (".xlsx", ".xlsm"), ".excel", "openpyxl", ((0, b"PK\x03\x04"),)),
+    Format(
+        "JSON",
+        (".json", ".jsonl", ".ndjson"),
+        ".json_log",
+        signatures=((0, b"{"), (0, b"["), (0, b"\xef\xbb")),
+    ),
+    Format("MATLAB", (".mat",), ".matlab", signatures=(*_MAT_5, *SIGNATURES, *_MAT_4)),
+    Format("MDF", (".mf4", ".mdf"), ".mdf", "asammdf", ((0, b"MDF "), (0, b"UnFinMF"))),
+    Format(
+        "NetCDF",
+        (".nc",),
+        ".netcdf",
+        signatures=((0, b"CDF\x01"), (0, b"CDF\x02"), (0, b"CDF\x05"), *SIGNATURES),
+    ),
+    Format("Parquet", (".parquet",), ".parquet", "pyarrow", ((0, b"PAR1"),)),
+    Format(
+        "ROS bag, MCAP",
+        (".mcap", ".db3", ".bag"),
+        ".ros_bag",
+        "rosbags",
+        ((0, b"\x89MCAP0\r\n"), (0, b"SQLite format 3\0"), (0, b"#ROSBAG V2.0\n")),
+    ),
+    Format("TDMS", (".tdms",), ".tdms", "nptdms", ((0, b"TDSm"),)),
+)
+
+FORMATS = {suffix: format_ for format_ in _EVERY for suffix in format_.suffixes}
+"""Suffix to the format of files that end in it."""
 
 
 def names() -> str:
     """``CSV, TSV, MATLAB, NetCDF or Parquet``."""
-    *most, last = dict.fromkeys(format_.name for format_ in formats().values())
+    *most, last = dict.fromkeys(format_.name for format_ in FORMATS.values())
     return f"{', '.join(most)} or {last}"

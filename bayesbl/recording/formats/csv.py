@@ -6,15 +6,20 @@ import codecs
 import re
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.formats import Format
+from bayesbl.recording.array_table import ArrayTable
 from bayesbl.recording.formats.scope_export import is_scope_export, read_scope_export
 from bayesbl.recording.input_bytes import require_memory
-
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
+from bayesbl.recording.text_table import (
+    EXPECTED,
+    form_of_events,
+    layout_of,
+    lines_of,
+    middle_of,
+    read_events,
+    table_of_text,
+)
 
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -38,7 +43,7 @@ _EVENT_TIMES = 13.0
 """The same of a log of events."""
 
 
-def read_csv(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Find the table in a text, or read an export of TwinCAT Scope or a log of events.
 
     Raises
@@ -47,16 +52,6 @@ def read_csv(file: Path, data: bytes) -> ArrayTable:
         If it is not text, or holds no table or no sample. Nothing of it is quoted before its lines
         have proved to be numbers.
     """
-    from bayesbl.recording.text_table import (
-        EXPECTED,
-        form_of_events,
-        layout_of,
-        lines_of,
-        middle_of,
-        read_events,
-        table_of_text,
-    )
-
     for begin in range(0, len(data), _LONGEST_LINE):
         part = data[begin : begin + _LONGEST_LINE]
         if len(part) == _LONGEST_LINE and b"\n" not in part and b"\r" not in part:
@@ -113,8 +108,3 @@ def _encoding(data: bytes) -> str:
         if japanese:
             return name
     return "latin-1"  # of which any byte is a character
-
-
-_SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".lvm", ".asc", ".prn")
-
-FORMAT = Format("CSV, TSV", _SUFFIXES, read_csv)

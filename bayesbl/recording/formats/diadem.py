@@ -9,20 +9,18 @@ all channels in turn) or ``CHANNEL``, 220 samples, 221 where the channel begins,
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.formats import Format
-from bayesbl.recording.formats.csv import read_csv
-
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
+from bayesbl.recording.array_table import AnyArray, ArrayTable, numbered
+from bayesbl.recording.formats import csv
 
 _BEGIN, _END = b"#BEGINCHANNELHEADER", b"#ENDCHANNELHEADER"
 BESIDE = ".r64"
 
 
-def read_dat(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Channels of a header and the samples that follow it in ``data``.
 
     Raises
@@ -30,12 +28,8 @@ def read_dat(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If the samples are missing, or fewer than the header says.
     """
-    import numpy as np
-
-    from bayesbl.recording.array_table import AnyArray, ArrayTable, numbered
-
     if _BEGIN not in data:
-        return read_csv(file, data)
+        return csv.read(file, data)
     end = data.rfind(_END) + len(_END)
     end = data.find(b"\n", end) + 1 or len(data)
     header, samples = data[:end], data[end:]
@@ -76,6 +70,3 @@ def _values(part: bytes) -> dict[int, str]:
     """Code to value of a channel's lines."""
     lines = (line.partition(",") for line in part.decode("cp1252", "replace").splitlines())
     return {int(code): value.strip() for code, _, value in lines if code.strip().isdigit()}
-
-
-FORMAT = Format("DIAdem or KUKA trace", (".dat",), read_dat, beside=BESIDE)

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import io
 import re
-import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import openpyxl
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.formats import Format
-from bayesbl.recording.input_bytes import require_memory
-
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable, Group
+from bayesbl.recording.array_table import (
+    ArrayTable,
+    Group,
+    decimal_mark,
+    number_in,
+    table_of_groups,
+)
+from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of_text
 
 _MOST_COLUMNS = 1000
 _MOST_LINES = 2**20
@@ -25,7 +29,7 @@ _MOST_LINES = 2**20
 _HEAD, _MIDDLE = 400, 200
 
 
-def read_excel(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Columns of all sheets, ``SHEET/NAME`` where two sheets have one of the same name.
 
     Raises
@@ -33,29 +37,14 @@ def read_excel(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no workbook, or unpacks to more than the limit of memory allows.
     """
-    import openpyxl
-
-    from bayesbl.recording.array_table import table_of_groups
-
-    _check_size(file, data)
     book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
     repairs: Counter[str] = Counter()
     groups = [_group(file, sheet, repairs) for sheet in book.worksheets]
     return replace(table_of_groups(file, groups), repairs=repairs)
 
 
-def _check_size(file: Path, data: bytes) -> None:
-    with zipfile.ZipFile(io.BytesIO(data)) as parts:
-        size = sum(part.file_size for part in parts.infolist())
-        # A text that many cells share is a few letters in the file and an object in memory.
-        shared = sum(p.file_size for p in parts.infolist() if p.filename.endswith("Strings.xml"))
-    require_memory(file, 2.0 * size + 4.0 * shared, "its sheets, unpacked")
-
-
 def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
     """A sheet, as the text that it would be: numbers of cells with all their digits."""
-    from bayesbl.recording.array_table import Group, decimal_mark, number_in
-    from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of_text
 
     rows = list(_rows(file, sheet))
     while rows and not _is_written(rows[-1]):
@@ -102,6 +91,3 @@ def _rows(file: Path, sheet: Any) -> Iterator[Sequence[object]]:
                 expected=f"at most {_MOST_COLUMNS} columns and {_MOST_LINES} lines",
             )
         yield row
-
-
-FORMAT = Format("Excel", (".xlsx", ".xlsm"), read_excel, "openpyxl", ((0, b"PK\x03\x04"),))

@@ -11,21 +11,21 @@ Of several tables in a file the longest is read.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.formats import Format
-
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
+from bayesbl.recording.array_table import ArrayTable
 
 _LONGEST_LIST = 64
 _DEEPEST = 6
 
 
-def read_json(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """The longest table in the file.
 
     Raises
@@ -33,11 +33,6 @@ def read_json(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no JSON, or holds no list of numbers.
     """
-    import json
-
-    import numpy as np
-
-    from bayesbl.recording.array_table import ArrayTable
 
     text = data.decode("utf-8-sig")
     try:
@@ -86,8 +81,3 @@ def _columns(name: str, content: Any, depth: int) -> Iterator[tuple[str, list[An
                 yield from _columns(f"{name or 'column'}[{i}]", of_place, depth + 1)
         else:
             yield name or "column", content
-
-
-FORMAT = Format(
-    "JSON", (".json", ".jsonl", ".ndjson"), read_json, "", ((0, b"{"), (0, b"["), (0, b"\xef\xbb"))
-)

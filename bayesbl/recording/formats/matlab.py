@@ -11,14 +11,15 @@ import io
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.io import loadmat
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.formats import Format
+from bayesbl.recording.array_table import AnyArray, ArrayTable
 from bayesbl.recording.hdf5 import SIGNATURES, require_whole
-
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable
 
 _MOST_COLUMNS = 64
 _DEEPEST = 5
@@ -27,7 +28,7 @@ _NUMERIC = frozenset(
 )
 
 
-def read_matlab(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Numeric vectors, columns of matrices and fields of structures.
 
     Raises
@@ -35,7 +36,6 @@ def read_matlab(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no MATLAB file, holds no vector, or is v7.3 and shows what it does not hold itself.
     """
-    from bayesbl.recording.array_table import ArrayTable
 
     if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
         variables = _hdf5_variables(file, data)
@@ -69,15 +69,12 @@ def _columns(
 
 
 def _mat5_variables(data: bytes) -> dict[str, Any]:
-    from scipy.io import loadmat
-
     stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
     return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
 
 
 def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
     """Structures as dictionaries, arrays of numbers and text as they are, all else left out."""
-    import numpy as np
 
     plain: dict[str, Any] = {}
     for name, value in values.items():
@@ -103,9 +100,6 @@ def _is_text(cell: Any) -> bool:
 
 
 def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
-    import h5py
-    import numpy as np
-
     require_whole(data, partial(RecordingError, file=file))
 
     def variables(group: Any, depth: int) -> dict[str, Any]:
@@ -128,14 +122,3 @@ def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
 
     with h5py.File(io.BytesIO(data), "r") as stored:
         return variables(stored, 0)
-
-
-_V4 = tuple((0, bytes([kind, 0, 0, 0])) for kind in range(0, 60, 10))
-"""Version 4 has no signature but the type of its first variable."""
-
-FORMAT = Format(
-    "MATLAB",
-    (".mat",),
-    read_matlab,
-    signatures=((126, b"IM"), (126, b"MI"), *SIGNATURES, *_V4, (0, b"\x00\x00\x03\xe8")),
-)

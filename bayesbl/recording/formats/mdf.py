@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bayesbl.recording.formats import Format
+import asammdf
+import numpy as np
 
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
+from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, numbered, table_of_groups
 
 _NAMES_4 = {
     3: "a formula", 4: "a table", 5: "a table", 6: "a table of ranges", 7: "a table of text",
@@ -26,64 +26,50 @@ _NAMES_3 = {
 """Conversions that are no factor and offset, by their number in MDF 4 and in MDF 3."""
 
 
-def read_mdf(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Every channel of one dimension, in the units after its conversion where that is linear."""
-    import asammdf
-
-    from bayesbl.recording.array_table import table_of_groups
-
     with asammdf.MDF(io.BytesIO(data)) as stored:
         groups = [_group(stored, number) for number in range(len(stored.groups))]
         return table_of_groups(file, groups)
 
 
-class _Scale:
-    """Factor and offset of a channel's conversion; ``withheld`` names one that is neither."""
+def _scale(conversion: Any) -> tuple[float, float, str]:
+    """Factor and offset of a channel's conversion; the name of one that is neither."""
+    if conversion is None:
+        return 1.0, 0.0, ""
+    is_new = conversion.id == b"##CC"
+    kind = int(conversion.conversion_type)
+    if kind == (0 if is_new else 65535):
+        return 1.0, 0.0, ""
+    if kind == (1 if is_new else 0):
+        return float(conversion.a), float(conversion.b), ""
+    if kind == (2 if is_new else 9):
+        # (P1 x² + P2 x + P3) / (P4 x² + P5 x + P6)
+        p = [float(getattr(conversion, f"P{i}")) for i in range(1, 7)]
+        if p[0] == p[3] == p[4] == 0.0 != p[5]:
+            return p[1] / p[5], p[2] / p[5], ""
+        return 1.0, 0.0, "a rational function"
+    return 1.0, 0.0, (_NAMES_4 if is_new else _NAMES_3).get(kind, f"kind {kind}")
 
-    def __init__(self, conversion: Any) -> None:
-        self.factor, self.offset, self.withheld = 1.0, 0.0, ""
-        if conversion is None:
-            return
-        is_new = conversion.id == b"##CC"
-        kind = int(conversion.conversion_type)
-        if kind == (0 if is_new else 65535):
-            return
-        if kind == (1 if is_new else 0):
-            self.factor, self.offset = float(conversion.a), float(conversion.b)
-        elif kind == (2 if is_new else 9):
-            # (P1 x² + P2 x + P3) / (P4 x² + P5 x + P6)
-            p = [float(getattr(conversion, f"P{i}")) for i in range(1, 7)]
-            if p[0] == p[3] == p[4] == 0.0 != p[5]:
-                self.factor, self.offset = p[1] / p[5], p[2] / p[5]
-            else:
-                self.withheld = "a rational function"
-        else:
-            named = (_NAMES_4 if is_new else _NAMES_3).get(kind, f"kind {kind}")
-            self.withheld = named
 
-    def of(self, values: AnyArray) -> AnyArray:
-        """Values as they are meant, of values as they are stored."""
-        if self.factor == 1.0 and self.offset == 0.0:
-            return values
-        scaled: AnyArray = self.factor * values + self.offset
-        return scaled
+def _scaled(values: AnyArray, scale: tuple[float, float, str]) -> AnyArray:
+    """Values as they are meant, of values as they are stored."""
+    factor, offset, _ = scale
+    scaled: AnyArray = values if (factor, offset) == (1.0, 0.0) else factor * values + offset
+    return scaled
 
 
 def _group(stored: Any, number: int) -> Group:
-    import numpy as np
-
-    from bayesbl.recording.array_table import Group, numbered
-
     channels = stored.groups[number].channels
-    scales = [_Scale(channel.conversion) for channel in channels]
+    scales = [_scale(channel.conversion) for channel in channels]
     units = [_unit(channel) for channel in channels]
     for channel in channels:
         channel.conversion = None  # from here on asammdf has nothing to evaluate
     master = stored.masters_db.get(number)
     time, withheld = None, ""
     if master is not None:
-        time = scales[master].of(np.asarray(stored.get_master(number)))
-        withheld = scales[master].withheld
+        time = _scaled(np.asarray(stored.get_master(number)), scales[master])
+        withheld = scales[master][2]
     others = [index for index in range(len(channels)) if index != master]
     names = numbered([channels[index].name for index in others])
     columns: dict[str, AnyArray] = {}
@@ -93,12 +79,12 @@ def _group(stored: Any, number: int) -> Group:
         samples = np.asarray(signal.samples)
         if samples.ndim != 1:
             continue
-        reason = scales[index].withheld or (withheld and f"{withheld} on its time")
+        reason = scales[index][2] or (withheld and f"{withheld} on its time")
         if reason:
             reasons[name] = f"values by {reason}, which is not applied"
             columns[name] = samples[:0]
         elif samples.dtype.kind in "biuf":
-            columns[name] = scales[index].of(samples)
+            columns[name] = _scaled(samples, scales[index])
             if signal.invalidation_bits is not None:
                 columns[name] = np.where(signal.invalidation_bits, np.nan, columns[name])
         else:
@@ -120,6 +106,3 @@ def _unit(channel: Any) -> str:
     unit = unit or getattr(channel, "unit", "") or ""
     text = unit.decode("latin-1") if isinstance(unit, bytes) else str(unit)
     return text.strip("\0 ")
-
-
-FORMAT = Format("MDF", (".mf4", ".mdf"), read_mdf, "asammdf", ((0, b"MDF "), (0, b"UnFinMF")))

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import netCDF4
+import numpy as np
+import xarray as xr
 
 from bayesbl.errors import RecordingError
-from bayesbl.recording.formats import Format
-from bayesbl.recording.hdf5 import SIGNATURE, SIGNATURES, require_whole
-
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable
-
-RESULT_MARK = "bayesbl_format"
-"""Root attribute that marks a NetCDF file as a result of ours; its value counts the layouts."""
+from bayesbl.recording.array_table import ArrayTable
+from bayesbl.recording.formats import RESULT_MARK
+from bayesbl.recording.hdf5 import SIGNATURE, require_whole
 
 
-def read_netcdf(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Variables and coordinates with one dimension; calendar times decoded, units kept.
 
     Raises
@@ -25,12 +23,6 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no NetCDF file, not all in itself, or one of our own results.
     """
-    import netCDF4
-    import numpy as np
-    import xarray as xr
-
-    from bayesbl.recording.array_table import ArrayTable
-
     if SIGNATURE in data[:2056]:
         require_whole(data, partial(RecordingError, file=file))
     stored = netCDF4.Dataset("recording", memory=data)
@@ -50,11 +42,3 @@ def read_netcdf(file: Path, data: bytes) -> ArrayTable:
             if "units" in variable.attrs
         }
     return ArrayTable(str(file), arrays, units)
-
-
-FORMAT = Format(
-    "NetCDF",
-    (".nc",),
-    read_netcdf,
-    signatures=(*((0, b"CDF" + bytes([n])) for n in (1, 2, 5)), *SIGNATURES),
-)

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bayesbl.recording.formats import Format
+import pyarrow
+import pyarrow.compute
+import pyarrow.parquet
+import pyarrow.types as types
 
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable
+from bayesbl.recording.array_table import AnyArray, ArrayTable
 
 _LONGEST_LIST = 64
 
 
-def read_parquet(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """All columns, the index that pandas may have stored among them.
 
     By pyarrow, not the lighter fastparquet, which a damaged file can crash.
     """
-    import pyarrow
-    import pyarrow.parquet
-
-    from bayesbl.recording.array_table import ArrayTable
-
     pyarrow.set_memory_pool(pyarrow.system_memory_pool())  # its own reserves far more than it uses
     stored = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(data))
     table = stored.read(use_threads=False)
@@ -34,8 +31,6 @@ def read_parquet(file: Path, data: bytes) -> ArrayTable:
 
 def _of_lists(name: str, column: Any) -> dict[str, AnyArray]:
     """``NAME[0]``, ``NAME[1]`` … of a column whose cells are lists of one length, else nothing."""
-    import pyarrow.compute
-    import pyarrow.types as types
 
     kind = column.type
     if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
@@ -45,6 +40,3 @@ def _of_lists(name: str, column: Any) -> dict[str, AnyArray]:
         return {}
     flat = pyarrow.compute.list_flatten(column).to_numpy().reshape(-1, lengths[0])
     return {f"{name}[{i}]": flat[:, i] for i in range(lengths[0])}
-
-
-FORMAT = Format("Parquet", (".parquet",), read_parquet, "pyarrow", ((0, b"PAR1"),))

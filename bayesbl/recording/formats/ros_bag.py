@@ -9,18 +9,18 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bayesbl.recording.formats import Format
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
+from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, table_of_groups
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """Of a joint that turns, as the definition of JointState states them."""
 
-_MCAP, _ROS_1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _LONGEST_ARRAY = 100
 _DEEPEST = 6
 
@@ -56,17 +56,12 @@ class _Bytes:
         return self.name
 
 
-def read_bag(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """``JOINT/velocity`` of JointState, ``TOPIC/FIELD`` of others, each group with its clock.
 
     Time is the header's stamp from the group's first; where messages have none, the column
     ``received_s`` holds when they were recorded, which a network makes uneven.
     """
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    from bayesbl.recording.array_table import table_of_groups
-
     path = _Bytes(file.name.removesuffix(".gz").lower(), data)
     # Before ROS 2 Iron, SQLite bags held no definitions of their messages.
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -127,7 +122,6 @@ def _joints(message: Any) -> Iterator[tuple[str, dict[str, float]]]:
 
 def _fields(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
     """Every number of a message by the path to it, but the header's."""
-    import numpy as np
 
     for name in getattr(message, "__dataclass_fields__", ()):
         value = getattr(message, name)
@@ -153,10 +147,6 @@ def _groups(series: _Series) -> list[Group]:
 
 
 def _group(name: str, rows: _Rows, units: Mapping[str, str]) -> Group:
-    import numpy as np
-
-    from bayesbl.recording.array_table import Group
-
     stamps_ns, received_ns = np.array(rows.stamps_ns), np.array(rows.received_ns)
     columns: dict[str, AnyArray] = {}
     for field, values in rows.fields.items():
@@ -165,12 +155,3 @@ def _group(name: str, rows: _Rows, units: Mapping[str, str]) -> Group:
     columns["received_s"] = (received_ns - received_ns[0]) / 1e9
     time = (stamps_ns - stamps_ns[0]) / 1e9 if stamps_ns.all() else None
     return Group(name, columns, time, {**units, "received_s": "s"})
-
-
-FORMAT = Format(
-    "ROS bag, MCAP",
-    (".mcap", ".db3", ".bag"),
-    read_bag,
-    "rosbags",
-    ((0, _MCAP), (0, b"SQLite format 3\0"), (0, _ROS_1)),
-)

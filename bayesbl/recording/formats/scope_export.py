@@ -7,17 +7,16 @@ group ends before the others, or repeats its samples to fill the lines.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from bayesbl.recording.array_table import AnyArray, ArrayTable, Group
-    from bayesbl.recording.types import FloatArray
+from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, numbered, table_of_groups
+from bayesbl.recording.text_table import Layout, table_of_text
+from bayesbl.recording.types import FloatArray
 
 _SEPARATORS = "\t;,"
 _KEYS = (
@@ -52,8 +51,6 @@ def read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
     RecordingError
         If its channels have no times, or there is text among these.
     """
-    from bayesbl.recording.array_table import numbered, table_of_groups
-    from bayesbl.recording.text_table import Layout, table_of_text
 
     separator = lines[0][4]
     head = [[cell.strip() for cell in line.split(separator)] for line in lines[:_LONGEST_HEADER]]
@@ -90,10 +87,6 @@ def _groups(
     known: Mapping[str, Sequence[str]], starts: Sequence[int], table: ArrayTable
 ) -> Iterator[Group]:
     """Channels that have the same times; a line that only repeats a time is left out."""
-    import numpy as np
-
-    from bayesbl.recording.array_table import Group, numbered
-
     width = len(table.columns)
     channels = [column for column in range(width) if column not in starts]
     names = dict(
@@ -103,7 +96,7 @@ def _groups(
     columns: list[dict[str, AnyArray]] = []
     units: dict[str, str] = {}
     for start, end in zip(starts, [*starts[1:], width], strict=True):
-        stamps = table.numbers([start])[:, 0]
+        stamps = table.numbers([table.columns[start]])[:, 0]
         kept = np.isfinite(stamps) & (stamps != np.concatenate([[np.nan], stamps[:-1]]))
         time = stamps[kept]
         if time.size and time[0] >= _FILETIME:

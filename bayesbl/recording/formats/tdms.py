@@ -5,22 +5,18 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bayesbl.recording.formats import Format
+import nptdms
+import numpy as np
 
-if TYPE_CHECKING:
-    from bayesbl.recording.array_table import ArrayTable, Group
+from bayesbl.recording.array_table import ArrayTable, Group, table_of_groups
 
 _UNITS = ("unit_string", "NI_UnitDescription")
 
 
-def read_tdms(file: Path, data: bytes) -> ArrayTable:
+def read(file: Path, data: bytes) -> ArrayTable:
     """Every channel; ``GROUP/NAME`` where two groups have one of the same name."""
-    import nptdms
-
-    from bayesbl.recording.array_table import table_of_groups
-
     stored = nptdms.TdmsFile.read(io.BytesIO(data))
     groups = [part for group in stored.groups() for part in _groups(group)]
     return table_of_groups(file, groups)
@@ -31,10 +27,6 @@ def _groups(group: Any) -> Iterator[Group]:
 
     Channels that state no increment belong to the only clock, if there is only one.
     """
-    import numpy as np
-
-    from bayesbl.recording.array_table import Group
-
     channels = {str(channel.name): channel for channel in group.channels()}
     columns = {name: np.asarray(channel[:]) for name, channel in channels.items()}
     clocks = {
@@ -61,6 +53,3 @@ def _groups(group: Any) -> Iterator[Group]:
         if held:
             time = None if clock is None else clock[1] + clock[2] * np.arange(clock[3])
             yield Group(str(group.name), held, time, {n: units[n] for n in held if n in units})
-
-
-FORMAT = Format("TDMS", (".tdms",), read_tdms, "nptdms", ((0, b"TDSm"),))
