@@ -9,7 +9,7 @@ from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
-from bayesbl.measurement.routes import declared_groups, measure, measurer_of
+from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.measurement.stored import summary_of as summarise
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
@@ -18,9 +18,7 @@ from bayesbl.sentences import sentence
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ATTRIBUTES", "declared_groups", "describe", "make", "summarise"]
-
-ATTRIBUTES = ("outcome", "recordings", "interval_level", "interval_kind")
+__all__ = ["describe", "make", "summarise"]
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:
