@@ -131,7 +131,7 @@ def _sending(
         yield lambda rows: None
         return
     sender = Sender(table.beside, asked.publish, asked.credentials, say)
-    sender.offer(table.rows())
+    sender.offer(table.rows)
     sender.start()
     wait_s = 0.0
     try:
