@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from bayesbl.cli.running import WRONG, guessing_columns, notes_console, run_config, run_file
+from bayesbl.cli.running import (
+    WRONG,
+    guessing_columns,
+    notes_console,
+    print_json,
+    run_config,
+    run_file,
+)
 from bayesbl.errors import ConfigError
 from bayesbl.recording import formats
 
@@ -636,13 +643,12 @@ def inspect_command(result: ResultPath, **given: Any) -> None:
     """Print what a result says."""
     from bayesbl.presentation.console import print_summary
     from bayesbl.presentation.terminal import make_console
-    from bayesbl.results.store import json_text
     from bayesbl.runs.kinds import read_result, summarise
 
     tree = read_result(result)
     if given["json"]:
         # Not the summary.json beside it: only what is in result.nc is verified.
-        typer.echo(json_text(summarise(tree)), nl=False)
+        print_json(summarise(tree))
     else:
         print_summary(tree, make_console())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from bayesbl.errors import ConfigError, RecordingError, ResultError
+from bayesbl.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -85,7 +85,7 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
         options = Options(draw, force, tell, console.print, FIGURES.get())
         summary = run(config, options, file)
     if json:
-        print_json(config.run.output)
+        print_json(summary)
     elif volume == "quiet":
         print_headline(summary, make_console())
     else:
@@ -119,18 +119,12 @@ def guessing_columns(recordings: Sequence[Path], config: Path | None) -> Iterato
         raise error.at(RecordingError) from None
 
 
-def print_json(folder: Path) -> None:
-    """The stored summary in UTF-8, whatever the terminal's encoding, with the same values."""
+def print_json(summary: Mapping[str, Any]) -> None:
+    """A summary in UTF-8, whatever the terminal's encoding, as it is stored."""
     from bayesbl.presentation.terminal import STEERING
-    from bayesbl.results.folder import SUMMARY_FILE
+    from bayesbl.results.store import json_text
 
-    try:
-        text = (folder / SUMMARY_FILE).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ResultError(
-            "There is no summary beside this result.", file=folder, expected=SUMMARY_FILE
-        ) from None
-    text = STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    text = STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", json_text(summary))
     typer.echo(text.encode(), nl=False)
 
 

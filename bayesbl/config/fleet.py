@@ -23,8 +23,6 @@ from bayesbl.config.sections import (
     resolve,
 )
 
-TABLE_SUFFIXES = (".csv", ".parquet", ".toml")
-
 _PLACES = {"{joint}", "{date}"}
 
 
@@ -48,8 +46,8 @@ def _source_of_recordings(value: object, info: ValidationInfo) -> str:
 
 def _table(value: object, info: ValidationInfo) -> object:
     path = resolve(str(value), info)
-    if path.suffix.lower() not in TABLE_SUFFIXES:
-        refuse("This is no table.", found=path, expected=f"a file in {', '.join(TABLE_SUFFIXES)}")
+    if path.suffix.lower() != ".csv":
+        refuse("This is no table.", found=path, expected="a file in .csv")
     if not path.is_file():
         refuse("There is no such file.", found=path, expected="an existing file")
     return path

@@ -56,7 +56,6 @@ def signals_group(unit: str) -> Group:
             channel (piece) | text | channel
             use (piece) | text | fitted on (used) or predicted (held_out)
         """),
-        optional=True,
     )
 
 
@@ -69,7 +68,7 @@ def _unknown(name: str) -> Variable:
     )
 
 
-POSTERIOR = Group("posterior", coordinates=(CHAIN, DRAW), named=_unknown, optional=True)
+POSTERIOR = Group("posterior", coordinates=(CHAIN, DRAW), named=_unknown)
 
 LEARNED = {
     LEARNED_TORQUE: Group(
@@ -79,7 +78,6 @@ LEARNED = {
             sd_nm (point) | N m | its standard deviation
         """),
         table("variable (point) | 1 | what it depends on, in rad, rad/s or s"),
-        optional=True,
     ),
     ENCODER_ERROR: Group(
         ENCODER_ERROR,
@@ -88,7 +86,6 @@ LEARNED = {
             sd_rad (point) | rad | its standard deviation
         """),
         table("variable (point) | rad | angle of the motor"),
-        optional=True,
     ),
 }
 """By the name of what was learned."""
@@ -132,13 +129,7 @@ def residuals_group(stage: str) -> Group:
             *table("load_angle_rad (load_angle_rad) | rad | load angle"),
         ),
         _named,
-        optional=True,
     )
-
-
-def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
-    """All groups of a diagnosis."""
-    return (signals_group(""), POSTERIOR, *LEARNED.values(), *map(residuals_group, STAGES))
 
 
 def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:

@@ -8,11 +8,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import queue
 import ssl
 import stat
 import sys
-import threading
 import time
 import tomllib
 import uuid
@@ -253,10 +251,12 @@ class OnlyOnce:
 NOBODY_LISTENS = 16
 """MQTT 5's reason code where no client, present or away, has asked for the topic."""
 
-SEND_ALL_AFTER_S = 7 * 24 * 3600.0
-"""After which a device sends all of its answers again, and a broker may forget a copy."""
+EXPIRES_S = 7 * 24 * 3600
+"""After which a broker may forget an answer."""
 
-_POLL_S = 0.5
+SEND_ALL_AFTER_S = float(EXPIRES_S)
+"""After which a device sends all of its answers again."""
+
 _SENT = "sent.json"
 
 
@@ -283,85 +283,73 @@ class Sender:
         self._file, self._device = folder / _SENT, stays_known_by(folder)
         self._address, self._say = address, OnlyOnce(say)
         self._client = make_client(address, credentials, self._device, acknowledge_by_hand=False)
-        self._client.on_publish = lambda client, data, mid, reason, more: self._taken.put(reason)
+        self._client.on_publish = self._on_publish
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = self._on_connect_fail
         self._answers: dict[tuple[str, str], tuple[str, bytes]] = {}
-        self._taken: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._under_way: dict[str, int] = {}  # paho's number of each
+        self._reasons: dict[int, Any] = {}
         self._sent, self._since_s = self._kept()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def offer(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Answers to send; a newer one of the same file takes the place of an older."""
-        for row in rows:
-            if row["device"] is not None:
-                continue  # of another, that was collected here
-            message = encoded_answer(row, self._device)
-            name = hashlib.sha256(message).hexdigest()
-            self._answers[row["joint"], row["file"]] = name, message
-
-    def start(self) -> None:
-        """Begin to connect and to send."""
+        self._pause_s, self._again_s = FIRST_WAIT_S, 0.0
         self._client.connect_async(
-            self._address.host, self._address.port, clean_start=False, properties=session()
+            address.host, address.port, clean_start=False, properties=session()
         )
         self._client.loop_start()
-        self._thread.start()
+
+    def offer(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Answers to send; a newer one of the same file takes the place of an older.
+
+        To be called every now and then, without any too.
+        """
+        for row in rows:
+            if row["device"] is None:  # not of another, that was collected here
+                message = encoded_answer(row, self._device)
+                name = hashlib.sha256(message).hexdigest()
+                self._answers[row["joint"], row["file"]] = name, message
+        if not 0.0 <= time.time() - self._since_s < SEND_ALL_AFTER_S:  # a clock may be set
+            self._sent, self._since_s = set(), time.time()
+        for name, number in list(self._under_way.items()):
+            if number in self._reasons:
+                del self._under_way[name]
+                self._settle(name, self._reasons.pop(number))
+        if time.monotonic() >= self._again_s:
+            expires = _properties("PUBLISH", MessageExpiryInterval=EXPIRES_S)
+            for name, message in self._waiting():
+                if name not in self._under_way:
+                    sent = self._client.publish(self._address.topic, message, 1, properties=expires)
+                    self._under_way[name] = sent.mid
 
     def stop(self, wait_s: float = 0.0) -> int:
         """End, once nothing waits or after a time; how many answers wait still."""
         end = time.monotonic() + wait_s
         while self._waiting() and time.monotonic() < end:
             time.sleep(0.05)
-        self._stop.set()
-        self._thread.join()
+            self.offer(())
         self._client.disconnect()
         self._client.loop_stop()
         self._keep()
         return len(self._waiting())
 
     def _waiting(self) -> list[tuple[str, bytes]]:
-        return [one for one in list(self._answers.values()) if one[0] not in self._sent]
+        return [one for one in self._answers.values() if one[0] not in self._sent]
 
-    def _run(self) -> None:
-        pause = FIRST_WAIT_S
-        while not self._stop.is_set():
-            if not 0.0 <= time.time() - self._since_s < SEND_ALL_AFTER_S:  # a clock may be set
-                self._sent, self._since_s = set(), time.time()
-            waiting = self._waiting()
-            if not waiting:
-                self._stop.wait(_POLL_S)
-            elif self._is_taken(*waiting[0]):
-                pause = FIRST_WAIT_S
-                if len(waiting) == 1:
-                    self._keep()
-            else:
-                self._stop.wait(pause)
-                pause = min(2 * pause, LONGEST_WAIT_S)
-
-    def _is_taken(self, name: str, message: bytes) -> bool:
-        """Whether the broker has taken an answer; it is waited for however long that takes."""
-        expires = _properties("PUBLISH", MessageExpiryInterval=int(SEND_ALL_AFTER_S))
-        self._client.publish(self._address.topic, message, qos=1, properties=expires)
-        while not self._stop.is_set():
-            try:
-                reason = self._taken.get(timeout=_POLL_S)
-            except queue.Empty:
-                continue
-            if reason.value == NOBODY_LISTENS:
-                self._say(
-                    f"Nobody has asked for {self._address.in_words} yet: answers wait until "
-                    "`bayesbl collect` has been there once."
-                )
-                return False
-            if reason.is_failure:
-                self._say(f"The broker refuses {self._address.in_words}: {reason}. Answers wait.")
-                return False
+    def _settle(self, name: str, reason: Any) -> None:
+        """What the broker says of an answer."""
+        if not reason.is_failure and reason.value != NOBODY_LISTENS:
             self._say(f"Answers go to {self._address.in_words}.")
             self._sent.add(name)
-            return True
-        return False
+            self._pause_s = FIRST_WAIT_S
+            if not self._waiting():
+                self._keep()
+            return
+        self._say(
+            f"Nobody has asked for {self._address.in_words} yet: answers wait until "
+            "`bayesbl collect` has been there once."
+            if reason.value == NOBODY_LISTENS
+            else f"The broker refuses {self._address.in_words}: {reason}. Answers wait."
+        )
+        self._again_s = time.monotonic() + self._pause_s
+        self._pause_s = min(2 * self._pause_s, LONGEST_WAIT_S)
 
     def _kept(self) -> tuple[set[str], float]:
         """Names of what was sent, and since when; what is lost of it is sent once more."""
@@ -375,6 +363,12 @@ class Sender:
         sent = self._sent.intersection(name for name, _ in self._answers.values())
         with suppress(OSError), replacing(self._file) as file:
             file.write_text(json.dumps({"since_s": self._since_s, "sent": sorted(sent)}))
+
+    # Called by paho's thread.
+    def _on_publish(
+        self, client: object, data: object, mid: int, reason: Any, more: object
+    ) -> None:
+        self._reasons[mid] = reason
 
     def _on_connect(self, client: Any, data: object, flags: Any, reason: Any, more: object) -> None:
         if reason.is_failure:

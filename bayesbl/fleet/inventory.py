@@ -8,14 +8,12 @@ import io
 import math
 import os
 import re
-import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date as Date
-from datetime import datetime
 from glob import escape, glob
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, Self, TypeVar
+from typing import Annotated, NoReturn, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -36,14 +34,9 @@ from bayesbl.recording.channels import did_you_mean, did_you_mean_file
 from bayesbl.recording.input_bytes import read_input
 
 
-def _date_of(value: object) -> str:
-    day = value.date() if isinstance(value, datetime) else value
-    return (day if isinstance(day, Date) else Date.fromisoformat(str(day))).isoformat()
-
-
 def _day(value: object) -> str:
     try:
-        return _date_of(value)
+        return Date.fromisoformat(str(value)).isoformat()
     except ValueError:
         refuse("This is no date.", expected="a date such as 2026-03-01, or nothing")
 
@@ -52,9 +45,9 @@ _Day = Annotated[str, BeforeValidator(_day)]
 
 
 class _Row(BaseModel):
-    """A row of a table, whose cells may be numbers or text."""
+    """A row of a table."""
 
-    model_config = ConfigDict(coerce_numbers_to_str=True, allow_inf_nan=False)
+    model_config = ConfigDict(allow_inf_nan=False)
 
 
 _File = AfterValidator(str)
@@ -124,7 +117,7 @@ class _RecordingRow(_Row):
     """A row of the table of recordings."""
 
     joint: str
-    date: Any
+    date: str
     file: str
     reference_speed_rpm: float | None = None
 
@@ -158,8 +151,7 @@ def read_joints(section: FleetSection) -> list[Joint]:
         or a curve that is not there.
     """
     file = section.joints
-    rows = _rows(file, "joints")
-    joints = [_valid(Joint, row, file, number) for number, row in enumerate(rows, start=1)]
+    joints = [_valid(Joint, row, file, number) for number, row in enumerate(_rows(file), start=1)]
     if not joints:
         raise ConfigError("The inventory has no joint.", file=file, expected="a row a joint")
     seen: dict[str, str] = {}
@@ -289,7 +281,7 @@ def _within(folder: str | Path, one: Found) -> Found:
 
 def _by_table(section: FleetSection) -> Iterator[Found]:
     file = Path(section.recordings)
-    for number, given in enumerate(_rows(file, "recordings"), start=1):
+    for number, given in enumerate(_rows(file), start=1):
         row = _valid(_RecordingRow, given, file, number)
         path = Path(os.path.normpath(file.parent / os.path.expanduser(row.file)))
         one = _dated(row.joint, row.date, str(path), row.reference_speed_rpm)
@@ -298,12 +290,12 @@ def _by_table(section: FleetSection) -> Iterator[Found]:
         yield _within(file.parent if path.is_relative_to(file.parent) else path.parent, one)
 
 
-def _dated(joint: str, date: object, file: str, speed: float | None = None) -> Found:
+def _dated(joint: str, date: str, file: str, speed: float | None = None) -> Found:
     try:
-        day = _date_of(date)
+        day = Date.fromisoformat(date).isoformat()
     except ValueError:
         reason = f"{date!r} is no date; expected one such as 2026-03-01."
-        return Found(joint, str(date), file, speed, reason)
+        return Found(joint, date, file, speed, reason)
     return Found(joint, day, file, speed)
 
 
@@ -317,15 +309,15 @@ def _covariate(value: object) -> float | str:
 _R = TypeVar("_R", bound=_Row)
 
 
-def _valid(model: type[_R], row: Mapping[str, Any], file: Path, number: int) -> _R:
-    """A row as it is declared; an empty cell, or a table's missing number, is no value.
+def _valid(model: type[_R], row: Mapping[str, str], file: Path, number: int) -> _R:
+    """A row as it is declared; an empty cell is no value.
 
     Raises
     ------
     ConfigError
         Naming file, row and column.
     """
-    given = {key: v for key, v in row.items() if v not in (None, "") and v == v}
+    given = {key: cell for key, cell in row.items() if cell}
     try:
         return model.model_validate(given, context={BASE_DIRECTORY: file.parent})
     except ValidationError as error:
@@ -344,51 +336,22 @@ def _refuse(file: Path, row: int, column: str, found: str, expected: str) -> NoR
     )
 
 
-def _rows(file: Path, key: str) -> list[dict[str, Any]]:
-    """Rows of a table as column to value; ``key`` names their list in TOML."""
+def _rows(file: Path) -> list[dict[str, str]]:
+    """Rows of a table as column to text."""
     try:
-        data = read_input(file)
-        if file.suffix.lower() == ".parquet":
-            return _parquet_rows(file, data)
-        text = data.decode("utf-8-sig")
-        if file.suffix.lower() == ".toml":
-            rows = tomllib.loads(text).get(key)
-        else:
-            rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+        text = read_input(file).decode("utf-8-sig")
+        rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
     except UnicodeDecodeError:
         raise ConfigError("This table is not UTF-8 text.", file=file, expected="UTF-8") from None
     except OSError as error:
         raise ConfigError(
             "The table cannot be read.", file=file, found=error.strerror, expected="a file"
         ) from None
-    except (ValueError, RecursionError, csv.Error) as error:
+    except (ValueError, csv.Error) as error:
         raise ConfigError(
             "This is no table that can be read.", file=file, found=str(error)
         ) from None
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise ConfigError("The table has no rows.", file=file, expected=f"[[{key}]] entries")
-    if file.suffix.lower() == ".csv":
-        for number, row in enumerate(rows, start=1):
-            if None in row or None in row.values():
-                _refuse(file, number, "", "another number of fields", "as many as the header has")
-        rows = [{k.strip(): v.strip() for k, v in row.items()} for row in rows]
-    return rows
-
-
-def _parquet_rows(file: Path, data: bytes) -> list[dict[str, Any]]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise ConfigError(
-            "Parquet needs a package that is not installed.",
-            file=file,
-            expected="pip install 'bayesbl[fleet]', or the table as CSV or TOML",
-        ) from None
-    try:
-        rows: list[dict[str, Any]] = pyarrow.parquet.read_table(
-            pyarrow.BufferReader(data)
-        ).to_pylist()
-    except pyarrow.ArrowException as error:
-        raise ValueError(str(error)) from None
-    return rows
+    for number, row in enumerate(rows, start=1):
+        if None in row or None in row.values():
+            _refuse(file, number, "", "another number of fields", "as many as the header has")
+    return [{key.strip(): cell.strip() for key, cell in row.items()} for row in rows]

@@ -43,13 +43,6 @@ def _no_number(text: str) -> NoReturn:
     raise ValueError(f"{text} is no number")
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        raise ValueError("it gives a value twice")
-    return found
-
-
 def encoded_answer(row: Mapping[str, Any], device: str) -> bytes:
     """A row as a message; columns without a value, or with none that is finite, are left out."""
     given = {
@@ -102,7 +95,7 @@ def decoded_answer(message: bytes) -> dict[str, Any]:
     if len(message) > LARGEST_MESSAGE_BYTES:
         raise ValueError(f"it has {len(message)} bytes, more than {LARGEST_MESSAGE_BYTES}")
     try:
-        content = json.loads(message, parse_constant=_no_number, object_pairs_hook=_once)
+        content = json.loads(message, parse_constant=_no_number)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
         raise ValueError("it is no JSON") from None
     except ValueError as error:  # of a number with thousands of digits, also

@@ -7,11 +7,11 @@ that measures and where answers of many are collected, whatever the order in whi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayesbl.errors import ResultError
 from bayesbl.fleet.inventory import file_of_another
@@ -20,10 +20,7 @@ from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RECORDINGS_FILE, requi
 from bayesbl.results.atomic import locked_sibling, replacing
 from bayesbl.results.folder import is_finished, require_no_link
 
-if TYPE_CHECKING:
-    import pyarrow
-
-Row = Mapping[str, Any]
+Row = dict[str, Any]
 
 UNUSABLE = frozenset({REFUSED, FAILED})
 
@@ -33,7 +30,7 @@ _OF_THE_RECORDING = ("joint", "date", "file", "sha256", "device")
 
 @dataclass(slots=True)
 class RecordingTable:
-    """The rows in memory, some 300 bytes each, and their file.
+    """The rows in memory, by joint, date and file, and their file.
 
     Attributes
     ----------
@@ -43,7 +40,7 @@ class RecordingTable:
 
     path: Path
     beside: Path
-    _rows: pyarrow.Table
+    rows: list[Row]
     _changed: bool = False
 
     @classmethod
@@ -69,45 +66,27 @@ class RecordingTable:
             path = output / RECORDINGS_FILE
             yield cls(path, beside, _read(path))
 
-    def __len__(self) -> int:
-        return int(self._rows.num_rows)
-
-    def rows(self) -> list[dict[str, Any]]:
-        """All of them."""
-        return list(self._rows.to_pylist())
-
-    def holds_measured(self, **wanted: str) -> bool:
-        """Whether a recording was measured here, and could be used, whose row has these values."""
-        return bool(self._outcomes(device=None, **wanted) - UNUSABLE)
+    def holds_measured(self, joint: str, sha256: str) -> bool:
+        """Whether a recording was measured here, and could be used."""
+        return bool(self._outcomes(None, joint, sha256) - UNUSABLE)
 
     def before(self, joint: str, date: str) -> str | None:
         """Digest of the joint's last recording before a date."""
-        import pyarrow.compute as compute
-
-        column = self._rows.column
-        # By functions of arrays: an expression would load pyarrow's engine for data sets.
-        of_joint = compute.equal(column("joint"), joint)
-        earlier = compute.less(column("date"), date)
-        digests = column("sha256").filter(compute.and_kleene(of_joint, earlier)).drop_null()
-        return None if not len(digests) else str(digests[-1].as_py())
+        earlier = [one for one in self.rows if one["joint"] == joint and one["date"] < date]
+        digests = [one["sha256"] for one in earlier if one["sha256"] is not None]
+        return digests[-1] if digests else None
 
     def knows(self, row: Row) -> bool:
         """Whether a row is there already, or one of the same recording that says more."""
-        same = {"device": row["device"], "joint": row["joint"]}
         if row["sha256"] is None:
-            return bool(self._where(**same, file=row["file"], reason=row["reason"]))
-        known = self._outcomes(**same, sha256=row["sha256"])
+            same = ("device", "joint", "file", "reason")
+            return any(all(one[key] == row[key] for key in same) for one in self.rows)
+        known = self._outcomes(row["device"], row["joint"], row["sha256"])
         # What it says is of nobody where the same bytes are another joint's.
-        is_unusable = row["outcome"] in UNUSABLE or bool(self._of_others(row))
+        is_unusable = row["outcome"] in UNUSABLE or self._of_others(row)
         return bool(known if is_unusable else known - UNUSABLE)
 
-    def _of_others(self, row: Row) -> list[int]:
-        """Rows of the same bytes for another joint."""
-        joints = self._rows.column("joint")
-        alike = [] if row["sha256"] is None else self._where(sha256=row["sha256"])
-        return [number for number in alike if joints[number].as_py() != row["joint"]]
-
-    def put(self, row: Row) -> list[dict[str, Any]]:
+    def put(self, row: Row) -> list[Row]:
         """Add a row that is not known, and return what changed: it, and others that it concerns.
 
         A row of the same device, joint and file is of what the file held before, and goes. A
@@ -115,20 +94,13 @@ class RecordingTable:
         """
         if self.knows(row):
             return []
-        same = {"device": row["device"], "joint": row["joint"]}
-        old = self._where(**same, file=row["file"])
-        if row["sha256"] is not None:
-            old += self._where(**same, sha256=row["sha256"])
         others = self._of_others(row)
         new = [dict(row)]
         if others:
-            strange = self._rows.take(others).to_pylist()
-            new = [_of_neither(row, strange[0]), *(_of_neither(one, row) for one in strange)]
-        gone = {*old, *others}
-        rows = self._rows
-        if gone:
-            rows = rows.filter([number not in gone for number in range(len(self))])
-        self._rows = _joined(rows, new)
+            new = [_of_neither(row, others[0]), *(_of_neither(one, row) for one in others)]
+        gone = {id(one) for one in (*others, *self._replaced(row))}
+        kept = [one for one in self.rows if id(one) not in gone]
+        self.rows = sorted(kept + new, key=lambda one: (one["joint"], one["date"], one["file"]))
         self._changed = True
         return new
 
@@ -143,36 +115,30 @@ class RecordingTable:
         import pyarrow.parquet
 
         if self._changed:
+            table = pyarrow.Table.from_pylist(self.rows, schema=schema_of(RECORDING_COLUMNS))
             with replacing(self.path, durable=True) as temporary:
-                pyarrow.parquet.write_table(self._rows, temporary)
+                pyarrow.parquet.write_table(table, temporary)
             self._changed = False
 
-    def _outcomes(self, **wanted: object) -> set[str]:
-        column = self._rows.column("outcome")
-        return {str(column[number]) for number in self._where(**wanted)}
+    def _outcomes(self, device: str | None, joint: str, sha256: str) -> set[str]:
+        asked = device, joint, sha256
+        keys = "device", "joint", "sha256"
+        return {o["outcome"] for o in self.rows if tuple(o[key] for key in keys) == asked}
 
-    def _where(self, **wanted: object) -> list[int]:
-        """Numbers of the rows that have these values."""
-        import pyarrow.compute as compute
+    def _of_others(self, row: Row) -> list[Row]:
+        """Rows of the same bytes for another joint."""
+        alike = [one for one in self.rows if one["sha256"] == row["sha256"] is not None]
+        return [one for one in alike if one["joint"] != row["joint"]]
 
-        found = None
-        for name, value in wanted.items():
-            column = self._rows.column(name)
-            this = compute.is_null(column) if value is None else compute.equal(column, value)
-            found = this if found is None else compute.and_kleene(found, this)
-        return [int(number) for number in compute.indices_nonzero(found).to_pylist()]
-
-
-def _joined(rows: pyarrow.Table, new: list[dict[str, Any]]) -> pyarrow.Table:
-    """In the order of a fleet's table."""
-    import pyarrow
-
-    added = pyarrow.Table.from_pylist(new, schema=schema_of(RECORDING_COLUMNS))
-    whole = pyarrow.concat_tables([rows, added]).combine_chunks()
-    return whole.sort_by([(name, "ascending") for name in ("joint", "date", "file")])
+    def _replaced(self, row: Row) -> Iterator[Row]:
+        """Rows of the same device and joint that are of the same file or bytes."""
+        for one in self.rows:
+            same = one["file"] == row["file"] or one["sha256"] == row["sha256"] is not None
+            if same and (one["device"], one["joint"]) == (row["device"], row["joint"]):
+                yield one
 
 
-def _of_neither(row: Row, other: Row) -> dict[str, Any]:
+def _of_neither(row: Row, other: Row) -> Row:
     """The row of a recording that another joint has too: nothing of its answer is left."""
     empty = dict.fromkeys(RECORDING_COLUMNS)
     own = {name: row[name] for name in _OF_THE_RECORDING}
@@ -180,19 +146,15 @@ def _of_neither(row: Row, other: Row) -> dict[str, Any]:
     return {**empty, **own, "outcome": REFUSED, "reason": reason, "used": False}
 
 
-def _read(path: Path) -> pyarrow.Table:
-    import pyarrow
+def _read(path: Path) -> list[Row]:
     import pyarrow.parquet
 
-    schema = schema_of(RECORDING_COLUMNS)
     if not path.exists():
-        return schema.empty_table()
+        return []
+    schema = schema_of(RECORDING_COLUMNS)
     try:
-        # Read into memory: the file is replaced while the table is in use.
-        found = pyarrow.parquet.read_table(pyarrow.BufferReader(path.read_bytes()))
-        if "device" not in found.schema.names:  # an earlier version's
-            found = found.append_column("device", pyarrow.nulls(len(found), pyarrow.string()))
-        return found.select(schema.names).cast(schema)
+        found = pyarrow.parquet.read_table(path)
+        return list(found.select(schema.names).cast(schema).to_pylist())
     except (pyarrow.ArrowException, KeyError, ValueError) as error:
         raise ResultError(
             "This is no table of recordings, or it is damaged.",

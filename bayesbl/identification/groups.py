@@ -22,7 +22,7 @@ from bayesbl.config.bench import dump_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import estimates
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of, simulated_pairs
 from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
-from bayesbl.diagnosis.groups import POSTERIOR, posterior_dataset
+from bayesbl.diagnosis.groups import posterior_dataset
 from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
 from bayesbl.errors import SimulationError
 from bayesbl.identification.identify import (
@@ -47,16 +47,11 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED
 from bayesbl.results.intervals import IntervalKind, interval
-from bayesbl.results.variables import Group, dataset
+from bayesbl.results.variables import dataset
 
 SHARPER = 0.5
 """Spread of a combination, as a share of that of its sharper member, below which it is reported.
 It chooses words and no number."""
-
-
-def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
-    """All groups of an identification."""
-    return IDENTIFIED, POSTERIOR
 
 
 def identification_tree(

@@ -49,15 +49,7 @@ from bayesbl.recording.checks import moves
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.intervals import interval
 from bayesbl.results.store import read_tree
-from bayesbl.results.variables import (
-    Group,
-    Variable,
-    attributes,
-    dataset,
-    labels,
-    require_declared,
-    table,
-)
+from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
@@ -174,7 +166,6 @@ BOX_SEARCH = Group(
         has_pulses_of_optimum | 1 | 1 where its impacts are those of the optimum
     """),
     named=_symbol(),
-    optional=True,
 )
 
 SEARCH_HISTORY = Group(
@@ -224,7 +215,6 @@ SAMPLER_CHECK = Group(
         evaluations | 1 | posterior evaluations by the nested sampler
     """),
     (shared.SAMPLED_SYMBOLS,),
-    optional=True,
 )
 
 GROUPS = (
@@ -786,7 +776,6 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
             found=f'kind = "{tree.attrs.get("kind")}", routes: {", ".join(routes_of(tree))}',
             expected="the result of bayesbl fit or bayesbl compare by the ringing's amplitude",
         )
-    require_declared(tree.children[NAME], [OPTIMUM], path)
     return optima_of(tree, f" in {path}")
 
 

@@ -42,16 +42,7 @@ from bayesbl.progress import Progress, of_stage
 from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.store import read_tree, texts
-from bayesbl.results.variables import (
-    Group,
-    Variable,
-    arrays,
-    attributes,
-    dataset,
-    require_declared,
-    stack_snapshots,
-    table,
-)
+from bayesbl.results.variables import Group, Variable, attributes, dataset, stack_snapshots, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
@@ -101,7 +92,6 @@ CURVE = Group(
     ),
     table("amplitude (amplitude) | rpm | amplitude of the impact ringing"),
     named=_source,
-    optional=True,
 )
 """A curve, and how the draws of δ went through it.
 
@@ -219,14 +209,8 @@ def curve_to_dataset(curve: GapCurve) -> xr.Dataset:
 
 
 def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
-    """The curve that :func:`curve_to_dataset` stored, under a new name.
-
-    Raises
-    ------
-    ResultError
-        If anything is missing.
-    """
-    found = arrays(GAP_CURVE, stored)
+    """The curve that :func:`curve_to_dataset` stored, under a new name."""
+    found = {str(key): variable.values for key, variable in stored.variables.items()}
     own = {f.name: found[f.name] for f in fields(GapCurve) if f.name in found}
     return GapCurve(
         name=name,
@@ -263,7 +247,6 @@ def read_curve(path: str | Path) -> GapCurve:
             found=f'a result of kind "{tree.attrs.get("kind")}"',
             expected="the result.nc of a sweep",
         )
-    require_declared(tree, [GAP_CURVE], path)
     return curve_from_dataset(tree[GAP_CURVE.name].to_dataset(), str(path))
 
 

@@ -9,18 +9,14 @@ position is recorded, two encoders stand beside routes that go by the motor alon
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from importlib import import_module
 
 import xarray as xr
 
 from bayesbl.config.measurement import WITHOUT_BENCH, SnapshotConfig
-from bayesbl.errors import ResultError
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit
 from bayesbl.measurement.measurement import Measurer, Seeds, Task
-from bayesbl.measurement.shared_groups import CHANGE, GAP
-from bayesbl.measurement.stored import measurement_tree, routes_of
-from bayesbl.measurement.wear import WEAR
+from bayesbl.measurement.stored import measurement_tree
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import LOAD_POSITION, Recording
 from bayesbl.results.variables import Group
@@ -53,27 +49,6 @@ def measurer_of(config: SnapshotConfig) -> Measurer:
     """
     prepared: Measurer = import_module(ROUTES[config.estimator.route]).prepare(config)
     return prepared
-
-
-def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
-    """All groups of a stored fit or comparison, those of a route by their path.
-
-    Raises
-    ------
-    ResultError
-        If it was made by no known route.
-    """
-    names = routes_of(tree)
-    unknown = [name for name in names if name not in ROUTES]
-    if unknown or not names:
-        raise ResultError(
-            "This result was made by no known route.",
-            found=f"routes {', '.join(unknown) or 'none'}",
-            expected=" or ".join(ROUTES),
-        )
-    compared = (CHANGE, WEAR) if tree.attrs["kind"] == "compare" else ()
-    of_routes = [replace(g, name=f"{n}/{g.name}") for n in names for g in groups_of(n)]
-    return (*of_routes, GAP, *compared)
 
 
 def measure(

@@ -90,7 +90,6 @@ LOG_LIKELIHOOD = Group(
     "log_likelihood",
     (RECORDING,),
     (CHAIN, DRAW, *table("rotation (rotation) | 1 | number of the load rotation")),
-    optional=True,
 )
 
 
@@ -98,9 +97,7 @@ def _replicate(name: str) -> Variable:
     return replace(_channel(name), dims=(*DRAWS, "sample"))
 
 
-POSTERIOR_PREDICTIVE = Group(
-    "posterior_predictive", (), (CHAIN, DRAW), named=_replicate, optional=True
-)
+POSTERIOR_PREDICTIVE = Group("posterior_predictive", (), (CHAIN, DRAW), named=_replicate)
 PRIOR_PREDICTIVE = Group("prior_predictive", (), (CHAIN, DRAW), named=_replicate)
 
 PRIOR_DRAWS = 1000
@@ -123,9 +120,9 @@ def of_noise_alone(
     """
     axes = (CHAIN, DRAW)
     groups = (
-        Group("noise_posterior", variables, (*axes, *coordinates), named, optional=True),
+        Group("noise_posterior", variables, (*axes, *coordinates), named),
         LOG_LIKELIHOOD,
-        Group("log_prior", (), axes, named, optional=True),
+        Group("log_prior", (), axes, named),
         Group("prior", prior, axes, named),
         PRIOR_PREDICTIVE,
         POSTERIOR_PREDICTIVE,
@@ -150,7 +147,7 @@ def replicates(group: Group, chains: int, channels: Mapping[str, FloatArray]) ->
     return dataset(group, values, numbered(next(iter(values.values())).shape))
 
 
-GAP = Group("gap", (DELTA,), (CHAIN, DRAW), optional=True)
+GAP = Group("gap", (DELTA,), (CHAIN, DRAW))
 """The draws of δ of the route that answers; absent without a curve."""
 
 CHANGE = Group(

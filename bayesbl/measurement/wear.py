@@ -593,7 +593,6 @@ WEAR = Group(
         years_to_limit? (chain, draw) | year | time from the last snapshot to the limit
         changes_ahead? (chain, draw) | 1 | 1 where wear changes before the limit is reached
     """),
-    optional=True,
 )
 
 

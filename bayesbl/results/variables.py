@@ -1,4 +1,4 @@
-"""Variables of ``result.nc``, each declared once: the one writer, reader and check of all groups.
+"""Variables of ``result.nc``, each declared once: the one writer of all groups.
 
 A :class:`Group` is declared where its science lives, as a table of name, dimensions, unit and
 meaning. Whoever fills it gives plain arrays by name to :func:`dataset`. Variables whose names
@@ -8,21 +8,16 @@ depend on what was measured (symbols, channels) come from a function of the name
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayesbl.errors import ResultError
-
 STACKED = "snapshot"
 """Dimension in front of those declared where several snapshots are stored in one group."""
-
-_KINDS = {"number": "fiub", "text": "UO"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +55,12 @@ class Group:
     named
         Declares a variable by its name where the names depend on what was measured; ``None`` for
         a name that does not belong here.
-    optional
-        Whether a result may be stored without it.
     """
 
     name: str
     variables: tuple[Variable, ...] = ()
     coordinates: tuple[Variable, ...] = ()
     named: Callable[[str], Variable | None] | None = None
-    optional: bool = False
 
     def variable(self, name: str) -> Variable:
         """The declaration of a variable or coordinate; raises :class:`KeyError` without one."""
@@ -161,42 +153,6 @@ def dataset(
     )
 
 
-def arrays(group: Group, stored: xr.Dataset) -> dict[str, NDArray[Any]]:
-    """What :func:`dataset` was given, variables and coordinates by name.
-
-    Raises
-    ------
-    ResultError
-        If anything declared is missing, or has other dimensions or another kind.
-    """
-    problems = [f"{group.name}: {problem}" for problem in _problems(group, stored)]
-    if problems:
-        raise _incomplete(problems, None)
-    return {str(name): variable.values for name, variable in stored.variables.items()}
-
-
-def require_declared(
-    tree: xr.DataTree, groups: Iterable[Group], file: str | Path | None = None
-) -> None:
-    """A stored result holds everything that its groups declare; what it holds beside is ignored.
-
-    Raises
-    ------
-    ResultError
-        With all that is missing or has other dimensions or another kind, in one message.
-    """
-    paths = dict(tree.subtree_with_keys)
-    problems = []
-    for group in groups:
-        if group.name in paths:
-            stored = paths[group.name].to_dataset(inherit=False)
-            problems += [f"{group.name}: {problem}" for problem in _problems(group, stored)]
-        elif not group.optional:
-            problems.append(f"{group.name}: no such group")
-    if problems:
-        raise _incomplete(problems, file)
-
-
 def _stored(group: Group, name: str, value: object) -> xr.Variable:
     declared, array = group.variable(name), np.asarray(value)
     if declared.kind == "text":
@@ -209,35 +165,6 @@ def _stored(group: Group, name: str, value: object) -> xr.Variable:
         )
     return xr.Variable(
         declared.dims, array, {"units": declared.unit, "long_name": declared.meaning}
-    )
-
-
-def _problems(group: Group, stored: xr.Dataset) -> Iterator[str]:
-    for declared in (*group.variables, *group.coordinates):
-        if declared.name not in stored.variables and not declared.optional:
-            yield f"no {declared.name}"
-    for name, variable in stored.variables.items():
-        try:
-            declared = group.variable(str(name))
-        except KeyError:
-            continue
-        dims = tuple(dim for dim in variable.dims if dim != STACKED)
-        if dims != declared.dims:
-            yield f"{name} over {_listed(dims)}, expected {_listed(declared.dims)}"
-        elif variable.dtype.kind not in _KINDS[declared.kind]:
-            yield f"{name} is not a {declared.kind}"
-
-
-def _listed(dims: tuple[object, ...]) -> str:
-    return f"({', '.join(map(str, dims))})"
-
-
-def _incomplete(problems: list[str], file: str | Path | None) -> ResultError:
-    return ResultError(
-        "The result is incomplete, or was changed after it was written.",
-        file=file,
-        found="; ".join(problems),
-        expected="a result.nc as bayesbl wrote it",
     )
 
 

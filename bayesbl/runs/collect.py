@@ -6,6 +6,7 @@ then comes twice is one row. Of a message that cannot be used the reason is said
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.errors import BrokerError
 from bayesbl.fleet.broker import (
-    FIRST_WAIT_S,
-    LONGEST_WAIT_S,
     Address,
     Credentials,
     OnlyOnce,
@@ -34,11 +33,12 @@ if TYPE_CHECKING:
 IDLE_S = 5.0
 """Without a message, after which nothing more is waited for (``--once``)."""
 
-MOST_AT_ONCE = 200
-"""Messages that are stored, and acknowledged, together."""
+CONNECTED_WITHIN_S = 10.0
 
 _HEAD_BYTES = 4_000
 """Of a packet, beside its message."""
+
+_POLL_S = 0.1
 
 
 def collect(
@@ -68,121 +68,92 @@ def collect(
     with RecordingTable.opened(output) as table:
         name = stays_known_by(table.beside)
         client = make_client(address, credentials, name, acknowledge_by_hand=True)
-        collecting = _Collecting(client, address, table, OnlyOnce(say), say, tell, once)
+        collecting = _Collecting(address, table, OnlyOnce(say), say, tell, once)
         client.on_connect = collecting.on_connect
+        client.on_connect_fail = collecting.on_connect_fail
         client.on_subscribe = collecting.on_subscribe
         client.on_message = collecting.on_message
+        largest = session(MaximumPacketSize=LARGEST_MESSAGE_BYTES + _HEAD_BYTES)
+        client.connect_async(address.host, address.port, clean_start=False, properties=largest)
+        client.loop_start()
         try:
-            collecting.run()
+            while not collecting.is_over:
+                time.sleep(_POLL_S)
         finally:
             client.disconnect()
+            client.loop_stop()
+    if collecting.problem is not None:
+        raise collecting.problem
 
 
 @dataclass(slots=True)
 class _Collecting:
-    """One thread: no acknowledgement can meet another connection than its message came by."""
+    """What paho's thread calls, which connects again by itself where that is needed."""
 
-    client: Client
     address: Address
     table: RecordingTable
     say: OnlyOnce
     say_always: Callable[[str], None]
     tell: Callable[[Mapping[str, Any]], None]
     once: bool
-    arrived: list[MQTTMessage] = field(default_factory=list)
-    refusal: str | None = None
-    pause_s: int = FIRST_WAIT_S
-    last: float = field(default_factory=time.monotonic)
+    problem: Exception | None = None
+    last: float = field(default_factory=lambda: time.monotonic() + CONNECTED_WITHIN_S)
 
-    def run(self) -> None:
-        """Receive, store, acknowledge, and connect again where that is needed."""
-        properties = session(MaximumPacketSize=LARGEST_MESSAGE_BYTES + _HEAD_BYTES)
-        while True:
-            self.refusal = None
-            try:
-                self.client.connect(
-                    self.address.host,
-                    self.address.port,
-                    clean_start=False,
-                    properties=properties,
-                )
-            except OSError as error:
-                told = unreachable(self.address, error)
-                if self.once:
-                    raise BrokerError(told) from None
-                self.say(f"{told} It is tried again.")
-            else:
-                self.last = time.monotonic()
-                if self._received():
-                    return
-                if self.once and self.refusal:
-                    raise refused(self.address, self.refusal)
-            time.sleep(self.pause_s)
-            self.pause_s = min(2 * self.pause_s, LONGEST_WAIT_S)
-
-    def _received(self) -> bool:
-        """Until the connection ends; whether that was all."""
-        while not self.client.loop(1.0):
-            while self.arrived and len(self.arrived) < MOST_AT_ONCE:
-                count = len(self.arrived)
-                if self.client.loop(0.02) or len(self.arrived) == count:
-                    break
-            if self.arrived:
-                self._store()
-                self.last = time.monotonic()
-            if self.refusal:
-                return False
-            if self.once and time.monotonic() - self.last > IDLE_S:
-                return True
-        self._store()
-        if not self.refusal:
-            self.say(f"The connection to {self.address.in_words} ended. It is tried again.")
-        return False
-
-    def _store(self) -> None:
-        """First on the disk, then acknowledged."""
-        rows = []
-        for message in self.arrived:
-            payload = bytes(message.payload)
-            try:
-                rows += self.table.put(decoded_answer(payload))
-            except OSError:
-                raise  # the disk's, not the message's
-            except Exception as error:
-                # Whatever a message does, it is acknowledged, or it would come again for ever.
-                told = str(error) if isinstance(error, ValueError) else type(error).__name__
-                size, topic = len(payload), message.topic
-                self.say_always(f"A message of {size} bytes on {topic!r} cannot be used: {told}.")
-        self.table.save()
-        for message in self.arrived:
-            self.client.ack(message.mid, message.qos)
-        self.arrived.clear()
-        for row in rows:
-            self.tell(row)
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more is waited for."""
+        is_idle = time.monotonic() - self.last > IDLE_S
+        return self.problem is not None or (self.once and is_idle)
 
     def on_connect(
         self, client: Client, data: object, flags: object, reason: Any, more: object
     ) -> None:
         """Ask for the topic and those below it, as the session may have done before."""
         if reason.is_failure:
-            self._refused(str(reason))
+            self._refused(reason)
         else:
             client.subscribe(f"{self.address.topic}/#", qos=1)
+
+    def on_connect_fail(self, client: Client, data: object) -> None:
+        """Say that there is no connection."""
+        told = unreachable(self.address, sys.exception())
+        self.say(f"{told} It is tried again.")
+        if self.once:
+            self.problem = BrokerError(told)
 
     def on_subscribe(
         self, client: Client, data: object, mid: int, reasons: list[Any], more: object
     ) -> None:
         """Say that answers can come."""
         if reasons[0].is_failure:
-            self._refused(str(reasons[0]))
+            self._refused(reasons[0])
         else:
-            self.pause_s = FIRST_WAIT_S
+            self.last = time.monotonic()
             self.say(f"Waiting for answers from {self.address.in_words}.")
 
     def on_message(self, client: Client, data: object, message: MQTTMessage) -> None:
-        """Keep a message until it is stored."""
-        self.arrived.append(message)
+        """First on the disk, then acknowledged."""
+        if self.problem is not None:
+            return
+        payload, rows = bytes(message.payload), []
+        try:
+            rows = self.table.put(decoded_answer(payload))
+        except Exception as error:
+            # Whatever a message does, it is acknowledged, or it would come again for ever.
+            told = str(error) if isinstance(error, ValueError) else type(error).__name__
+            size, topic = len(payload), message.topic
+            self.say_always(f"A message of {size} bytes on {topic!r} cannot be used: {told}.")
+        try:
+            self.table.save()
+        except OSError as error:
+            self.problem = error
+            return
+        client.ack(message.mid, message.qos)
+        self.last = time.monotonic()
+        for row in rows:
+            self.tell(row)
 
-    def _refused(self, reason: str) -> None:
-        self.refusal = reason
+    def _refused(self, reason: object) -> None:
         self.say(f"The broker refuses {self.address.in_words}: {reason}. It is tried again.")
+        if self.once:
+            self.problem = refused(self.address, reason)

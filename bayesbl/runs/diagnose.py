@@ -21,7 +21,7 @@ from bayesbl.config.loading import config_from_options
 from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
 from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.groups import declared_groups, diagnosis_tree
+from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.rigid.free_motion import CHANNELS as FREE_MOTION
 from bayesbl.diagnosis.rigid.inverse import CHANNELS as INVERSE
@@ -47,9 +47,7 @@ from bayesbl.results.provenance import provenance_of
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
 
-__all__ = ["ATTRIBUTES", "declared_groups", "describe", "make", "summarise", "task_of"]
-
-ATTRIBUTES = ("outcome", "diagnosis")
+__all__ = ["describe", "make", "summarise", "task_of"]
 
 FEWEST_SAMPLES = 200
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date as Date
@@ -25,7 +25,6 @@ from bayesbl.config.fleet import FleetConfig
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import PUBLISHED
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.errors import ResultError
 from bayesbl.fleet.inventory import (
     Found,
     Joint,
@@ -100,10 +99,7 @@ class FleetSummary(Head):
 
 @dataclass(frozen=True, slots=True)
 class KeptJoint:
-    """A joint's answer with the rows of its recordings, and where their own answers are kept.
-
-    One that is not ``lasting`` serves the run that made it alone.
-    """
+    """A joint's answer with the rows of its recordings, and where their own answers are kept."""
 
     answer: JointAnswer
     rows: tuple[dict[str, Any], ...]
@@ -143,13 +139,10 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     with locked_sibling(output, KEPT) as folder:
         jobs, refused = _jobs(config, joints, found)
         store = WorkStore(folder, fresh=options.force)
-        _finish(config, jobs, store, options)
-        store = replace(store, fresh=False)
         with new_result(output, force=True) as new:
-            summary = _write(config, jobs, refused, store, new)
+            summary = _write(config, jobs, refused, _answers(config, jobs, store, options), new)
             # The pages are made of the tables alone.
             options.draw(xr.DataTree(xr.Dataset(attrs={"kind": "fleet"})), new, options.formats)
-        _forget_others(jobs, store)
     fits.keep_latest(size_bytes=LARGEST_FITS_BYTES)
     return summary
 
@@ -232,19 +225,27 @@ def _copied(one: Found, alike: Sequence[Found]) -> str | None:
     return f"Its file is to the last byte that of {alike[0].date}. Was a file copied by mistake?"
 
 
-def _finish(
+def _answers(
     config: FleetConfig, jobs: Sequence[JointJob], store: WorkStore, options: Options
-) -> None:
-    """Measure the joints that lack an answer, each kept as soon as it is there."""
-    lacking = [
-        _with_known(job, store)
-        for job in jobs
-        if store.fresh or not _lasts(store.recall("joint", job.problem(), KeptJoint))
-    ]
-    if not lacking:
-        return
-    new = sum(len(job.recordings) - len(job.known) for job in lacking)
-    options.say(f"{new} recordings to measure, {len(lacking)} of {len(jobs)} joints to look at.")
+) -> Iterator[tuple[JointJob, KeptJoint]]:
+    """Joints with their answers: those that are kept, then those to be measured, as they end.
+
+    At the end, what no file that is there leads to any more is forgotten.
+    """
+    used: set[str] = set()
+    lacking = []
+    for job in jobs:
+        kept = None if store.fresh else store.recall("joint", job.problem(), KeptJoint)
+        if kept is None:
+            lacking.append(_with_known(job, store))
+        else:
+            used |= {store.address_of("joint", job.problem()), *kept.addresses}
+            yield job, kept
+    if lacking:
+        new = sum(len(job.recordings) - len(job.known) for job in lacking)
+        options.say(
+            f"{new} recordings to measure, {len(lacking)} of {len(jobs)} joints to look at."
+        )
     done = len(jobs) - len(lacking)
     if options.progress is not None:
         options.progress("Joints", done, len(jobs))
@@ -259,14 +260,15 @@ def _finish(
             recording_row(answer, job.joint, number in wear.used, config.interval)
             for number, answer in enumerate(answers)
         )
-        store.keep("joint", job.problem(), KeptJoint(wear, rows, tuple(addresses)))
+        kept = KeptJoint(wear, rows, tuple(addresses))
+        if wear.lasting:
+            store.keep("joint", job.problem(), kept)
+        used |= {store.address_of("joint", job.problem()), *addresses}
         done += 1
         if options.progress is not None:
             options.progress("Joints", done, len(jobs))
-
-
-def _lasts(kept: KeptJoint | None) -> bool:
-    return kept is not None and kept.answer.lasting
+        yield job, kept
+    store.keep_only(used)
 
 
 def _with_known(job: JointJob, store: WorkStore) -> JointJob:
@@ -287,7 +289,7 @@ def _measured(
     config: FleetConfig, jobs: Sequence[JointJob], say: Callable[[str], None]
 ) -> Iterator[tuple[JointJob, MeasuredJoint]]:
     """Joints as they end, in any order; a single one at a time is measured here."""
-    if config.run.scheduler is None and min(config.run.workers, len(jobs)) == 1:
+    if (config.run.scheduler is None and min(config.run.workers, len(jobs)) <= 1) or not jobs:
         for job in jobs:
             yield job, measure_joint(job)
         return
@@ -299,18 +301,15 @@ def _write(
     config: FleetConfig,
     jobs: Sequence[JointJob],
     refused: Sequence[tuple[Found, str | None]],
-    store: WorkStore,
+    answers: Iterable[tuple[JointJob, KeptJoint]],
     folder: Path,
 ) -> FleetSummary:
-    """Tables, draws, summary and configuration of a fleet that is measured."""
+    """Tables, draws, summary and configuration of a fleet, whose answers come in any order."""
     draws = DrawsStore(folder / DRAWS_FOLDER)
     rows: list[dict[str, Any]] = []
-    measured = []
+    of_joint: dict[str, Measured] = {}
     broken = Counter(one.joint for one, _ in refused)
-    for job in jobs:
-        kept = store.recall("joint", job.problem(), KeptJoint)
-        if kept is None:
-            raise ResultError("What was measured cannot be read again.", file=store.folder)
+    for job, kept in answers:
         for one, sha256, row in zip(job.recordings, job.sha256, kept.rows, strict=True):
             rows.append({**row, **identity(one, sha256)})
         dates = tuple(one.date for one in job.recordings)
@@ -319,14 +318,14 @@ def _write(
         _put_draws(draws, job, kept.answer)
         # The draws of single recordings are on disk, and are not needed any more.
         now = None if kept.answer.gap_rad is None else kept.answer.gap_rad[-1:]
-        measured.append(Measured(job.joint, replace(kept.answer, gap_rad=now), dates, outcomes))
+        answer = replace(kept.answer, gap_rad=now)
+        of_joint[job.joint.name] = Measured(job.joint, answer, dates, outcomes)
     for one, digest in refused:
-        answer = RecordingAnswer(REFUSED, one.reason)
-        rows.append(
-            {**recording_row(answer, None, False, config.interval), **identity(one, digest)}
-        )
+        row = recording_row(RecordingAnswer(REFUSED, one.reason), None, False, config.interval)
+        rows.append({**row, **identity(one, digest)})
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
     asked = config.fleet
+    measured = [of_joint[job.joint.name] for job in jobs]
     types, borrowed = pool(measured, asked.pool_by, config.run.seed, asked.covariates)
     of_joints = joint_rows(measured, borrowed, config.interval, asked.decide_before)
     write_table(rows, RECORDING_COLUMNS, folder / RECORDINGS_FILE)
@@ -404,14 +403,3 @@ def summary_of(
         "pool_by": pool_by,
         "decide_before": None if before is None else before.isoformat(),
     }
-
-
-def _forget_others(jobs: Sequence[JointJob], store: WorkStore) -> None:
-    """What no file that is there leads to any more, is not needed."""
-    used = set()
-    for job in jobs:
-        kept = store.recall("joint", job.problem(), KeptJoint)
-        used |= set(kept.addresses if kept else ())
-        if _lasts(kept):
-            used.add(store.address_of("joint", job.problem()))
-    store.keep_only(used)

@@ -11,7 +11,7 @@ from bayesbl.bench.bench import Bench, heaviest, require_flank_change
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import IdentifyConfig
 from bayesbl.errors import ConfigError
-from bayesbl.identification.groups import declared_groups, identification_tree
+from bayesbl.identification.groups import identification_tree
 from bayesbl.identification.identify import Identification, Problem, identify
 from bayesbl.identification.summary import summarise_identification as summarise
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
@@ -25,9 +25,7 @@ from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan, settings_of
 from bayesbl.sampling.chains import SamplerSettings
 
-__all__ = ["ATTRIBUTES", "declared_groups", "describe", "make", "problem_of", "summarise"]
-
-ATTRIBUTES = ("outcome", "identification", "identified_bench")
+__all__ = ["describe", "make", "problem_of", "summarise"]
 
 
 def make(config: IdentifyConfig, options: Options, work: WorkStore) -> xr.DataTree:

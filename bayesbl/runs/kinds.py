@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from bayesbl.identification.summary import IdentificationSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
     from bayesbl.progress import StageProgress
-    from bayesbl.results.variables import Group
     from bayesbl.runs.fleet import FleetSummary
     from bayesbl.runs.plan import PlanSummary
     from bayesbl.runs.study import StudySummary
@@ -69,8 +68,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
 Its ``describe(config, plan)`` asks everything that can be asked before the first expensive step:
 ``check`` prints the plan, ``run`` goes by it. ``make(config, options, work)`` gives the result, and
 what takes long goes through ``work``; ``run(config, options)``, in its place, writes an output
-folder that is added to and gives the summary. Of a stored result, ``declared_groups(tree)`` lists
-the groups, ``ATTRIBUTES`` what its root says, and ``summarise(tree)`` makes the summary.
+folder that is added to and gives the summary. ``summarise(tree)`` makes that of a stored result.
 """
 
 _WITHOUT_RESULT = ("fleet", "simulate", "bench")
@@ -219,22 +217,15 @@ def summarise(tree: Tree) -> Summary:
     return summary
 
 
-def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
-    """Groups that a result declares."""
-    groups: tuple[Group, ...] = _workflow(tree.attrs["kind"]).declared_groups(tree)
-    return groups
-
-
 def read_result(path: str | Path) -> xr.DataTree:
     """Read a result of any kind into memory, as :func:`bayesbl.results.store.read_tree` does.
 
     Raises
     ------
     ResultError
-        Also if it is of no known kind, or lacks anything that its groups declare.
+        Also if it is of no known kind.
     """
     from bayesbl.results.store import read_tree
-    from bayesbl.results.variables import require_declared
 
     tree = read_tree(path)
     kind = tree.attrs.get("kind")
@@ -245,19 +236,5 @@ def read_result(path: str | Path) -> xr.DataTree:
             file=path,
             found=f"kind {kind!r}",
             expected=" or ".join(stored),
-        )
-    try:
-        require_declared(tree, declared_groups(tree))
-    except ResultError as problem:
-        problem.name_file(path)
-        raise
-    needed = _workflow(kind).ATTRIBUTES
-    missing = [name for name in needed if name not in tree.attrs]
-    if missing:
-        raise ResultError(
-            "This result lacks what every result of its kind says of itself.",
-            file=path,
-            found=f"no {', '.join(missing)}",
-            expected=f"attributes {', '.join(needed)}",
         )
     return tree

@@ -11,7 +11,7 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import ExpectedSd
-from bayesbl.measurement.routes import declared_groups, measure, measurer_of
+from bayesbl.measurement.routes import measure, measurer_of
 from bayesbl.measurement.stored import summary_of as summarise
 from bayesbl.probabilities import normal_isf
 from bayesbl.results.work import WorkStore
@@ -21,9 +21,7 @@ from bayesbl.sentences import sentence
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ATTRIBUTES", "declared_groups", "describe", "make", "summarise"]
-
-ATTRIBUTES = ("outcome", "recordings", "interval_level", "interval_kind")
+__all__ = ["describe", "make", "summarise"]
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:

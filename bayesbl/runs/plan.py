@@ -59,15 +59,6 @@ class PlanSummary(Head):
     plan: Planned
 
 
-ATTRIBUTES = ("outcome", "gap_rad")
-"""Of the root of a stored plan."""
-
-
-def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
-    """All groups of a plan."""
-    return (MOTIONS,)
-
-
 def describe(config: PlanConfig, plan: Plan) -> None:
     """Which bench, and within which limits."""
     bench = bench_from(config.bench)

@@ -59,7 +59,6 @@ from bayesbl.errors import ConfigError, UserError, WorkerError
 from bayesbl.results.folder import figure_title
 from bayesbl.results.provenance import git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, Head, head
-from bayesbl.results.variables import Group, Variable
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
 from bayesbl.runs.workflow import Options, Plan, work_of, write_result
@@ -388,25 +387,6 @@ def describe(config: StudyConfig, plan: Plan) -> None:
         return f"{study.path}, " + ", ".join(f'"{row.name}" {row.count} cases' for row in rows)
 
     plan.add("study", told)
-
-
-ATTRIBUTES = ("outcome", "study")
-"""Of the root of a stored study."""
-
-
-def declared_groups(tree: xr.DataTree) -> tuple[Group, ...]:
-    """A group for each row of a study."""
-    own = tuple(
-        Variable(name, ("case",), unit, meaning, "number" if unit else "text")
-        for name, (unit, meaning) in OWN_COLUMNS.items()
-    )
-    index = Variable("case", ("case",), "1", "index of the case")
-    return tuple(Group(name, own, (index,), _column) for name in _names_of_rows(tree))
-
-
-def _column(name: str) -> Variable:
-    """What the study's own code returns of each case."""
-    return Variable(name, ("case",), "", name)
 
 
 def prepare(config: StudyConfig) -> tuple[Study, list[Row]]:

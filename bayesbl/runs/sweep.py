@@ -18,7 +18,6 @@ from bayesbl.curve.sweep import SweepRow, SweepSettings
 from bayesbl.curve.swept_curve import degree_reports, swept_curve
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import (
-    CURVE,
     GAP_CURVE,
     MOST_KEPT,
     SOURCE_PREFIX,
@@ -83,17 +82,7 @@ BENCH_DRAWS = Group(
         labels("parameter", "parameter of the bench"),
         labels("quantity", "quantity of the ringing"),
     ),
-    optional=True,
 )
-
-
-ATTRIBUTES = ("outcome", "degree")
-"""Of the root of a stored sweep."""
-
-
-def declared_groups(_: xr.DataTree) -> tuple[Group, ...]:
-    """All groups of a sweep."""
-    return SWEEP, DEGREES, EXAMPLES, CURVE, GAP_CURVE, BENCH_DRAWS
 
 
 def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:

@@ -131,8 +131,7 @@ def _sending(
         yield lambda rows: None
         return
     sender = Sender(table.beside, asked.publish, asked.credentials, say)
-    sender.offer(table.rows())
-    sender.start()
+    sender.offer(table.rows)
     wait_s = 0.0
     try:
         yield sender.offer
@@ -161,6 +160,7 @@ def _watch(asked: Watched, measuring: _Measuring) -> None:
                 done.add(seen)
         if asked.once and found.keys() <= done:
             return
+        measuring.offer([])
         time.sleep(min(POLL_S, asked.settled_s) if asked.once else POLL_S)
 
 

@@ -31,7 +31,6 @@ from bayesbl.noise.rotation_noise import Noise
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import Recording
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.results.variables import require_declared
 from bayesbl.results.work import NOTHING_KEPT
 from bayesbl.ringing.covariance import covariance
 from bayesbl.ringing.estimator import Estimator
@@ -40,7 +39,7 @@ from bayesbl.ringing.optimum import find_optimum
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import SYMBOLS, DisturbanceModel
 from bayesbl.ringing.waveform import jacobian, jacobian_columns, misfit_curvature
-from bayesbl.runs.kinds import check, declared_groups, result_of_run
+from bayesbl.runs.kinds import check, result_of_run
 from bayesbl.runs.sweep import make
 from bayesbl.runs.workflow import Options
 
@@ -556,13 +555,6 @@ def test_a_sweep_without_a_curve_is_no_curve(tmp_path: Path) -> None:
     assert read_tree(tmp_path / "result.nc").attrs["kind"] == "fit"
     with pytest.raises(CurveError, match="holds no gap curve"):
         read_curve(tmp_path / "result.nc")
-
-
-def test_a_sweep_holds_all_that_its_groups_declare(
-    tolerant_sweep,  # type: ignore[no-untyped-def]
-) -> None:
-    tree = tolerant_sweep[2]
-    require_declared(tree, declared_groups(tree))
 
 
 def test_a_ringing_that_is_not_the_benchs_withholds_the_gap(curve: GapCurve) -> None:

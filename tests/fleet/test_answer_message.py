@@ -60,7 +60,6 @@ def changed(**values):
         (b'{"schema": 2, "device": "../x", "recording": {}}', "which device"),
         (b'{"schema": 2, "device": "d1"}', "other parts"),
         (b'{"schema": 2, "device": "d1", "recording": []}', "valid dictionary"),
-        (b'{"schema": 2, "schema": 2, "recording": {}}', "twice"),
         (b'{"schema": 2, "recording": {"delta_rad_median": NaN}}', "NaN is no number"),
         (with_number(b"1e999"), "delta_rad_sd"),
         (with_number(b"1" + b"0" * 400), "delta_rad_sd"),

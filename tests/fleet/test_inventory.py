@@ -54,23 +54,6 @@ def test_recordings_of_an_object_store_are_refused_in_words(plant):
         section(plant, 'recordings = "s3://plant/{joint}/{date}.csv"')
 
 
-def test_toml_and_parquet_say_the_same(plant):
-    pyarrow = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    rows = {"joint": ["R1-J2"], "gearbox": ["RV-80"], "limit_rad": [1.2e-3], "payload_kg": [50.0]}
-    parquet.write_table(pyarrow.table(rows), plant / "joints.parquet")
-    (plant / "joints.toml").write_text(
-        '[[joints]]\njoint = "R1-J2"\ngearbox = "RV-80"\nlimit_rad = 1.2e-3\npayload_kg = 50.0\n'
-    )
-    read = [
-        read_joints(
-            section(plant, f'joints = "joints.{end}"\nrecordings = "{{joint}}/{{date}}.csv"')
-        )
-        for end in ("parquet", "toml")
-    ]
-    assert read[0] == read[1]
-
-
 def test_a_pattern_finds_recordings_in_order_and_says_what_is_strange(plant):
     chosen = section(plant)
     found = find_recordings(chosen, read_joints(chosen))

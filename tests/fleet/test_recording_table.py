@@ -19,7 +19,7 @@ def row(joint="J1", date="2025-01-01", content="a", **more):
 
 def rows(output):
     with RecordingTable.opened(output) as table:
-        return table._rows.to_pylist()
+        return table.rows
 
 
 def put(output, *some):

@@ -15,11 +15,8 @@ from quick import two_ensembles
 from bayesbl import cli
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
-from bayesbl.errors import ResultError
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.results.store import read_tree
-from bayesbl.results.variables import require_declared
-from bayesbl.runs.kinds import declared_groups
 
 pytestmark = pytest.mark.long
 
@@ -130,16 +127,6 @@ def test_the_model_check_compares_what_can_be_named_with_what_the_bench_does(fit
     named += ["speed at load order 1", "ringing frequency", "ringing decay"]
     # One of seven beyond four standard deviations: by chance in 4 of 10 000.
     assert all(abs(items[quantity]["z"]) < 4.0 for quantity in named)
-
-
-def test_all_that_the_groups_declare_is_stored_and_what_is_taken_out_is_named(fit, compared):
-    for folder in (fit, compared):
-        tree = read_tree(folder)
-        require_declared(tree, declared_groups(tree))
-    tree["direct/optimum"] = tree["direct/optimum"].to_dataset().drop_vars("covariance")
-    del tree["change"]
-    with pytest.raises(ResultError, match="direct/optimum: no covariance; change: no such group"):
-        require_declared(tree, declared_groups(tree))
 
 
 def test_a_fit_is_stored_whole_and_can_be_drawn_again(fit):

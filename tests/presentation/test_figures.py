@@ -33,10 +33,9 @@ from bayesbl.presentation.figures.sweep import (
     source_bands,
 )
 from bayesbl.results.store import read_tree, write_tree
-from bayesbl.results.variables import require_declared
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
-from bayesbl.runs.kinds import declared_groups, result_of_run
+from bayesbl.runs.kinds import result_of_run
 
 FIXED = ("window_start_s", "window_end_s")
 FREE = tuple(name for name in SYMBOLS if name not in FIXED)
@@ -124,11 +123,6 @@ def labelled(axes, label):
 
 
 # What is drawn is what is stored
-
-
-@pytest.mark.long
-def test_all_that_the_groups_declare_is_stored(tree):
-    require_declared(tree, declared_groups(tree))
 
 
 def test_pulses_are_drawn_sample_by_sample(tree):
