@@ -43,6 +43,7 @@ from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.two_encoders.paths import (
     ALIKE,
+    COUNTS,
     LONGEST_SKEW_S,
     SMOOTH_S,
     Channels,
@@ -560,7 +561,9 @@ def of_motor(paths: Paths) -> tuple[FloatArray, NDArray[np.bool_]]:
         np.cos(paths.load_rad),
         np.sin(paths.load_rad),
     ]
-    return np.column_stack(columns), np.abs(paths.speed) > paths.motor_step_rad / SMOOTH_S
+    return np.column_stack(columns), np.abs(paths.speed) > max(
+        paths.motor_step_rad / SMOOTH_S, usual / COUNTS
+    )
 
 
 def of_friction(paths: Paths) -> tuple[float, float]:

@@ -292,3 +292,16 @@ def test_a_standstill_is_seen_once_however_long_it_lasts():
     paths = scaled_paths(Channels(time, motor, motor), 1.0)
     inside = (time[paths.bins[:-1]] > 2.5) & (time[paths.bins[:-1]] < 11.5)
     assert inside.sum() == 0
+
+
+def test_a_load_that_coasts_leaves_its_flank_when_the_motor_slows_down_faster():
+    # At once, by whatever little: half the difference of both decelerations times the time squared.
+    time = 2e-3 * np.arange(400)
+    slows, drag, half = 10.0, 8.0, 0.05
+    since = np.maximum(time - 0.2, 0.0)
+    speed = 3.0 - slows * since
+    path = 3.0 * time - 0.5 * slows * since**2
+    found = load_lag(path, speed, time, half, drag, half)
+    left = since < 0.25
+    expected = half - 0.5 * (slows - drag) * since**2
+    np.testing.assert_allclose(found[left], expected[left], atol=1e-4)
