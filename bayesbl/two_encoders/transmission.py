@@ -122,6 +122,11 @@ IMPOSSIBLE = 1e-200
 LOOSE = 0.3
 """Standard deviation midway between the flanks, over h."""
 
+COMMON, TOUCHES = 0.1, 0.999
+"""The same, of what all passages of a load that coasts have in common, and the lag over h from
+which it is on a flank.
+"""
+
 USUAL_SKEW_S = 5e-3
 """Standard deviation of the skew of the channels."""
 
@@ -188,12 +193,15 @@ class Cell:
 class Final:
     """What all cells have that are compared.
 
-    Misfit that does not average out; and the h by which the load's place between the flanks is
-    known, so that a load in no place that is known makes no gap likely.
+    Misfit that does not average out; the h by which the load's place between the flanks is known,
+    so that a load in no place that is known makes no gap likely; and the variance of that place
+    over the bins if it coasts there, rad²: what it does at one passage it does at all, which count
+    once.
     """
 
     misfit_rad: float
     half_rad: float
+    passing: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,6 +290,7 @@ class Design:
         self.plain, self.names, self.sd = len(plain), tuple(names), np.array(sd)
         between = np.zeros((self.time_s.size, len(names) - len(plain) - len(motor)))
         self.base = np.column_stack([*plain, between, *motor])
+        self.held = False
         self._follow(self.base, self.motor_rad)
         self.curve = slice(first, len(names))
         self.centre = np.zeros(len(names))
@@ -299,9 +308,17 @@ class Design:
         both[:, :-1] = self.base
         both[:, 1] = self.motor_rad - lag
         both[:, -1] = self.load_rad - both[:, 1:3] @ self.centre[1:3]
-        if float(np.abs(lag).max()) > ALIKE_RAD:
+        if not self.held and float(np.abs(lag).max()) > ALIKE_RAD:
             self._follow(both, both[:, 1])
         return both
+
+    def hold(self, lag: FloatArray) -> None:
+        """From now on take the transmission error where the load is with this lag.
+
+        Another lag with another skew, which cannot be told from it, has the load at the same angle.
+        """
+        self._follow(self.base, self.motor_rad - lag)
+        self.held = True
 
     def _follow(self, base: FloatArray, angle: FloatArray) -> None:
         """Take the transmission error at this angle of the load, in place.
@@ -407,7 +424,7 @@ class Model:
         """
         design, change, like = self.design, 0, half_rad if final is None else final.half_rad
         spread = float(np.hypot(noise.white_rad, noise.drift_rad))
-        if self.courses[course].free:
+        if free := self.courses[course].free:
             if like < VISIBLE * spread:
                 return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
             margin = min(3.0 * spread, 0.2 * like)
@@ -422,6 +439,7 @@ class Model:
             loose = (LOOSE * like * np.maximum(share, 0.0)) ** 2
         white = noise.white_rad**2 + loose + self.reading
         if final is not None:
+            white = noise.white_rad**2 + self.reading + np.maximum(final.passing, loose * free)
             white += lag.size * final.misfit_rad**2
         both = design.beside(lag)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
@@ -446,6 +464,14 @@ class Model:
             return None
         way = [how.weight.real, how.weight.imag] if how.weight else []
         return np.array([np.log(cell.half_rad), np.log(how.drag), *way])
+
+    def final(self, best: Cell, misfit_rad: float) -> Final:
+        """What the cells near the best one have."""
+        half, lag = best.half_rad, best.lag
+        side = np.where(np.abs(lag) < TOUCHES * half, 0.0, np.sign(lag))
+        near = np.convolve(np.diff(side) != 0.0, np.ones(4))[1:-1] + (side == 0.0) > 0.0
+        passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
+        return Final(misfit_rad, half, passages * (COMMON * half) ** 2 * near)
 
     def misfit(self, noise: Noise) -> float:
         """What lasts for a stroke, and white noise beyond twice that of readings, rad."""
@@ -500,9 +526,11 @@ class Model:
         self, course: int, half_rad: float, first: Noise, evaluations: int = 240
     ) -> tuple[Noise, Cell]:
         """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
-        span = float(self.design.time_s[-1] - self.design.time_s[0])
-        low = np.log([LEAST_RAD, LEAST_RAD, 2.0 * float(np.min(self.step_s)), 1e-6])
-        high = np.log([1.0, 1.0, span, MOST_CURVE_RAD])
+        # A drift over many strokes would take the place of the offset that it cannot be told from.
+        stroke = float(np.ptp(self.design.time_s)) / (self.paths.reversals + 1)
+        least = 2.0 * float(np.min(self.step_s))
+        low = np.log([LEAST_RAD, LEAST_RAD, least, 1e-6])
+        high = np.log([1.0, 1.0, max(stroke, least), MOST_CURVE_RAD])
         guess, _there = self.profiled(course, half_rad, first)
         starts = [np.clip(np.log(astuple(each)), low, high) for each in (guess, first)]
 
@@ -688,7 +716,8 @@ def fit_transmission(
     sharp = _refined(model, range(len(model.courses)), best, noises, None)
     whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
     likely = sorted({sharp[i].course for i in np.flatnonzero(whole > whole.max() - UNLIKELY)})
-    final = Final(model.misfit(free), best.half_rad)
+    final = model.final(best, model.misfit(free))
+    model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
     return _drawn(model, best, lists, free, friction, weight, generator)
@@ -871,6 +900,8 @@ def _drawn(
     likely, friction_nm, friction_sd = of_windup(model, best)
     # Noise tells whether there is play and which course the load takes, misfit that lasts only h.
     by_noise, cells = lists
+    again = model.again(noise)
+    last = model.final(best, model.misfit(noise))
     sharp = [_log_masses(by_noise, log, model) for log in _priors(by_noise, likely)[0]]
     whether = [logsumexp(masses) for masses in sharp]
     probability = float(np.exp(whether[1] - np.logaddexp(*whether)))
@@ -899,10 +930,10 @@ def _drawn(
     delta = np.where(plays, np.clip(lost / (1.0 + np.exp(logit)), *PLAY_RAD), 0.0)
     # What repeats, what lasts and what the model leaves out of the lag do not average out.
     beta = np.empty((count, len(names)))
-    again = model.again(noise)
     for cell in np.unique(nearest):
         there = np.flatnonzero(nearest == cell)
-        final = Final(float(np.hypot(MODEL * half[cell], model.misfit(noise))), half[cell])
+        lasts = float(np.hypot(MODEL * half[cell], model.misfit(noise)))
+        final = replace(last, misfit_rad=lasts, half_rad=half[cell])
         at = model.cell(cells[cell].course, half[cell], again, final)
         normal = generator.standard_normal((len(names), there.size))
         moved = solve_triangular(at.root, normal, lower=True, trans=1)
@@ -910,7 +941,7 @@ def _drawn(
     # s is scaled as the load follows the motor: a ratio and a transmission error can be exchanged
     # over a part of a turn, not the slope that both make. No model of a gap is better than MODEL.
     paths, design = model.paths, model.design
-    mode = cells[int(np.argmax(np.bincount(nearest)))]
+    mode = cells[nearest[np.argsort(half[nearest])[count // 2]]]
     columns = design.columns(mode.lag)
     seen = mode.lag + columns @ mode.beta - design.load_rad
     flank = np.abs(mode.lag) > np.where(mode.half_rad > 0.0, 0.25 * mode.half_rad, -1.0)

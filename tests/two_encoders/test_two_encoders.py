@@ -305,3 +305,38 @@ def test_a_load_that_coasts_leaves_its_flank_when_the_motor_slows_down_faster():
     left = since < 0.25
     expected = half - 0.5 * (slows - drag) * since**2
     np.testing.assert_allclose(found[left], expected[left], atol=1e-4)
+
+
+def driven(path, step, half, stiffness, damping, friction):
+    """A load of inertia one behind a dead zone with a spring and a damper, with dry friction."""
+    load, at, speed = [], path[0], 0.0
+    for x, taken in zip(path, np.gradient(path, step), strict=True):
+        over = max(x - at - half, 0.0) + min(x - at + half, 0.0)
+        push = stiffness * over + damping * (taken - speed) * (over != 0.0)
+        speed += step * push
+        rubs = friction * step
+        speed = 0.0 if abs(speed) <= rubs else speed - np.sign(speed) * rubs
+        at += step * speed
+        load.append(at)
+    return np.array(load)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_at_one_speed_a_load_that_coasts_is_not_measured_too_surely(seed):
+    """There a skew moves both directions as a play does: what tells them apart is the passage."""
+    generator = np.random.default_rng(100 + seed)
+    step, half = 1e-4, 2.8e-3
+    time = np.arange(0.0, 30.0, step)
+    corners = np.arcsin(np.sin(2.0 * np.pi * time / generator.uniform(4.0, 8.0)))
+    window = np.ones(601) / 601.0
+    path = 0.65 * np.convolve(np.pad(corners, 300, "edge"), window, "valid")
+    load = driven(
+        path, step, half, 8e4, generator.uniform(50.0, 300.0), generator.uniform(6.0, 40.0)
+    )
+    stamps = np.arange(0.1, 29.8, 5e-3)
+    skew_s = generator.uniform(-3e-3, 3e-3)
+    count = 2.0 * np.pi / 2**15
+    read = count * np.round(np.interp(stamps - skew_s, time, load) / count)
+    found = fitted(Channels(stamps, RATIO * np.interp(stamps, time, path), read))
+    low, high = bounds(found.draws["delta_rad"], 0.95)
+    assert low <= half <= high
