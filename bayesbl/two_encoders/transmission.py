@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp
-from scipy.stats import qmc
+from scipy.special import logsumexp, ndtri
+from scipy.stats import norm, qmc, t
 
 from bayesbl.compiled import compiled
 from bayesbl.progress import Progress
@@ -58,16 +58,26 @@ PLAY_RAD = (1e-5, 1.0)
 NO_PLAY = 0.5
 """Probability of none, beforehand."""
 
-HELD_RAD, HELD_SPREAD = 2.5e-5, 1.2
-"""Half of what friction winds up, where no torque tells it: median, and standard deviation of ln.
+HELD_RAD, HELD_SPREAD, HELD_TAILS = 2.5e-5, 1.2, 3.0
+"""Half of what friction winds up, where no torque tells it: median, scale of ln, and degrees of
+freedom of its Student's t.
 
 Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of the rated torque,
-about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
+about what a free output's friction is: 0.04 to 0.09 mrad each way, at most. Belts, printed gears
+and joints that are built elastic are no such reducers: two of a hundred wind up by 2 mrad or more.
 """
 
-INFORMED = 0.5
-"""Spread of ln w over that beforehand, up to which the torque has told it: above it a compliance
-would be the makers', not this joint's."""
+STOPS, STOPS_SPREAD = 30.0, 1.7
+"""Deceleration of a free load by its friction, rad/s²: median, and standard deviation of ln. An arm
+has some 2, a bare output behind its seals some 500."""
+
+FILTERS_S2 = 2e-5
+"""Standard deviation of what filters of the encoders add to the inertia: a mean over T is as T²/24,
+and this is of 20 ms."""
+
+INFORMED, ONE_SD = 0.5, (0.16, 0.84)
+"""Half of what lies between these quantiles of ln w, over its scale beforehand, up to which the
+torque has told it: above it a compliance would be the makers', not this joint's."""
 
 COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
@@ -865,23 +875,47 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
+def _density_of_held(model: Model, cell: Cell) -> Callable[[FloatArray], FloatArray]:
+    """Density over ln(w/2) of half of what friction winds up, by the prior and by the inertia.
+
+    Friction that winds the joint up by w/2 and stops a free load by d comes with an inertia that
+    winds it up by w/2d per acceleration. That is seen, or not: a large w needs much friction then.
+    """
+    inertia = model.design.names.index("inertia")
+    unit = np.zeros(cell.beta.size)
+    unit[inertia] = 1.0
+    column = solve_triangular(cell.root, unit, lower=True)
+    variance = float(column @ column)
+    # Without the prior of the inertia, which is of any joint.
+    known = max(1.0 / variance - INERTIA_S2**-2.0, 1e-3 * INERTIA_S2**-2.0)
+    seen, spread = -cell.beta[inertia] / (variance * known), np.hypot(known**-0.5, FILTERS_S2)
+    stops = STOPS * np.exp(STOPS_SPREAD * ndtri((np.arange(64) + 0.5) / 64.0))
+    logs = np.linspace(np.log(1e-9), np.log(1e2), 600)
+    winds = np.exp(logs)[:, None] / stops
+    likely = norm.pdf(seen, winds, spread).mean(axis=1)
+    likely /= norm.pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
+    densities = likely * t.pdf((logs - np.log(HELD_RAD)) / HELD_SPREAD, HELD_TAILS) / HELD_SPREAD
+    return lambda held: np.interp(np.log(held), logs, densities)
+
+
 def _priors(
-    cells: Sequence[Cell], likely: FloatArray
+    cells: Sequence[Cell],
+    flies: NDArray[np.bool_],
+    likely: FloatArray,
+    of_held: Callable[[FloatArray], FloatArray],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Log densities over ln h at cells, without play and with it, (cells,), and the latter's
-    shares by ``PARTS`` of h that are wound up, (cells, parts). ``likely``: by the torque.
+    shares by ``PARTS`` of h that are wound up, (cells, parts). ``likely``: by the torque;
+    ``of_held``: density of what is wound up. Where the load ``flies`` from flank to flank, it does
+    so over a part of h that is no wind-up, and all sizes of that part are alike.
     """
     half = np.array([c.half_rad for c in cells])
-
-    def of_held(held: FloatArray) -> FloatArray:
-        away = np.log(held / HELD_RAD) / HELD_SPREAD
-        return np.asarray(np.exp(-0.5 * away**2) / (HELD_SPREAD * np.sqrt(2.0 * np.pi)))
-
+    likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
     of_gap = of_held(half[:, None] * PARTS) * likely * ((gap > low) & (gap < high))
     of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
     with np.errstate(divide="ignore"):
-        bare = np.log(NO_PLAY * likely[-1] * of_held(half))
+        bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * of_held(half))
         return (bare, np.log(of_gap.sum(axis=1))), np.asarray(of_gap)
 
 
@@ -902,17 +936,25 @@ def _drawn(
     by_noise, cells = lists
     again = model.again(noise)
     last = model.final(best, model.misfit(noise))
-    sharp = [_log_masses(by_noise, log, model) for log in _priors(by_noise, likely)[0]]
-    whether = [logsumexp(masses) for masses in sharp]
-    probability = float(np.exp(whether[1] - np.logaddexp(*whether)))
+    of_held = _density_of_held(model, model.cell(best.course, best.half_rad, again, last))
+    shown = VISIBLE * float(np.hypot(noise.white_rad, model.misfit(noise)))
+    falls = [how.weight != 0.0 for how in model.courses]
+    flies = [np.array([falls[c.course] and c.half_rad > shown for c in each]) for each in lists]
+    priors = [_priors(c, f, likely, of_held) for c, f in zip(lists, flies, strict=True)]
+    of_parts = priors[1][1]
+    sharp, blunt = (
+        [_log_masses(each, log, model) for log in prior[0]]
+        for each, prior in zip(lists, priors, strict=True)
+    )
+    # An interval of h that reaches down to none leaves it open whether there is any.
+    bare, with_play = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
+    probability = float(np.exp(with_play - np.logaddexp(bare, with_play)).min())
     plays = generator.uniform(size=count) < probability
-    logs, of_parts = _priors(cells, likely)
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    for mine, log, masses in zip((~plays, plays), logs, sharp, strict=True):
+    for mine, masses, wide in zip((~plays, plays), sharp, blunt, strict=True):
         courses = (c.course for c in by_noise[:-1])
         known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
-        wide = _log_masses(cells, log, model)
         wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
         weights = np.exp(wide - logsumexp(wide))
         interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
@@ -967,7 +1009,8 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")] - by_speed_s,
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    told = float(np.std(np.log(np.maximum(lost - delta, 1e-12)))) < INFORMED * HELD_SPREAD
+    spread = np.ptp(np.quantile(np.log(np.maximum(lost - delta, 1e-12)), ONE_SD))
+    told = float(spread) < 2.0 * INFORMED * HELD_SPREAD
     handed_nm = friction_nm[chosen] + friction_sd[chosen] * generator.standard_normal(count)
     if told and np.all(handed_nm > 0.0):
         draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm
