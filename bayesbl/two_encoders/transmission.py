@@ -449,7 +449,9 @@ class Model:
             loose = (LOOSE * like * np.maximum(share, 0.0)) ** 2
         white = noise.white_rad**2 + loose + self.reading
         if final is not None:
-            white = noise.white_rad**2 + self.reading + np.maximum(final.passing, loose * free)
+            # A load that is anywhere is where other values of skew and ratio have it.
+            anywhere = loose * free * lag.size
+            white = noise.white_rad**2 + self.reading + np.maximum(final.passing, anywhere)
             white += lag.size * final.misfit_rad**2
         both = design.beside(lag)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
