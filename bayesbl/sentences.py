@@ -414,14 +414,14 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "play. Record ten or more, slow and fast, to separate play from a skew of the channels."
     ),
     "no_torque": (
-        "Without torque, wind-up and weight are unknown: 0.05 mrad is subtracted as typical "
-        "wind-up, and friction is assumed to hold the load back. Friction behind a soft coupling "
-        "looks the same as play, and a change of it as wear. A load that its weight holds on one "
+        "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks the "
+        "same as play, and a change of it as wear. Wind-up is usually 0.05 mrad, in one joint of "
+        "fifty 4 mrad or more, and the interval includes that. A load that its weight holds on one "
         "flank hides its play. Record the torque or current."
     ),
     "torque_unused": (
-        "The torque does not show how far the joint winds up between the flanks. 0.05 mrad is "
-        "subtracted as typical wind-up."
+        "The torque does not show how far the joint winds up between the flanks. That is usually "
+        "0.05 mrad, in one joint of fifty 4 mrad or more, and the interval includes that."
     ),
     "ratio_differs": "The gear ratio looks like {seen:.6g}, not {stated:g} as stated.",
     "motor_at_output": (

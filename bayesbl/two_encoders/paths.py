@@ -28,8 +28,10 @@ MOST_BINS = 700
 LONGEST_SKEW_S = 0.25
 """Within which the stamps of both channels may differ."""
 
-SMOOTH_S = 0.01
-"""Over which the motor's speed is averaged."""
+SMOOTH_S, COUNTS = 0.01, 100.0
+"""Over which the motor's speed is averaged at most, and counts passed at its usual speed that are
+enough: a load leaves its flank where the motor begins to slow down.
+"""
 
 FINE_S = 2e-3
 """Steps that the load is followed in: between two samples it may cross the whole play."""
@@ -203,9 +205,12 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
     every = max(1, round(float(np.median(np.diff(time))) / FINE_S))
     parts = np.arange(every) / every
     fine = np.append((time[:-1, None] + np.diff(time)[:, None] * parts).ravel(), time[-1])
-    fine_speed = moving_mean(path(fine, 1), fine, SMOOTH_S)
+    step = abs(slope) * _least_step(channels.motor_rad)
+    raw = path(fine, 1)
+    over_s = min(COUNTS * step / max(float(np.std(raw)), 1e-300), SMOOTH_S)
+    fine_speed = moving_mean(raw, fine, over_s)
     x, speed = path(time), fine_speed[::every]
-    acceleration = np.gradient(moving_mean(fine_speed, fine, 2.0 * SMOOTH_S), fine)[::every]
+    acceleration = np.gradient(moving_mean(raw, fine, 3.0 * SMOOTH_S), fine)[::every]
     if torque is not None:
         torque = np.interp(time, stamps, torque) / slope
         turning = np.tanh(speed / (0.1 * float(np.sqrt(np.mean(speed**2))) + 1e-300))
@@ -227,7 +232,7 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
         every,
         _bins(time, speed),
         _least_step(channels.load_rad),
-        abs(slope) * _least_step(channels.motor_rad),
+        step,
         np.abs(x - np.interp(time, stamps, slope * motor)),
     )
 
@@ -296,15 +301,18 @@ def load_lag(
     lag = np.empty(motor.size)
     load, moving = motor[0] - start, 0.0
     for k in range(motor.size):
-        period = time_s[k] - time_s[k - 1] if k else 0.0
+        period, before = time_s[k] - time_s[k - 1] if k else 0.0, moving
         if weight != 0.0:
             moving -= period * (weight.real * np.cos(load) + weight.imag * np.sin(load))
         slowed = drag * period if k else np.inf
         if abs(moving) <= slowed:
+            load += 0.5 * before * abs(before) / drag if before != 0.0 else 0.0
             moving = 0.0
         else:
             moving -= slowed if moving > 0.0 else -slowed
-        load += moving * period
+            # By the mean of both speeds, as the motor's path has it: else a flank holds a load
+            # until the motor slows down twice as fast as the load.
+            load += 0.5 * (before + moving) * period
         if motor[k] - load >= half_play:
             load = motor[k] - half_play
             moving = speed[k]

@@ -35,14 +35,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp
-from scipy.stats import qmc
+from scipy.special import logsumexp, ndtri
+from scipy.stats import norm, qmc, t
 
 from bayesbl.compiled import compiled
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.two_encoders.paths import (
     ALIKE,
+    COUNTS,
     LONGEST_SKEW_S,
     SMOOTH_S,
     Channels,
@@ -57,16 +58,26 @@ PLAY_RAD = (1e-5, 1.0)
 NO_PLAY = 0.5
 """Probability of none, beforehand."""
 
-HELD_RAD, HELD_SPREAD = 2.5e-5, 1.2
-"""Half of what friction winds up, where no torque tells it: median, and standard deviation of ln.
+HELD_RAD, HELD_SPREAD, HELD_TAILS = 2.5e-5, 1.2, 3.0
+"""Half of what friction winds up, where no torque tells it: median, scale of ln, and degrees of
+freedom of its Student's t.
 
 Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of the rated torque,
-about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
+about what a free output's friction is: 0.04 to 0.09 mrad each way, at most. Belts, printed gears
+and joints that are built elastic are no such reducers: two of a hundred wind up by 2 mrad or more.
 """
 
-INFORMED = 0.5
-"""Spread of ln w over that beforehand, up to which the torque has told it: above it a compliance
-would be the makers', not this joint's."""
+STOPS, STOPS_SPREAD = 30.0, 1.7
+"""Deceleration of a free load by its friction, rad/s²: median, and standard deviation of ln. An arm
+has some 2, a bare output behind its seals some 500."""
+
+FILTERS_S2 = 2e-5
+"""Standard deviation of what filters of the encoders add to the inertia: a mean over T is as T²/24,
+and this is of 20 ms."""
+
+INFORMED, ONE_SD = 0.5, (0.16, 0.84)
+"""Half of what lies between these quantiles of ln w, over its scale beforehand, up to which the
+torque has told it: above it a compliance would be the makers', not this joint's."""
 
 COASTING = (3.0, 1.0, 0.3, 0.1, 0.0)
 """Decelerations of a free load by its friction, over the motor's root mean square acceleration."""
@@ -120,6 +131,11 @@ IMPOSSIBLE = 1e-200
 
 LOOSE = 0.3
 """Standard deviation midway between the flanks, over h."""
+
+COMMON, TOUCHES = 0.1, 0.999
+"""The same, of what all passages of a load that coasts have in common, and the lag over h from
+which it is on a flank.
+"""
 
 USUAL_SKEW_S = 5e-3
 """Standard deviation of the skew of the channels."""
@@ -187,12 +203,15 @@ class Cell:
 class Final:
     """What all cells have that are compared.
 
-    Misfit that does not average out; and the h by which the load's place between the flanks is
-    known, so that a load in no place that is known makes no gap likely.
+    Misfit that does not average out; the h by which the load's place between the flanks is known,
+    so that a load in no place that is known makes no gap likely; and the variance of that place
+    over the bins if it coasts there, rad²: what it does at one passage it does at all, which count
+    once.
     """
 
     misfit_rad: float
     half_rad: float
+    passing: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,6 +300,7 @@ class Design:
         self.plain, self.names, self.sd = len(plain), tuple(names), np.array(sd)
         between = np.zeros((self.time_s.size, len(names) - len(plain) - len(motor)))
         self.base = np.column_stack([*plain, between, *motor])
+        self.held = False
         self._follow(self.base, self.motor_rad)
         self.curve = slice(first, len(names))
         self.centre = np.zeros(len(names))
@@ -298,9 +318,17 @@ class Design:
         both[:, :-1] = self.base
         both[:, 1] = self.motor_rad - lag
         both[:, -1] = self.load_rad - both[:, 1:3] @ self.centre[1:3]
-        if float(np.abs(lag).max()) > ALIKE_RAD:
+        if not self.held and float(np.abs(lag).max()) > ALIKE_RAD:
             self._follow(both, both[:, 1])
         return both
+
+    def hold(self, lag: FloatArray) -> None:
+        """From now on take the transmission error where the load is with this lag.
+
+        Another lag with another skew, which cannot be told from it, has the load at the same angle.
+        """
+        self._follow(self.base, self.motor_rad - lag)
+        self.held = True
 
     def _follow(self, base: FloatArray, angle: FloatArray) -> None:
         """Take the transmission error at this angle of the load, in place.
@@ -406,7 +434,7 @@ class Model:
         """
         design, change, like = self.design, 0, half_rad if final is None else final.half_rad
         spread = float(np.hypot(noise.white_rad, noise.drift_rad))
-        if self.courses[course].free:
+        if free := self.courses[course].free:
             if like < VISIBLE * spread:
                 return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
             margin = min(3.0 * spread, 0.2 * like)
@@ -421,6 +449,9 @@ class Model:
             loose = (LOOSE * like * np.maximum(share, 0.0)) ** 2
         white = noise.white_rad**2 + loose + self.reading
         if final is not None:
+            # A load that is anywhere is where other values of skew and ratio have it.
+            anywhere = loose * free * lag.size
+            white = noise.white_rad**2 + self.reading + np.maximum(final.passing, anywhere)
             white += lag.size * final.misfit_rad**2
         both = design.beside(lag)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
@@ -445,6 +476,14 @@ class Model:
             return None
         way = [how.weight.real, how.weight.imag] if how.weight else []
         return np.array([np.log(cell.half_rad), np.log(how.drag), *way])
+
+    def final(self, best: Cell, misfit_rad: float) -> Final:
+        """What the cells near the best one have."""
+        half, lag = best.half_rad, best.lag
+        side = np.where(np.abs(lag) < TOUCHES * half, 0.0, np.sign(lag))
+        near = np.convolve(np.diff(side) != 0.0, np.ones(4))[1:-1] + (side == 0.0) > 0.0
+        passages = 1 + np.count_nonzero(np.diff(np.sign(lag)))
+        return Final(misfit_rad, half, passages * (COMMON * half) ** 2 * near)
 
     def misfit(self, noise: Noise) -> float:
         """What lasts for a stroke, and white noise beyond twice that of readings, rad."""
@@ -499,9 +538,11 @@ class Model:
         self, course: int, half_rad: float, first: Noise, evaluations: int = 240
     ) -> tuple[Noise, Cell]:
         """Noise and h of the largest evidence from a first guess; h stays zero if it is."""
-        span = float(self.design.time_s[-1] - self.design.time_s[0])
-        low = np.log([LEAST_RAD, LEAST_RAD, 2.0 * float(np.min(self.step_s)), 1e-6])
-        high = np.log([1.0, 1.0, span, MOST_CURVE_RAD])
+        # A drift over many strokes would take the place of the offset that it cannot be told from.
+        stroke = float(np.ptp(self.design.time_s)) / (self.paths.reversals + 1)
+        least = 2.0 * float(np.min(self.step_s))
+        low = np.log([LEAST_RAD, LEAST_RAD, least, 1e-6])
+        high = np.log([1.0, 1.0, max(stroke, least), MOST_CURVE_RAD])
         guess, _there = self.profiled(course, half_rad, first)
         starts = [np.clip(np.log(astuple(each)), low, high) for each in (guess, first)]
 
@@ -560,7 +601,9 @@ def of_motor(paths: Paths) -> tuple[FloatArray, NDArray[np.bool_]]:
         np.cos(paths.load_rad),
         np.sin(paths.load_rad),
     ]
-    return np.column_stack(columns), np.abs(paths.speed) > paths.motor_step_rad / SMOOTH_S
+    return np.column_stack(columns), np.abs(paths.speed) > max(
+        paths.motor_step_rad / SMOOTH_S, usual / COUNTS
+    )
 
 
 def of_friction(paths: Paths) -> tuple[float, float]:
@@ -685,7 +728,8 @@ def fit_transmission(
     sharp = _refined(model, range(len(model.courses)), best, noises, None)
     whole = _of_courses(_log_masses(sharp, np.zeros(len(sharp)), model), sharp)
     likely = sorted({sharp[i].course for i in np.flatnonzero(whole > whole.max() - UNLIKELY)})
-    final = Final(model.misfit(free), best.half_rad)
+    final = model.final(best, model.misfit(free))
+    model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
     return _drawn(model, best, lists, free, friction, weight, generator)
@@ -833,23 +877,47 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
+def _density_of_held(model: Model, cell: Cell) -> Callable[[FloatArray], FloatArray]:
+    """Density over ln(w/2) of half of what friction winds up, by the prior and by the inertia.
+
+    Friction that winds the joint up by w/2 and stops a free load by d comes with an inertia that
+    winds it up by w/2d per acceleration. That is seen, or not: a large w needs much friction then.
+    """
+    inertia = model.design.names.index("inertia")
+    unit = np.zeros(cell.beta.size)
+    unit[inertia] = 1.0
+    column = solve_triangular(cell.root, unit, lower=True)
+    variance = float(column @ column)
+    # Without the prior of the inertia, which is of any joint.
+    known = max(1.0 / variance - INERTIA_S2**-2.0, 1e-3 * INERTIA_S2**-2.0)
+    seen, spread = -cell.beta[inertia] / (variance * known), np.hypot(known**-0.5, FILTERS_S2)
+    stops = STOPS * np.exp(STOPS_SPREAD * ndtri((np.arange(64) + 0.5) / 64.0))
+    logs = np.linspace(np.log(1e-9), np.log(1e2), 600)
+    winds = np.exp(logs)[:, None] / stops
+    likely = norm.pdf(seen, winds, spread).mean(axis=1)
+    likely /= norm.pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
+    densities = likely * t.pdf((logs - np.log(HELD_RAD)) / HELD_SPREAD, HELD_TAILS) / HELD_SPREAD
+    return lambda held: np.interp(np.log(held), logs, densities)
+
+
 def _priors(
-    cells: Sequence[Cell], likely: FloatArray
+    cells: Sequence[Cell],
+    flies: NDArray[np.bool_],
+    likely: FloatArray,
+    of_held: Callable[[FloatArray], FloatArray],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Log densities over ln h at cells, without play and with it, (cells,), and the latter's
-    shares by ``PARTS`` of h that are wound up, (cells, parts). ``likely``: by the torque.
+    shares by ``PARTS`` of h that are wound up, (cells, parts). ``likely``: by the torque;
+    ``of_held``: density of what is wound up. Where the load ``flies`` from flank to flank, it does
+    so over a part of h that is no wind-up, and all sizes of that part are alike.
     """
     half = np.array([c.half_rad for c in cells])
-
-    def of_held(held: FloatArray) -> FloatArray:
-        away = np.log(held / HELD_RAD) / HELD_SPREAD
-        return np.asarray(np.exp(-0.5 * away**2) / (HELD_SPREAD * np.sqrt(2.0 * np.pi)))
-
+    likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
     of_gap = of_held(half[:, None] * PARTS) * likely * ((gap > low) & (gap < high))
     of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
     with np.errstate(divide="ignore"):
-        bare = np.log(NO_PLAY * likely[-1] * of_held(half))
+        bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * of_held(half))
         return (bare, np.log(of_gap.sum(axis=1))), np.asarray(of_gap)
 
 
@@ -868,17 +936,27 @@ def _drawn(
     likely, friction_nm, friction_sd = of_windup(model, best)
     # Noise tells whether there is play and which course the load takes, misfit that lasts only h.
     by_noise, cells = lists
-    sharp = [_log_masses(by_noise, log, model) for log in _priors(by_noise, likely)[0]]
-    whether = [logsumexp(masses) for masses in sharp]
-    probability = float(np.exp(whether[1] - np.logaddexp(*whether)))
+    again = model.again(noise)
+    last = model.final(best, model.misfit(noise))
+    of_held = _density_of_held(model, model.cell(best.course, best.half_rad, again, last))
+    shown = VISIBLE * float(np.hypot(noise.white_rad, model.misfit(noise)))
+    falls = [how.weight != 0.0 for how in model.courses]
+    flies = [np.array([falls[c.course] and c.half_rad > shown for c in each]) for each in lists]
+    priors = [_priors(c, f, likely, of_held) for c, f in zip(lists, flies, strict=True)]
+    of_parts = priors[1][1]
+    sharp, blunt = (
+        [_log_masses(each, log, model) for log in prior[0]]
+        for each, prior in zip(lists, priors, strict=True)
+    )
+    # An interval of h that reaches down to none leaves it open whether there is any.
+    bare, with_play = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
+    probability = float(np.exp(with_play - np.logaddexp(bare, with_play)).min())
     plays = generator.uniform(size=count) < probability
-    logs, of_parts = _priors(cells, likely)
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
-    for mine, log, masses in zip((~plays, plays), logs, sharp, strict=True):
+    for mine, masses, wide in zip((~plays, plays), sharp, blunt, strict=True):
         courses = (c.course for c in by_noise[:-1])
         known = dict(zip(courses, _of_courses(masses, by_noise), strict=True))
-        wide = _log_masses(cells, log, model)
         wide += [known[c.course] for c in cells[:-1]] - _of_courses(wide, cells)
         weights = np.exp(wide - logsumexp(wide))
         interval[mine] = generator.choice(weights.size, size=int(mine.sum()), p=weights)
@@ -896,10 +974,10 @@ def _drawn(
     delta = np.where(plays, np.clip(lost / (1.0 + np.exp(logit)), *PLAY_RAD), 0.0)
     # What repeats, what lasts and what the model leaves out of the lag do not average out.
     beta = np.empty((count, len(names)))
-    again = model.again(noise)
     for cell in np.unique(nearest):
         there = np.flatnonzero(nearest == cell)
-        final = Final(float(np.hypot(MODEL * half[cell], model.misfit(noise))), half[cell])
+        lasts = float(np.hypot(MODEL * half[cell], model.misfit(noise)))
+        final = replace(last, misfit_rad=lasts, half_rad=half[cell])
         at = model.cell(cells[cell].course, half[cell], again, final)
         normal = generator.standard_normal((len(names), there.size))
         moved = solve_triangular(at.root, normal, lower=True, trans=1)
@@ -907,7 +985,7 @@ def _drawn(
     # s is scaled as the load follows the motor: a ratio and a transmission error can be exchanged
     # over a part of a turn, not the slope that both make. No model of a gap is better than MODEL.
     paths, design = model.paths, model.design
-    mode = cells[int(np.argmax(np.bincount(nearest)))]
+    mode = cells[nearest[np.argsort(half[nearest])[count // 2]]]
     columns = design.columns(mode.lag)
     seen = mode.lag + columns @ mode.beta - design.load_rad
     flank = np.abs(mode.lag) > np.where(mode.half_rad > 0.0, 0.25 * mode.half_rad, -1.0)
@@ -933,7 +1011,8 @@ def _drawn(
         "channel_skew_s": paths.skew_s - beta[:, names.index("skew")] - by_speed_s,
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
-    told = float(np.std(np.log(np.maximum(lost - delta, 1e-12)))) < INFORMED * HELD_SPREAD
+    spread = np.ptp(np.quantile(np.log(np.maximum(lost - delta, 1e-12)), ONE_SD))
+    told = float(spread) < 2.0 * INFORMED * HELD_SPREAD
     handed_nm = friction_nm[chosen] + friction_sd[chosen] * generator.standard_normal(count)
     if told and np.all(handed_nm > 0.0):
         draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm
