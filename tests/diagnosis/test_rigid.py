@@ -16,10 +16,9 @@ from bayesbl.bench.effects.gap import play
 from bayesbl.bench.effects.shaft import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use, piece_residuals
-from bayesbl.diagnosis.inference import diagnose
+from bayesbl.diagnosis.inference import Piece, diagnose
 from bayesbl.diagnosis.rigid.free_motion import FREE_MOTION_LAWS, FreeMotionView
 from bayesbl.diagnosis.rigid.inverse import (
     POSITION_LAWS,

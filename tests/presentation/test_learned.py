@@ -10,8 +10,7 @@ import pytest
 from bayesbl.bench.learned import EncoderError, LearnedTerm, LearnedTorque
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
-from bayesbl.diagnosis.groups import diagnosis_tree
-from bayesbl.diagnosis.summary import answer_of
+from bayesbl.diagnosis.groups import answer_of, diagnosis_tree
 from bayesbl.presentation.diagnosis import headline, learned
 from bayesbl.presentation.figures.diagnosis import learned_course
 

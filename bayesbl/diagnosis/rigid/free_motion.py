@@ -23,9 +23,17 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.learned import LearnedTorque
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, Series, candidate_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.inference import Inference
+from bayesbl.diagnosis.inference import (
+    AffineModel,
+    Discrepancy,
+    Inference,
+    Look,
+    Piece,
+    Rows,
+    Series,
+    candidate_of,
+)
 from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, without_load_angle
 from bayesbl.diagnosis.task import (
     GRAVITY,
@@ -103,7 +111,7 @@ class FreeMotionView:
     fitted, values
         Effects in the fit that all is linearised around, and its values.
     without
-        Predictions of the fit without any effect.
+        Prediction of the fit without any effect, (N,).
     """
 
     pieces: tuple[Piece, ...]
@@ -113,7 +121,7 @@ class FreeMotionView:
     load_angle_known: bool = True
     fitted: tuple[str, ...] = ()
     values: Values = field(default_factory=dict)
-    without: tuple[FloatArray, ...] = ()
+    without: FloatArray | None = None
 
     def prepared(self) -> FreeMotionView:
         """Around a fit with the usual frictions."""
@@ -185,75 +193,69 @@ class FreeMotionView:
                 values |= self._own_start(i, effects, values)
         return values
 
-    def predictions(self, effects: tuple[str, ...], values: Values) -> tuple[FloatArray, ...]:
-        """Of every piece, (n,)."""
-        return tuple(self._predict(i, effects, values) for i in range(len(self.pieces)))
+    @cached_property
+    def rows(self) -> Rows:
+        """Of the pieces."""
+        return Rows(self.pieces)
+
+    def predictions(
+        self, effects: tuple[str, ...], values: Values, torque: LearnedTorque | None = None
+    ) -> FloatArray:
+        """Of every row, (N,)."""
+        return self.rows.stack(lambda i: self._predict(i, effects, values, torque))
 
     @cached_property
     def model(self) -> AffineModel:
         """The trajectories around the fit."""
         at = self.predictions(self.fitted, self.values)
-        base = [prediction.copy() for prediction in at]
 
-        def slope(i: int, step: float, effects: tuple[str, ...], changed: Values) -> FloatArray:
-            values = {**self.values, **changed}
-            return np.asarray((self._predict(i, effects, values) - at[i]) / step)
+        def slope(effects: tuple[str, ...], changed: Values, step: float) -> FloatArray:
+            moved = self.predictions(effects, {**self.values, **changed})
+            return np.asarray((moved - at) / step)
 
-        nuisances: list[dict[str, FloatArray]] = []
-        for i, piece in enumerate(self.pieces):
-            names = {n: n for n in (*self.unknown, *([_ZERO] if _ZERO in self.values else []))}
-            if WIDTH in self.values:
-                names[WIDTH] = WIDTH
-            names |= {f"{key}@{i}": f"{key}@{piece.name} {i}" for key in ("angle", "speed")}
-            made = {}
-            for name, label in names.items():
-                step = 1e-4 * max(abs(self.values[name]), 1e-2)
-                made[label] = slope(i, step, self.fitted, {name: self.values[name] + step})
-            # Bench parameters are told as what they differ by from the bench's.
-            for name in self.unknown:
-                base[i] -= made[name] * (self.values[name] - self.bench.value(name))
-            nuisances.append(made)
+        base, nuisances = at.copy(), dict[str, FloatArray]()
+        for name in (*self.unknown, *(n for n in (_ZERO, WIDTH) if n in self.values)):
+            step = 1e-4 * max(abs(self.values[name]), 1e-2)
+            nuisances[name] = slope(self.fitted, {name: self.values[name] + step}, step)
+            if name in self.unknown:  # told as what it differs by from the bench's
+                base -= nuisances[name] * (self.values[name] - self.bench.value(name))
+        for key in ("angle", "speed"):
+            own = [f"{key}@{i}" for i in range(len(self.pieces))]
+            step = 1e-4 * max(1e-2, *(abs(self.values[name]) for name in own))
+            every = slope(self.fitted, {name: self.values[name] + step for name in own}, step)
+            for name, rows in zip(own, self.rows.slices, strict=True):
+                nuisances[name] = np.zeros(at.size)
+                nuisances[name][rows] = every[rows]
         candidates = []
-        every = range(len(self.pieces))
         for name in self.effects:
             law, effect = TORQUE_LAWS[name], effect_named(name)
             parameters = (law.amplitude, *law.linear)
-            shape = law.scanned
             grid: tuple[float | None, ...] = (None,)
-            if shape is not None:
+            if law.scanned is not None:
                 grid = tuple(share * self._speed for share in SHAPES)
                 if name in self.fitted:
-                    grid = (self.values[f"{name}.{shape}"],)
+                    grid = (self.values[f"{name}.{law.scanned}"],)
             effects = tuple(dict.fromkeys((*self.fitted, name)))
+            there = {f"{name}.{p}": self.values.get(f"{name}.{p}", 0.0) for p in parameters}
             looks = []
             for value in grid:
-                shapes = {} if shape is None or value is None else {shape: value}
-                at_zero = {f"{name}.{p}": self.values.get(f"{name}.{p}", 0.0) for p in parameters}
-                fixed = {f"{name}.{k}": v for k, v in shapes.items()} | at_zero
+                shapes = {} if law.scanned is None or value is None else {law.scanned: value}
+                fixed = there | {f"{name}.{k}": v for k, v in shapes.items()}
                 columns = []
-                for i in every:
-                    own = []
-                    for parameter in parameters:
-                        step = STEP * self._first(effect.parameter(parameter))
-                        key = f"{name}.{parameter}"
-                        own.append(slope(i, step, effects, {**fixed, key: at_zero[key] + step}))
-                        base[i] -= own[-1] * at_zero[key]
-                    columns.append(np.column_stack(own))
-                weight = 1.0 if shape is None else 1.0 / len(SHAPES)
-                looks.append(Look(shapes, tuple(columns), weight))
+                for parameter in parameters:
+                    step = STEP * self._first(effect.parameter(parameter))
+                    key = f"{name}.{parameter}"
+                    columns.append(slope(effects, {**fixed, key: there[key] + step}, step))
+                    base -= columns[-1] * there[key]
+                weight = 1.0 if law.scanned is None else 1.0 / len(SHAPES)
+                looks.append(Look(shapes, np.column_stack(columns), weight))
             candidates.append(candidate_of(law, name, parameters, tuple(looks)))
-        discrepancies = tuple(
-            Discrepancy(
-                series.kind, tuple(self._waves(i, at[i], series) for i in every), series=series
-            )
-            for series in self._series()
-        )
         return AffineModel(
-            self.pieces,
-            tuple(base),
-            tuple(nuisances),
+            self.rows,
+            base,
+            nuisances,
             tuple(candidates),
-            discrepancies,
+            tuple(Discrepancy(s.kind, self._waves(at, s), s) for s in self._series()),
             believed_sds(self.bench, self.unknown),
             self.without,
         )
@@ -275,16 +277,12 @@ class FreeMotionView:
             yield over("load_angle", way, reach=ends[0], reverses=reverses)
             yield over("motor_speed", fastest, reach=ends[1], reverses=reverses)
 
-    def _waves(self, i: int, at: FloatArray, series: Series) -> FloatArray:
-        """Change of a trajectory by each coefficient of a torque, (n, 2 orders)."""
+    def _waves(self, at: FloatArray, series: Series) -> FloatArray:
+        """Change of the trajectories by each coefficient of a torque, (N, 2 orders)."""
         size = STEP * self._torque
-        made = []
-        for k in range(2 * series.orders):
-            coefficients = np.zeros(2 * series.orders)
-            coefficients[k] = size
-            torque = series.torque(coefficients)
-            made.append((self._predict(i, self.fitted, self.values, torque) - at) / size)
-        return np.column_stack(made)
+        torques = (series.torque(one) for one in size * np.eye(2 * series.orders))
+        made = [self.predictions(self.fitted, self.values, torque) - at for torque in torques]
+        return np.column_stack(made) / size
 
     def _shared(
         self, effects: tuple[str, ...], start: Values
