@@ -131,15 +131,12 @@ class LearnedAnswer:
         Other dependences that the recordings do not tell from it.
     gap_share
         Share of the information on the gap that it leaves; ``None`` where there is none.
-    gap_withheld
-        Why no gap is given; empty where one is.
     """
 
     term: LearnedTerm
     alike: tuple[LearnedTerm, ...]
     curve: LearnedCurve
     gap_share: float | None = None
-    gap_withheld: str = ""
 
     @property
     def amplitude(self) -> float:

@@ -96,15 +96,13 @@ class LearnedSummary(LearnedDependence):
     """A torque of no known law, or an error of the encoder.
 
     ``amplitude_nm``, ``amplitude_rad`` its largest size, at its side; ``alike`` other dependences
-    that look the same here; ``gap_share`` the share of the information on the gap that remains;
-    ``gap_withheld`` why no gap is given.
+    that look the same here; ``gap_share`` the share of the information on the gap that remains.
     """
 
     amplitude_nm: NotRequired[float]
     amplitude_rad: NotRequired[float]
     alike: list[LearnedDependence]
     gap_share: float | None
-    gap_withheld: str
 
 
 class DisagreementSummary(TypedDict):
@@ -215,7 +213,6 @@ def _learned(told: LearnedAnswer) -> Any:
     return _dependence(told.term) | {
         "alike": [_dependence(other) for other in told.alike],
         "gap_share": told.gap_share,
-        "gap_withheld": told.gap_withheld,
     }
 
 

@@ -955,12 +955,10 @@ def _told(
     remaining: list[tuple[str, What]] = []
     waves: list[str] = []
     for members in inference.sure:
-        kinds = {labels[m].kind for m in members}
+        in_time = [m for m in members if labels[m].kind == "line"]
         ripple = [m for m in members if labels[m].kind == "effect" and ORDER in _shapes(labels[m])]
-        if "line" in kinds:
-            remaining.append(
-                (ripple[0] if ripple else members[0], "angle or time" if ripple else "time")
-            )
+        if in_time:
+            remaining.append((ripple[0], "angle or time") if ripple else (in_time[0], "time"))
         elif ripple and len(ripple) == len(members):
             waves.append(ripple[0])
         elif all(view.reportable(inference, m) for m in members):

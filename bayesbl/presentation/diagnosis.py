@@ -147,8 +147,8 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         text += f" It cannot be distinguished from {others}."
     yield text
     share = found["gap_share"]
-    if found["gap_withheld"]:
-        yield found["gap_withheld"]
+    if withheld := summary.get("gap_withheld"):
+        yield withheld
     elif share is not None and share < 0.5:
         yield (
             f"It hides all but {significant(100.0 * share)} % of the information on the gap; "

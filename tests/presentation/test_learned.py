@@ -27,7 +27,6 @@ def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:
         term,
         alike,
         LearnedCurve(x, term.over(x), np.full(x.size, 1e-5)),
-        gap_withheld="No gap is given." if alike else "",
     )
     return Diagnosis(
         "unexplained",
@@ -35,6 +34,7 @@ def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:
         (),
         (),
         disagreement_table(pieces, in_units_of_noise=True),
+        gap_withheld="No gap is given." if alike else "",
         learned=told,
     )
 

@@ -19,7 +19,12 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.flank_change import heaviest, require_flank_change
 from bayesbl.config.diagnose import DiagnoseConfig
-from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_term
+from bayesbl.diagnosis.closed_loop.learned_in_loop import (
+    Learned,
+    answer_of,
+    learned_term,
+    why_no_gap,
+)
 from bayesbl.diagnosis.closed_loop.prediction import (
     SimulatedPair,
     augmented_bench,
@@ -28,14 +33,7 @@ from bayesbl.diagnosis.closed_loop.prediction import (
     simulated_pairs,
     suggested_recording,
 )
-from bayesbl.diagnosis.diagnosis import (
-    Diagnosis,
-    Estimate,
-    LearnedAnswer,
-    NamedEffect,
-    ParameterError,
-    verdict_of,
-)
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, NamedEffect, ParameterError, verdict_of
 from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.task import (
@@ -331,7 +329,7 @@ def diagnosis_of(
         posterior=posterior,
         signals=tuple(signals for pair in shown for signals in signals_of(pair)),
         augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
-        learned=_learned_answer(found),
+        learned=None if found.learned is None else answer_of(found.learned),
     )
 
 
@@ -430,9 +428,10 @@ def _averaged(
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
     """What is missing or was learned leaves δ open, or a tolerance decides it; else empty."""
-    told = _learned_answer(found)
-    if told is not None:
-        return told.gap_withheld
+    if found.learned is not None:
+        # Noise is told from what remains by its tests, not by a share of little.
+        remains = bool(found.after.remaining) or not is_explained(found.final.fit)
+        return why_no_gap(found.learned, found.after.closes(found.before), remains)
     if _place_of_gap(found.final.fit) is None:
         return ""
     if found.naming.repeats:
@@ -442,15 +441,6 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
             "direction, and look at the residuals."
         )
     return "" if posterior is None else posterior.beyond_tolerance(None, level) or ""
-
-
-def _learned_answer(found: Findings) -> LearnedAnswer | None:
-    if found.learned is None:
-        return None
-    closed = found.after.closes(found.before)
-    # Noise is told from what remains by its tests, not by a share of little.
-    remains = bool(found.after.remaining) or not is_explained(found.final.fit)
-    return answer_of(found.learned, closed, remains)
 
 
 CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
