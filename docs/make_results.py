@@ -23,8 +23,8 @@ PAGE = Path(__file__).parent / "results.md"
 SUMMARIES = {
     "fit": "bayesbl.measurement.summary_types:FitSummary",
     "compare": "bayesbl.measurement.summary_types:ComparisonSummary",
-    "identify": "bayesbl.identification.summary:IdentificationSummary",
-    "diagnose": "bayesbl.diagnosis.summary:DiagnosisSummary",
+    "identify": "bayesbl.identification.groups:IdentificationSummary",
+    "diagnose": "bayesbl.diagnosis.groups:DiagnosisSummary",
     "sweep": "bayesbl.runs.sweep:SweepSummary",
     "plan": "bayesbl.runs.plan:PlanSummary",
 }

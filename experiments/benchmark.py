@@ -35,8 +35,7 @@ from made_recordings import synthetic_recording
 from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import DiagnoseConfig
 from bayesbl.config.loading import load_config
-from bayesbl.diagnosis.closed_loop.diagnosis import search
-from bayesbl.diagnosis.closed_loop.method import forward_problem
+from bayesbl.diagnosis.closed_loop.diagnosis import forward_problem, search
 from bayesbl.diagnosis.task import Task
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.readers import read_recording

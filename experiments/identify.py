@@ -34,8 +34,8 @@ from bayesbl.bench.bench import Bench, BenchParameter
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.bench.steady import contact_matrices
 from bayesbl.config.bench import reference_bench
+from bayesbl.identification.groups import reason_of
 from bayesbl.identification.identify import Problem, identified_bench, identify, parameter_draws
-from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly

@@ -6,5 +6,5 @@ two-mass bench beside speed and current. ``rigid`` has the views of a rigid benc
 compares measured motion with the torque it should have needed, ``free_motion`` a joint let go
 without torque with its simulation, both by ``inference``; ``speed_loop`` lines of the speed alone.
 ``residuals`` takes apart what a simulation in steady rotation does not explain.
-``groups`` and ``summary`` store and summarise any diagnosis.
+``groups`` stores and summarises any diagnosis.
 """

@@ -15,7 +15,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
-from bayesbl.diagnosis.residuals import ResidualAnalysis, Unexplained
+from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.recording.types import FloatArray
 
@@ -131,15 +131,12 @@ class LearnedAnswer:
         Other dependences that the recordings do not tell from it.
     gap_share
         Share of the information on the gap that it leaves; ``None`` where there is none.
-    gap_withheld
-        Why no gap is given; empty where one is.
     """
 
     term: LearnedTerm
     alike: tuple[LearnedTerm, ...]
     curve: LearnedCurve
     gap_share: float | None = None
-    gap_withheld: str = ""
 
     @property
     def amplitude(self) -> float:
@@ -165,8 +162,6 @@ class Diagnosis:
         Why no gap is given; empty where one is, or nothing is asked of it.
     signals
         Of every piece; of a closed loop those held out, or all if none is.
-    residuals_before, residuals_after
-        What the simulation leaves, in steady rotation.
     augmented_bench
         The bench with what was named and learned in it.
     learned
@@ -186,8 +181,6 @@ class Diagnosis:
     suggestion: Suggestion | None = None
     posterior: DirectPosterior | None = None
     signals: tuple[PieceSignals, ...] = ()
-    residuals_before: ResidualAnalysis | None = None
-    residuals_after: ResidualAnalysis | None = None
     augmented_bench: Bench | None = None
     learned: LearnedAnswer | None = None
 

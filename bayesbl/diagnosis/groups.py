@@ -1,14 +1,9 @@
-"""Groups of ``result.nc`` by which a diagnosis is stored, each where there is something to store.
+"""``summary.json`` of a diagnosis, and the groups of ``result.nc`` by which it is stored.
 
+Each group is there where there is something to store.
 ``signals``: measured and predicted, for every piece (a channel of a recording, or of a part of it);
 of a closed loop for those held out. ``posterior``: draws of everything unknown, with what was named
 added. ``learned_torque``, ``encoder_error``: what was learned, over what it depends on.
-
-``residuals_before``, ``residuals_after``: what the simulation does not explain. Variables begin
-with their channel's name. Dimensions: ``recording``, ``load_angle_rad`` (720), ``bin`` of the
-spectra and ``line`` of the significant lines, strongest first; shorter ones are padded with NaN,
-missing channels filled with it. The attribute ``unexplained`` holds, as JSON, what is significant
-over all recordings.
 
 The answer in the words of ``summary.json``, the disagreement among it, is JSON in the attribute
 ``diagnosis`` of the root, the bench with what was named in it a bench file in the attribute
@@ -17,28 +12,268 @@ The answer in the words of ``summary.json``, the disagreement among it, is JSON 
 
 from __future__ import annotations
 
+import dataclasses
 import json
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Mapping, Sequence
+from statistics import NormalDist
+from typing import Any, Literal, NotRequired, TypedDict
 
-import numpy as np
 import xarray as xr
 
-from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
+from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE, LearnedTerm, Side
+from bayesbl.bench.learned import Variable as LearnedVariable
 from bayesbl.config.bench import dump_bench
-from bayesbl.diagnosis.diagnosis import Diagnosis, PieceSignals
-from bayesbl.diagnosis.residuals import FALSE_LINES, MAP_POINTS, ChannelResiduals, ResidualAnalysis
-from bayesbl.diagnosis.summary import answer_of, plain
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, PieceSignals, Verdict
+from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
 from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
-from bayesbl.recording.types import CHANNELS
-from bayesbl.results.intervals import IntervalKind
-from bayesbl.results.variables import Group, Variable, columns, dataset, labels, padded, table
+from bayesbl.results.folder import AUGMENTED_BENCH
+from bayesbl.results.intervals import Interval, IntervalKind, interval
+from bayesbl.results.store import Head, head
+from bayesbl.results.variables import Group, Variable, columns, dataset, padded, table
 from bayesbl.units import unit_of
 
-STAGES = ("before", "after")
-"""The bench as believed, and with what was named."""
+_PLACE = ("recording", "channel", "use")
+
+
+class HeldValue(TypedDict):
+    """An interval without bounds: the value was not fitted."""
+
+    median: float
+    low: None
+    high: None
+    level: float
+    kind: IntervalKind
+
+
+class EffectSummary(TypedDict):
+    """A named effect; names of parameters to intervals."""
+
+    name: str
+    parameters: dict[str, Interval | HeldValue]
+    probability: float
+    z: float
+    indistinguishable_from: list[str]
+
+
+class ParameterErrorSummary(TypedDict):
+    """A bench parameter that is not what its file says."""
+
+    name: str
+    believed: float
+    tolerance: float
+    fitted: Interval | HeldValue
+    indistinguishable_from: list[str]
+
+
+class RemainingSummary(TypedDict):
+    """What still repeats after naming; ``chi_squared`` of a line whose test has one."""
+
+    channel: str
+    dependence: str
+    amplitude: float
+    unit: str
+    lowest_order: float | None
+    highest_order: float | None
+    frequency_hz: float | None
+    recordings: list[str]
+    chi_squared: float | None
+
+
+class LearnedDependence(TypedDict):
+    """Where something learned acts and what it depends on; ``period`` in rad, rad/s or s."""
+
+    side: Side | Literal["encoder"]
+    variable: LearnedVariable
+    reverses: bool
+    period: float
+    orders: int
+
+
+class LearnedSummary(LearnedDependence):
+    """A torque of no known law, or an error of the encoder.
+
+    ``amplitude_nm``, ``amplitude_rad`` its largest size, at its side; ``alike`` other dependences
+    that look the same here; ``gap_share`` the share of the information on the gap that remains.
+    """
+
+    amplitude_nm: NotRequired[float]
+    amplitude_rad: NotRequired[float]
+    alike: list[LearnedDependence]
+    gap_share: float | None
+
+
+class DisagreementSummary(TypedDict):
+    """RMS between bench and measurement in ``unit``; ``noise`` where it is over the noise floor."""
+
+    before: float
+    after: float
+    noise_floor: float
+    closed_fraction: float | None
+    unit: str
+    noise_floor_from: NotRequired[FloorFrom]
+
+
+class DisagreementTableSummary(TypedDict):
+    """By recording, channel and use, and over all by use; ``unit`` where all have one."""
+
+    unit: str | None
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]]
+    over_all: dict[Use, DisagreementSummary]
+
+
+class SuggestedRecording(TypedDict):
+    """A recording that would separate what these cannot."""
+
+    reference_speed_rpm: float
+    payload_share: float
+    distance: float
+    separates: list[list[str]]
+
+
+class SamplingSummary(TypedDict):
+    """How well the posterior was sampled."""
+
+    r_hat: float
+    ess_bulk: float
+    effective_after_simulation: float
+    outcome: str
+    reasons: list[str]
+
+
+class Answer(TypedDict):
+    """What a diagnosis says."""
+
+    verdict: Verdict
+    effects: list[EffectSummary]
+    parameter_errors: list[ParameterErrorSummary]
+    bench_parameters: dict[str, Interval | HeldValue]
+    remaining: list[RemainingSummary]
+    disagreement: DisagreementTableSummary
+    delta_rad_before: Interval | None
+    delta_rad_after: Interval | None
+    gap_withheld: NotRequired[str]
+    suggested_recording: SuggestedRecording | None
+    augmented_bench: NotRequired[str]
+    learned_torque: NotRequired[LearnedSummary]
+    encoder_error: NotRequired[LearnedSummary]
+    diagnostics: NotRequired[SamplingSummary]
+
+
+class DiagnosisSummary(Head, Answer):
+    """``summary.json``."""
+
+    kind: Literal["diagnose"]
+
+
+def summarise_diagnosis(tree: xr.DataTree) -> DiagnosisSummary:
+    """``summary.json`` of a stored diagnosis."""
+    answer: Answer = json.loads(tree.attrs["diagnosis"])
+    return {"kind": "diagnose", **head(tree), **answer}
+
+
+def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
+    """The answer with credible intervals of this level and kind."""
+
+    def of(value: object) -> Any:
+        return plain(value, lambda estimate: interval_of(estimate, level, kind))
+
+    answer: Answer = {
+        "verdict": found.verdict,
+        "effects": of(found.effects),
+        "parameter_errors": of(found.parameter_errors),
+        "bench_parameters": of(found.bench_parameters),
+        "remaining": of(found.remaining),
+        "disagreement": disagreement_summary(found.disagreement),
+        "delta_rad_before": of(found.delta_before),
+        "delta_rad_after": of(found.delta_after),
+        "suggested_recording": of(found.suggestion),
+    }
+    if found.gap_withheld:
+        answer["gap_withheld"] = found.gap_withheld
+    if found.augmented_bench is not None:
+        answer["augmented_bench"] = AUGMENTED_BENCH
+    if found.learned is not None:
+        told = _learned(found.learned)
+        if found.learned.term.is_of_encoder:
+            told["amplitude_rad"] = found.learned.amplitude
+            answer["encoder_error"] = told
+        else:
+            told["amplitude_nm"] = found.learned.amplitude
+            answer["learned_torque"] = told
+    if found.posterior is not None:
+        answer["diagnostics"] = sampling_summary(found.posterior)
+    return answer
+
+
+def _learned(told: LearnedAnswer) -> Any:
+    """The keys of :class:`LearnedSummary` but the amplitude."""
+    return _dependence(told.term) | {
+        "alike": [_dependence(other) for other in told.alike],
+        "gap_share": told.gap_share,
+    }
+
+
+def _dependence(term: LearnedTerm) -> Any:
+    """The keys of :class:`LearnedDependence`, as the term has them."""
+    return {key: getattr(term, key) for key in LearnedDependence.__annotations__}
+
+
+def interval_of(estimate: Estimate, level: float, kind: IntervalKind) -> Interval | HeldValue:
+    """From the draws; of a normal distribution, or lognormal one, where there are none."""
+    if estimate.draws is not None:
+        return interval(estimate.draws, level, kind)
+    value = math.exp if estimate.logarithmic else float
+    median = value(estimate.value)
+    if not math.isfinite(estimate.sd):
+        return {
+            "median": median, "low": None, "high": None, "level": level, "kind": "equal_tailed"
+        }  # fmt: skip
+    reach = NormalDist().inv_cdf(0.5 + 0.5 * level) * estimate.sd
+    return {
+        "median": median,
+        "low": value(estimate.value - reach),
+        "high": value(estimate.value + reach),
+        "level": level,
+        "kind": "equal_tailed",
+    }
+
+
+def plain(value: object, of_estimate: Callable[[Estimate], object] | None = None) -> Any:
+    """A value as JSON can hold it: dataclasses as objects, tuples as lists, NaN as null."""
+    if isinstance(value, Estimate) and of_estimate is not None:
+        return of_estimate(value)
+    if dataclasses.is_dataclass(value):
+        names = [field.name for field in dataclasses.fields(value)]
+        return {name: plain(getattr(value, name), of_estimate) for name in names}
+    if isinstance(value, Mapping):
+        return {key: plain(item, of_estimate) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(item, of_estimate) for item in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def disagreement_summary(table: DisagreementTable) -> DisagreementTableSummary:
+    """By recording, channel and use, and over all."""
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
+    for piece in table.pieces:
+        entry: Any = {key: value for key, value in plain(piece).items() if key not in _PLACE}
+        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = entry
+    return {"unit": table.unit, "recordings": recordings, "over_all": plain(table.overall)}
+
+
+def sampling_summary(posterior: DirectPosterior) -> SamplingSummary:
+    """How well a posterior was sampled."""
+    diagnostics = posterior.diagnostics
+    return {
+        "r_hat": max(diagnostics.r_hat.values()),
+        "ess_bulk": min(diagnostics.ess_bulk.values()),
+        "effective_after_simulation": posterior.effective,
+        "outcome": diagnostics.outcome,
+        "reasons": list(diagnostics.reasons),
+    }
 
 
 def signals_group(unit: str) -> Group:
@@ -91,47 +326,6 @@ LEARNED = {
 """By the name of what was learned."""
 
 
-def _of_channel(channel: str) -> tuple[Variable, ...]:
-    """Named as attributes of its :class:`ChannelResiduals`; behind ``line_``, of a line."""
-    unit, name = unit_of(channel), CHANNELS[channel]
-    return table(f"""
-        {channel}_offset (recording) | {unit} | {name}: mean of recording less simulation
-        {channel}_repeating_rms (recording) | {unit} | {name}: RMS that repeats with the load angle
-        {channel}_noise_sd (recording) | {unit} | {name}: standard deviation of the noise
-        {channel}_drift_per_s (recording) | {unit}/s | {name}: slope over the recording
-        {channel}_outliers (recording) | 1 | {name}: samples that no noise explains
-        {channel}_map_error (recording) | {unit} | {name}: standard error of rotation averages
-        {channel}_load_map (recording, load_angle_rad) | {unit} | {name}: residual that repeats
-        {channel}_amplitude (recording, bin) | {unit} | {name}: amplitude of the residual
-        {channel}_noise_amplitude (recording, bin) | {unit} | {name}: RMS amplitude of noise
-        {channel}_line_frequency_hz (recording, line) | Hz | {name}: frequency of a line
-        {channel}_line_load_order (recording, line) | 1 | {name}: cycles of it per turn of the load
-        {channel}_line_motor_order (recording, line) | 1 | {name}: the same of the motor
-        {channel}_line_amplitude (recording, line) | {unit} | {name}: its amplitude
-        {channel}_line_phase_rad (recording, line) | rad | {name}: of a cosine at the first sample
-        {channel}_line_dependence (recording, line) | text | {name}: what it repeats with
-    """)
-
-
-def _named(name: str) -> Variable | None:
-    """A variable of any channel."""
-    of_any = (v for channel in CHANNELS if name.startswith(channel) for v in _of_channel(channel))
-    return next((variable for variable in of_any if variable.name == name), None)
-
-
-def residuals_group(stage: str) -> Group:
-    """Of the bench as believed (``before``), or with what was named (``after``)."""
-    return Group(
-        f"residuals_{stage}",
-        table("load_order (recording, bin) | 1 | cycles per turn of the load"),
-        (
-            labels("recording", "recording"),
-            *table("load_angle_rad (load_angle_rad) | rad | load angle"),
-        ),
-        _named,
-    )
-
-
 def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
     """The whole result, without its origin.
 
@@ -151,10 +345,6 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
         groups[group.name] = dataset(
             group, {size: curve.value, sd: curve.sd}, {"variable": curve.variable}
         )
-    analyses = (found.residuals_before, found.residuals_after)
-    for stage, analysis in zip(STAGES, analyses, strict=True):
-        if analysis is not None:
-            groups[f"residuals_{stage}"] = residuals_dataset(analysis, stage)
     tree = xr.DataTree.from_dict(groups)
     doubts = found.posterior is not None and bool(found.posterior.diagnostics.reasons)
     bench = found.augmented_bench
@@ -191,41 +381,3 @@ def posterior_dataset(posterior: DirectPosterior) -> xr.Dataset:
         label = name if unknown.recording is None else f"{name} ({unknown.recording})"
         values[label] = unknown.value(posterior.draws[..., i])
     return dataset(POSTERIOR, values, numbered(posterior.draws.shape))
-
-
-def residuals_dataset(analysis: ResidualAnalysis, stage: str) -> xr.Dataset:
-    """All that an analysis holds, as the text of this module describes it."""
-    recordings = analysis.recordings
-    names = list(dict.fromkeys(c.channel for r in recordings for c in r.channels))
-    orders = [r.whole.load_order for r in recordings]
-    sizes = {
-        "line": max(len(c.lines) for r in recordings for c in r.channels),
-        "bin": max(order.size for order in orders),
-        "load_angle_rad": MAP_POINTS,
-    }
-    values: dict[str, object] = {"load_order": padded(orders, sizes["bin"])}
-    for name in names:
-        seen = [next((c for c in r.channels if c.channel == name), None) for r in recordings]
-        for variable in _of_channel(name):
-            attribute = variable.name.removeprefix(f"{name}_")
-            own: Any = [np.nan if c is None else _value(c, attribute) for c in seen]
-            if len(variable.dims) == 2:
-                own = [[] if c is None else x for c, x in zip(seen, own, strict=True)]
-                own = padded(own, sizes[variable.dims[1]], variable.kind == "text")
-            values[variable.name] = own
-    angles = 2.0 * np.pi * np.arange(MAP_POINTS) / MAP_POINTS
-    coordinates = {"recording": [r.name for r in recordings], "load_angle_rad": angles}
-    made = dataset(residuals_group(stage), values, coordinates)
-    made.attrs = {
-        "channels": names,
-        "false_discovery_rate": FALSE_LINES,
-        "unexplained": json.dumps(plain(analysis.remaining), ensure_ascii=False),
-    }
-    return made
-
-
-def _value(residuals: ChannelResiduals, attribute: str) -> Any:
-    of_line = attribute.removeprefix("line_")
-    if of_line != attribute:
-        return [getattr(line, of_line) for line in residuals.lines]
-    return getattr(residuals, attribute)

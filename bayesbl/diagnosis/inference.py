@@ -1,32 +1,28 @@
 """From an affine model of recordings to names, sizes and disagreement: one posterior, one rule.
 
-The posterior is :mod:`bayesbl.model_search.linear`'s. Noise is autoregressive, as the model with
-everything in it leaves it, then as the average over the posterior does.
+Around its fit a view is affine, base + nuisances u + candidates a + discrepancy h, and knows
+nothing of probabilities. The posterior is :mod:`bayesbl.model_search.linear`'s. Noise is
+autoregressive, as the model with everything in it leaves it, then as the average over the posterior
+does.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from bayesbl.bench.bench import Bench
-from bayesbl.bench.effect_declaration import ORDER, PHASE
+from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw
 from bayesbl.bench.effects import effect_named
+from bayesbl.bench.learned import LearnedTerm, Variable
 from bayesbl.bench.parameters import PARAMETER_INFO
-from bayesbl.diagnosis.comparison import (
-    AffineModel,
-    Candidate,
-    Look,
-    Piece,
-    bounded_least_squares,
-    least_squares,
-)
 from bayesbl.diagnosis.diagnosis import (
     CURVE_POINTS,
     Diagnosis,
@@ -42,6 +38,7 @@ from bayesbl.diagnosis.disagreement import (
     Disagreement,
     DisagreementTable,
     ResidualNoise,
+    Use,
     disagreement_table,
     piece_residuals,
 )
@@ -49,8 +46,319 @@ from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
 from bayesbl.progress import StageProgress
-from bayesbl.recording.types import FloatArray
+from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.units import unit_of
+
+DEPENDENT = 1e-8
+"""Share of its own length that a column must have apart from the others, to be fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A recording, or a part of one, as it is compared.
+
+    Attributes
+    ----------
+    name, channel
+        Of the recording, and of what is compared.
+    use
+        ``used``: effects are fitted on it. ``held_out``: only start, phases and offsets are.
+    time_s, measured
+        Shape (n,), evenly spaced; the channel's unit.
+    excluded
+        Shape (n,): samples that were lost or cannot be trusted, ``None`` where there are none.
+    shown
+        Whether the answer tells its disagreement: not of what the comparison could not explain.
+    white
+        Autocovariance of white noise behind the filter that both sides passed, lags of 0, 1, …
+        samples; ``None`` where they passed none.
+    """
+
+    name: str
+    channel: str
+    use: Use
+    time_s: FloatArray
+    measured: FloatArray
+    excluded: BoolArray | None = None
+    shown: bool = True
+    white: FloatArray | None = None
+
+    def kept(self, values: FloatArray) -> FloatArray:
+        """Values of the samples that count, (n, …) to (k, …)."""
+        return values if self.excluded is None else values[~self.excluded]
+
+    def part(self, rows: slice, use: Use) -> Piece:
+        """Some samples of it, with a use of their own."""
+        excluded = None if self.excluded is None else self.excluded[rows]
+        time_s, measured = self.time_s[rows], self.measured[rows]
+        return replace(self, time_s=time_s, measured=measured, excluded=excluded, use=use)
+
+    @property
+    def period_s(self) -> float:
+        """Sampling period, s."""
+        return float(self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The samples of pieces that count, one piece after the other: N in all."""
+
+    pieces: tuple[Piece, ...]
+
+    def stack(self, of: Callable[[int], FloatArray]) -> FloatArray:
+        """What there is of each piece, (n, …), in one array, (N, …)."""
+        return np.concatenate([piece.kept(of(i)) for i, piece in enumerate(self.pieces)])
+
+    @cached_property
+    def slices(self) -> list[slice]:
+        """Of each piece."""
+        ends = np.cumsum([0, *(piece.kept(piece.time_s).size for piece in self.pieces)])
+        return [slice(*pair) for pair in pairwise(ends.tolist())]
+
+    @cached_property
+    def measured(self) -> FloatArray:
+        """Shape (N,)."""
+        return self.stack(lambda i: self.pieces[i].measured)
+
+    def where(self, holds: Callable[[Piece], bool]) -> BoolArray:
+        """Samples of the pieces of which something holds, (N,)."""
+        lengths = [rows.stop - rows.start for rows in self.slices]
+        return np.repeat([holds(piece) for piece in self.pieces], lengths)
+
+    def of(self, recording: str) -> BoolArray:
+        """Samples of one recording, (N,)."""
+        return self.where(lambda piece: piece.name == recording)
+
+    @cached_property
+    def used(self) -> BoolArray:
+        """Those that are fitted, (N,)."""
+        return self.where(lambda piece: piece.use == "used")
+
+    @cached_property
+    def shown(self) -> BoolArray:
+        """Of these, those whose disagreement is told, (N,)."""
+        return self.where(lambda piece: piece.use == "used" and piece.shown)
+
+    @cached_property
+    def recordings(self) -> tuple[str, ...]:
+        """Names of those that are fitted."""
+        return tuple(dict.fromkeys(p.name for p in self.pieces if p.use == "used"))
+
+    def by_recording(self, columns: FloatArray) -> FloatArray:
+        """Columns, (N, k), apart for every fitted recording, (N, k recordings)."""
+        return np.hstack([columns * self.of(name)[:, None] for name in self.recordings])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """One shape of a candidate.
+
+    ``shapes``: parameters that are not linear, by name. ``columns``: change of the prediction by
+    one unit of each linear parameter, (N, k). ``weight``: share of its prior.
+    ``size``: that its parameter usually has, in its unit, where that is known whatever is compared.
+    """
+
+    shapes: Mapping[str, float]
+    columns: FloatArray
+    weight: float = 1.0
+    size: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis as a view sees it.
+
+    Attributes
+    ----------
+    label
+        Unique; an effect's name, a bench parameter's, or a line's.
+    kind
+        ``effect`` of the catalogue, ``parameter`` of the bench that is wrong, ``line`` in time, or
+        ``gravity`` of which the bench states none.
+    name
+        Of the effect or the parameter.
+    parameters
+        Names of the linear ones; of a wave its amplitude alone, as its columns are sine and cosine.
+    usual
+        Share that it usually has in the root mean square of what is compared.
+    not_negative
+        The amplitude has a sign.
+    own_phase
+        A wave with a sine and a cosine for every recording; with one for all where ``False``.
+    """
+
+    label: str
+    kind: Literal["effect", "parameter", "line", "gravity"]
+    name: str
+    parameters: tuple[str, ...]
+    looks: tuple[Look, ...]
+    usual: float
+    not_negative: bool = False
+    is_wave: bool = False
+    own_phase: bool = False
+    excludes: frozenset[str] = frozenset()
+    requires: frozenset[str] = frozenset()
+    same_as: tuple[str, ...] = ()
+
+    @property
+    def holds_another(self) -> bool:
+        """Whether it is one law and a departure from it: two hypotheses in one."""
+        return self.kind == "effect" and bool(self.excludes)
+
+
+def candidate_of(
+    law: RigidLaw, name: str, parameters: tuple[str, ...], looks: tuple[Look, ...], **other: Any
+) -> Candidate:
+    """The effect of this name, by its law; ``other``: fields that are not as that says."""
+    by_law = Candidate(
+        name,
+        "effect",
+        name,
+        parameters,
+        looks,
+        law.usual,
+        law.not_negative,
+        excludes=frozenset({law.contains} if law.contains else ()),
+        requires=frozenset({law.requires} if law.requires else ()),
+        same_as=law.same_as,
+    )
+    return replace(by_law, **other)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A torque over a variable, its amplitudes falling as 1/k.
+
+    Attributes
+    ----------
+    means
+        Of the cosines and sines over what was recorded, which are taken off, (2 orders,): the mean
+        is an effect's.
+    reach
+        Of the variable, as recorded.
+    """
+
+    variable: Variable
+    period: float
+    reverses: bool
+    orders: int
+    means: FloatArray
+    reach: tuple[float, float]
+
+    @classmethod
+    def over(
+        cls,
+        variable: Variable,
+        period: float,
+        *,
+        reverses: bool,
+        orders: int,
+        reach: tuple[float, float],
+    ) -> Series:
+        """With the means over this reach of its variable."""
+        made = cls(variable, period, reverses, orders, np.zeros(2 * orders), reach)
+        x = np.linspace(reach[0], min(reach[1], reach[0] + period), 1000)
+        return replace(made, means=made.waves(x).mean(axis=0))
+
+    @property
+    def kind(self) -> str:
+        """What it is a torque over."""
+        return f"motor_torque_over_{self.variable}{'_reversing' if self.reverses else ''}"
+
+    def waves(self, x: FloatArray) -> FloatArray:
+        """Cosines, then sines, less their means, (n, 2 orders)."""
+        k = np.arange(1, self.orders + 1)
+        phase = 2.0 * math.pi * x[:, None] * k / self.period
+        return np.hstack([np.cos(phase) / k, np.sin(phase) / k]) - self.means
+
+    def torque(self, coefficients: FloatArray, sds: FloatArray | None = None) -> LearnedTerm:
+        """With coefficients of the waves, (2 orders,), and their standard deviations."""
+        decay = np.tile(1.0 / np.arange(1, self.orders + 1), 2)
+        waves = coefficients * decay
+        sd: tuple[float, ...] = ()
+        if sds is not None:
+            constant = math.sqrt(float((sds * self.means) @ (sds * self.means)))
+            sd = (constant, *(sds * decay).tolist())
+        return LearnedTerm(
+            "motor",
+            self.variable,
+            self.period,
+            -float(coefficients @ self.means),
+            tuple(waves[: self.orders].tolist()),
+            tuple(waves[self.orders :].tolist()),
+            self.reverses,
+            sd,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discrepancy:
+    """Columns of what nothing explains, (N, m), each times its prior's amplitude; ``series``: the
+    torque that they are, if any."""
+
+    kind: str
+    columns: FloatArray
+    series: Series | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class AffineModel:
+    """A view around a fit, in the channel's unit, everything over its N rows.
+
+    ``nuisances``: columns that are fitted anyway, (N,), by name. ``nuisance_sds``: of those of
+    which something is known beforehand, around what the base has. ``without``: predictions of a fit
+    without any effect, (N,), where the base and the nuisances alone are none.
+    """
+
+    rows: Rows
+    base: FloatArray
+    nuisances: Mapping[str, FloatArray]
+    candidates: tuple[Candidate, ...] = ()
+    discrepancies: tuple[Discrepancy, ...] = ()
+    nuisance_sds: Mapping[str, float] = field(default_factory=dict)
+    without: FloatArray | None = None
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the nuisances but for those of held-out recordings alone."""
+        used, every = self.rows.used, self.nuisances.items()
+        return tuple(name for name, column in every if column[used].any() or not column.any())
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """Theirs, (N, d)."""
+        own = [self.nuisances[name] for name in self.names]
+        return np.column_stack([np.zeros((self.base.size, 0)), *own])
+
+    @cached_property
+    def by_nuisances(self) -> FloatArray:
+        """Nuisances that fit the shown rows best beside nothing else, (d,)."""
+        shown, left = self.rows.shown, self.rows.measured - self.base
+        return least_squares(self.jacobian[shown], left[shown])
+
+    def columns(self, candidate: Candidate, look: Look) -> FloatArray:
+        """Of a candidate, with a pair for every used recording where phases are their own."""
+        return self.rows.by_recording(look.columns) if candidate.own_phase else look.columns
+
+
+def least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray:
+    """x of the least ‖target − matrix x‖, shape (p,), with columns of any unit, (n, p)."""
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(np.linalg.lstsq(matrix / scale, target, rcond=DEPENDENT)[0] / scale)
+
+
+def bounded_least_squares(matrix: FloatArray, target: FloatArray, low: FloatArray) -> FloatArray:
+    """The same with every x at least as large as ``low``, (p,): zero, or minus infinity."""
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    free = least_squares(matrix, target)
+    if np.all(free >= low):
+        return free
+    whole = np.column_stack([matrix / scale, target])
+    root = np.asarray(np.linalg.qr(whole, mode="r"), dtype=float)
+    return np.asarray(lsq_linear(root[:, :-1], root[:, -1], (low, np.inf)).x / scale)
+
 
 SURE_PARAMETER = 3.0
 """Standard deviations beyond which a value is told: three in a thousand by chance."""
@@ -204,18 +512,18 @@ class Inference:
     """
 
     def __init__(self, model: AffineModel, noises: Sequence[ResidualNoise] | None = None) -> None:
-        self.model = model
-        used = model.used
-        rows = partial(model.rows, places=used)
-        self._target = rows(model.beside_base)
-        self._nuisances = rows(model.nuisance_columns)
-        lengths = [model.pieces[i].kept(model.pieces[i].time_s).size for i in used]
+        self.model, rows = model, model.rows
+        used = rows.used
+        self._target = (rows.measured - model.base)[used]
+        self._nuisances = model.jacobian[used]
+        pieces = [piece for piece in rows.pieces if piece.use == "used"]
+        lengths = [piece.kept(piece.time_s).size for piece in pieces]
         self._ends = np.cumsum(lengths)[:-1]
         self.terms: list[_Placed] = []
         blocks: list[FloatArray] = []
         for candidate in model.candidates:
             for look in candidate.looks:
-                block = rows(partial(model.candidate_columns, candidate, look))
+                block = model.columns(candidate, look)[used]
                 parts = np.split(block, self._ends)
                 size = np.sqrt(np.max([(part**2).mean(axis=0) for part in parts], axis=0))
                 if not size.any():
@@ -224,14 +532,14 @@ class Inference:
                 unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
                 self.terms.append(_Placed(candidate, look, unit))
                 blocks.append(block * unit)
-        every = [d.columns for d in model.discrepancies]
-        self._discrepancy = rows(lambda i: np.hstack([columns[i] for columns in every]))
-        ends = np.cumsum([0, *(columns[used[0]].shape[1] for columns in every)]).tolist()
+        every = [np.zeros((rows.measured.size, 0)), *(d.columns for d in model.discrepancies)]
+        self._discrepancy = np.hstack(every)[used]
+        ends = np.cumsum([columns.shape[1] for columns in every]).tolist()
         self.groups = [slice(*pair) for pair in pairwise(ends)]
         if noises is None:
             noises = self._noise_beside_everything(blocks)
         self.noises = tuple(noises)
-        shown = [model.pieces[i].shown for i in used]
+        shown = [piece.shown for piece in pieces]
         pairs = list(zip(noises, shown, strict=True))
         strongest = {
             alike: max(_TINY, *(noise.strongest for noise, s in pairs if s == alike))
@@ -247,9 +555,8 @@ class Inference:
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
         model = self.model
-        prediction = partial(model.at, nuisances=model.by_nuisances)
-        left = model.rows(lambda i: model.pieces[i].measured - prediction(i), model.shown)
-        return max(math.sqrt(float(np.mean(left**2))), _TINY)
+        left = model.rows.measured - model.base - model.jacobian @ model.by_nuisances
+        return max(math.sqrt(float(np.mean(left[model.rows.shown] ** 2))), _TINY)
 
     def _noise_beside_everything(self, blocks: list[FloatArray]) -> list[ResidualNoise]:
         """From what all candidates and the discrepancy together leave, by ridge regression."""
@@ -291,7 +598,7 @@ class Inference:
         kinds = [d.kind for d in self.model.discrepancies]
         usual = DISCREPANCY_SHARE * self._level / self._shown_size
         groups = [DiscrepancyGroup(k, s, usual) for k, s in zip(kinds, self.groups, strict=True)]
-        sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.nuisance_names]
+        sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
         linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
         self.posterior = search(linearised, Priors(), MOST_TERMS)
@@ -372,7 +679,7 @@ class Inference:
 
     def nuisance(self, name: str) -> Estimate:
         """A nuisance by name."""
-        draws = self.nuisance_draws[:, self.model.nuisance_names.index(name)]
+        draws = self.nuisance_draws[:, self.model.names.index(name)]
         return Estimate(float(draws.mean()), float(draws.std()))
 
     @property
@@ -399,7 +706,7 @@ class Inference:
         """
         view, free = self.posterior.linearised, math.inf
         chosen = [self.posterior.likeliest(label) for label in labels]
-        anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.nuisance_names]
+        anyway = [self.model.nuisance_sds.get(n, free) for n in self.model.names]
         blocks: list[tuple[FloatArray, float | Sequence[float], float]] = [
             (view.jacobian, anyway, -free)
         ]
@@ -444,55 +751,53 @@ class Inference:
         size, unit = fitted.sizes[place], self.terms[place].unit
         return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
 
-    def predicted(self, coefficients: Coefficients) -> tuple[FloatArray, ...]:
-        """Of every piece (n,); what belongs to a held-out recording alone is fitted on it."""
-        return tuple(self._predicted(i, coefficients) for i in range(len(self.model.pieces)))
-
-    def _predicted(self, i: int, found: Coefficients) -> FloatArray:
-        model, piece = self.model, self.model.pieces[i]
-        total = model.at(i, found.nuisances)
-        own = [c for n, c in model.nuisances[i].items() if n not in model.nuisance_names]
+    def predicted(self, found: Coefficients) -> FloatArray:
+        """Of every row, (N,); what belongs to a held-out recording alone is fitted on it."""
+        model, rows = self.model, self.model.rows
+        total = model.base + model.jacobian @ found.nuisances
         waves: list[tuple[float, FloatArray]] = []
         for k, size in found.sizes.items():
-            placed = self.terms[k]
-            if not size.any():
-                continue
-            if placed.candidate.own_phase and piece.name not in model.recordings:
-                pair_size = float(np.hypot(*size.reshape(-1, 2).T).mean())
-                waves.append((pair_size, placed.look.columns[i]))
-            else:
-                total = total + model.candidate_columns(placed.candidate, placed.look, i) @ size
+            candidate, look = self.terms[k].candidate, self.terms[k].look
+            total = total + model.columns(candidate, look) @ size
+            if candidate.own_phase and size.any():
+                waves.append((float(np.hypot(*size.reshape(-1, 2).T).mean()), look.columns))
         for g, size in found.discrepancy.items():
-            discrepancy = model.discrepancies[g]
-            if not (discrepancy.own and piece.use != "used"):
-                total = total + discrepancy.columns[i] @ size
-        if own or waves:
-            matrix = np.column_stack([*own, *(columns for _, columns in waves)])
-            values = least_squares(piece.kept(matrix), piece.kept(piece.measured - total))
-            for k, (pair_size, _) in enumerate(waves):
-                pair = values[len(own) + 2 * k : len(own) + 2 * k + 2]
+            total = total + model.discrepancies[g].columns @ size
+        for piece, own in zip(rows.pieces, rows.slices, strict=True):
+            if piece.use == "used":
+                continue
+            free = [c[own] for n, c in model.nuisances.items() if n not in model.names]
+            new = [] if piece.name in rows.recordings else waves
+            if not (free or new):
+                continue
+            matrix = np.column_stack([*free, *(columns[own] for _, columns in new)])
+            values = least_squares(matrix, rows.measured[own] - total[own])
+            for k, (pair_size, _) in enumerate(new):
+                pair = values[len(free) + 2 * k : len(free) + 2 * k + 2]
                 pair *= pair_size / max(float(np.hypot(*pair)), 1e-12 * pair_size)
-            total = total + matrix @ values
+            total[own] += matrix @ values
         return np.asarray(total)
 
-    def nominal(self) -> tuple[FloatArray, ...]:
-        """Of every piece (n,): without any effect."""
-        return self.model.without or self.predicted(Coefficients(self.model.by_nuisances))
+    def nominal(self) -> FloatArray:
+        """Of every row, (N,): without any effect."""
+        without = self.model.without
+        return self.predicted(Coefficients(self.model.by_nuisances)) if without is None else without
 
-    def discrepancy(self) -> tuple[FloatArray, ...]:
-        """Of every piece what nothing explains, averaged, (n,)."""
-        known = [(self.model.discrepancies[g], h) for g, h in self.average.discrepancy.items()]
-        return tuple(
-            np.asarray(sum((d.columns[i] @ size for d, size in known), np.zeros(p.measured.size)))
-            for i, p in enumerate(self.model.pieces)
-        )
+    def discrepancy(self) -> FloatArray:
+        """Of every row what nothing explains, averaged, (N,)."""
+        total = np.zeros(self.model.base.size)
+        for g, size in self.average.discrepancy.items():
+            total += self.model.discrepancies[g].columns @ size
+        return total
 
     def noise_left(self) -> list[ResidualNoise]:
         """Of what the average over the posterior leaves of every used piece."""
-        every = self.predicted(self.average)
-        pieces = self.model.pieces
+        rows = self.model.rows
+        left = rows.measured - self.predicted(self.average)
         return [
-            ResidualNoise.of(pieces[i].kept(pieces[i].measured - every[i])) for i in self.model.used
+            ResidualNoise.of(left[own])
+            for piece, own in zip(rows.pieces, rows.slices, strict=True)
+            if piece.use == "used"
         ]
 
     def probability(self, names: Sequence[str]) -> float:
@@ -575,7 +880,7 @@ def diagnose(
     kinds = {label: inference.labels[label].kind for label in labels}
     estimates = {
         name: Estimate(bench.value(name) + value, inference.nuisance(name).sd)
-        for name, value in zip(at.model.nuisance_names, fitted.nuisances, strict=True)
+        for name, value in zip(at.model.names, fitted.nuisances, strict=True)
         if name in PARAMETER_INFO
     }
     for label in (label for label, kind in kinds.items() if kind == "parameter"):
@@ -585,10 +890,10 @@ def diagnose(
     denied = tuple(impossible(estimates))
     if denied:
         remaining = []
-    table, signals = compared_signals(view.pieces, before, after)
+    table, signals = compared_signals(at.model.rows, before, after)
     if denied or not _closes(table.overall["used"]):
         told, estimates, learned = [], {}, None
-        table, signals = compared_signals(view.pieces, before, before)
+        table, signals = compared_signals(at.model.rows, before, before)
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
@@ -650,12 +955,10 @@ def _told(
     remaining: list[tuple[str, What]] = []
     waves: list[str] = []
     for members in inference.sure:
-        kinds = {labels[m].kind for m in members}
+        in_time = [m for m in members if labels[m].kind == "line"]
         ripple = [m for m in members if labels[m].kind == "effect" and ORDER in _shapes(labels[m])]
-        if "line" in kinds:
-            remaining.append(
-                (ripple[0] if ripple else members[0], "angle or time" if ripple else "time")
-            )
+        if in_time:
+            remaining.append((ripple[0], "angle or time") if ripple else (in_time[0], "time"))
         elif ripple and len(ripple) == len(members):
             waves.append(ripple[0])
         elif all(view.reportable(inference, m) for m in members):
@@ -733,7 +1036,8 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
     values = inference.values(label)
     order = values[ORDER].value if ORDER in values and dependence != "time" else math.nan
     hertz = values["frequency_hz"].value if "frequency_hz" in values else math.nan
-    channel = inference.model.pieces[0].channel
+    rows = inference.model.rows
+    channel = rows.pieces[0].channel
     if dependence == "angle or time":
         rival = [m for m in inference.labels if inference.labels[m].kind == "line"]
         best = max(rival, key=lambda m: inference.posterior.inclusion[m])
@@ -746,25 +1050,23 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
         order,
         order,
         hertz if dependence != "motor angle" else math.nan,
-        inference.model.recordings,
+        rows.recordings,
         _share(inference, label),
     )
 
 
 def compared_signals(
-    pieces: Sequence[Piece], before: Sequence[FloatArray], after: Sequence[FloatArray]
+    rows: Rows, before: FloatArray, after: FloatArray
 ) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
-    """The shown pieces beside their predictions without and with what was named, each (n,)."""
+    """The shown pieces beside their predictions without and with what was named, each (N,)."""
     signals, residuals = [], []
-    for piece, *made in zip(pieces, before, after, strict=True):
+    for piece, own in zip(rows.pieces, rows.slices, strict=True):
         if piece.shown:
-            kept = map(piece.kept, (piece.time_s, piece.measured, *made))
-            seen = PieceSignals(piece.name, piece.channel, piece.use, *kept)
-            left = (seen.measured - seen.before, seen.measured - seen.after)
-            residuals.append(
-                piece_residuals(piece.name, piece.channel, piece.use, *left, white=piece.white)
-            )
-            signals.append(seen)
+            time_s, measured = piece.kept(piece.time_s), rows.measured[own]
+            made, place = (before[own], after[own]), (piece.name, piece.channel, piece.use)
+            signals.append(PieceSignals(*place, time_s, measured, *made))
+            left, remains = (measured - prediction for prediction in made)
+            residuals.append(piece_residuals(*place, left, remains, white=piece.white))
     return disagreement_table(residuals, in_units_of_noise=False), tuple(signals)
 
 

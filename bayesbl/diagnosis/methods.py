@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from bayesbl.diagnosis.closed_loop import method as closed_loop
+from bayesbl.diagnosis.closed_loop import diagnosis as closed_loop
 from bayesbl.diagnosis.rigid import free_motion, inverse, speed_loop
 from bayesbl.diagnosis.task import Comparison, Task
 

@@ -49,7 +49,6 @@ NEIGHBOURS = 4
 STANDS_OUT = 4.0
 """Times the power of the load orders beside it: then a whole load order is a line by itself."""
 
-MAP_POINTS = 720
 MAIN_SHARE = 0.8
 OUTLIER_SD = 6.0
 FEWEST_OUTLIERS = 3
@@ -69,26 +68,18 @@ BETWEEN_ORDERS: tuple[Scale, ...] = (TIME, MOTOR)
 class WholeRotations:
     """The part of a recording that is looked at: whole load rotations, to the nearest sample.
 
-    ``rotations`` of the load in ``samples``; ``gear_ratio`` motor turns in each;
-    ``start_angle_rad`` the load angle at the first sample.
+    ``rotations`` of the load in ``samples``; ``gear_ratio`` motor turns in each.
     """
 
     rotations: int
     samples: int
     sampling_hz: float
-    reference_speed_rpm: float
     gear_ratio: float
-    start_angle_rad: float
 
     @property
     def seconds(self) -> float:
         """Length of the record."""
         return self.samples / self.sampling_hz
-
-    @property
-    def load_order(self) -> FloatArray:
-        """Of every bin, cycles per turn of the load, shape (n // 2 + 1,)."""
-        return np.asarray(np.arange(self.samples // 2 + 1) / self.rotations)
 
     @property
     def turns(self) -> float:
@@ -106,31 +97,20 @@ class WholeRotations:
             return frequency_hz * self.seconds
         return frequency_hz / other.motor_hz * self.turns
 
-    def against_load_angle(self, values: FloatArray) -> FloatArray:
-        """Average of a signal (n,) over the rotations at load angles 2π j/720, shape (720,)."""
-        harmonics = np.fft.rfft(values)[:: self.rotations][: MAP_POINTS // 2] / values.size
-        if self.reference_speed_rpm < 0.0:
-            harmonics = np.conj(harmonics)
-        padded = np.zeros(MAP_POINTS // 2 + 1, dtype=complex)
-        turn = np.exp(-1j * np.arange(harmonics.size) * self.start_angle_rad)
-        padded[: harmonics.size] = harmonics * turn
-        return np.asarray(MAP_POINTS * np.fft.irfft(padded, MAP_POINTS))
-
 
 @dataclass(frozen=True, slots=True)
 class Line:
     """A significant line of one recording.
 
-    ``load_order``, ``motor_order``: cycles per turn of the load and of the motor; ``amplitude``,
-    ``phase_rad``: of a cosine at the first sample, the channel's unit; ``dependence``: what it
-    repeats with, ``angle or time`` where the recordings cannot tell.
+    ``load_order``, ``motor_order``: cycles per turn of the load and of the motor; ``amplitude``: in
+    the channel's unit; ``dependence``: what it repeats with, ``angle or time`` where the recordings
+    cannot tell.
     """
 
     frequency_hz: float
     load_order: float
     motor_order: float
     amplitude: float
-    phase_rad: float
     dependence: What
 
 
@@ -152,10 +132,6 @@ class ChannelResiduals:
         significant.
     lines
         Strongest first.
-    load_map, map_error
-        What repeats, offset included, at load angles 2π j/720, shape (720,); its standard error.
-    amplitude, noise_amplitude
-        Of the residual at every bin, and what noise alone would have there (RMS), shape (b,).
     other
         Mean square of lines and drift.
     noise_sd
@@ -166,6 +142,7 @@ class ChannelResiduals:
         Samples that no noise explains (six standard deviations of the whitened noise).
     """
 
+    recording: str
     channel: str
     offset: float
     offset_error: float
@@ -174,10 +151,6 @@ class ChannelResiduals:
     repeating_probability: float
     main_orders: tuple[int, int] | None
     lines: tuple[Line, ...]
-    load_map: FloatArray
-    map_error: float
-    amplitude: FloatArray
-    noise_amplitude: FloatArray
     other: float
     noise_sd: float
     drift_per_s: float
@@ -188,15 +161,6 @@ class ChannelResiduals:
     def unexplained(self) -> float:
         """Power of all but the noise, over that of the noise."""
         return (self.offset**2 + self.repeating_rms**2 + self.other) / self.noise_sd**2
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingResiduals:
-    """The residuals of one recording, channel by channel."""
-
-    name: str
-    whole: WholeRotations
-    channels: tuple[ChannelResiduals, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,16 +198,15 @@ class Unexplained:
 
 @dataclass(frozen=True, slots=True)
 class ResidualAnalysis:
-    """The residuals of all recordings; what of them no noise explains."""
+    """The residuals of all recordings, channel by channel; what of them no noise explains."""
 
-    recordings: tuple[RecordingResiduals, ...]
+    channels: tuple[ChannelResiduals, ...]
     remaining: tuple[Unexplained, ...]
 
     def closes(self, before: ResidualAnalysis) -> float:
         """Share of what another one leaves, in power over the noise, repeating or not."""
         first, last = (
-            sum(c.unexplained for r in analysis.recordings for c in r.channels)
-            for analysis in (before, self)
+            sum(channel.unexplained for channel in analysis.channels) for analysis in (before, self)
         )
         return 1.0 - last / first if first > 0.0 else 0.0
 
@@ -397,27 +360,22 @@ class _Split:
         angle = 2.0 * np.pi * cycles / n * self.positions[scale]
         pair = np.stack((np.cos(angle), np.sin(angle)), axis=1)
         per_rotation = cycles / whole.rotations
-        line = Line(
-            cycles / whole.seconds, per_rotation, per_rotation / whole.gear_ratio, 0, 0, dependence
-        )
+        order = per_rotation / whole.gear_ratio
+        line = Line(cycles / whole.seconds, per_rotation, order, 0.0, dependence)
         self.lines.append(line)
         begin = self.waves.shape[1]
         if dependence == LOAD:
-            cosine, sine = 2.0 / n * (self.without_lines @ pair)
-            self.lines[-1] = _sized(line, cosine, sine)
+            size = 2.0 / n * float(np.hypot(*(self.without_lines @ pair)))
+            self.lines[-1] = replace(line, amplitude=size)
             return
         self.waves = np.hstack([self.waves, pair])
         if per_rotation == round(per_rotation):
             self.of_comb += [begin, begin + 1]
         self.fit()
         moved = [k for k, known in enumerate(self.lines) if known.dependence != LOAD]
-        pairs = self.coefficients[1:].reshape(-1, 2).tolist()
-        for k, own in zip(moved, pairs, strict=True):
-            self.lines[k] = _sized(self.lines[k], *own)
-
-
-def _sized(line: Line, cosine: float, sine: float) -> Line:
-    return replace(line, amplitude=math.hypot(cosine, sine), phase_rad=math.atan2(-sine, cosine))
+        sizes = np.hypot(*self.coefficients[1:].reshape(-1, 2).T).tolist()
+        for k, size in zip(moved, sizes, strict=True):
+            self.lines[k] = replace(self.lines[k], amplitude=size)
 
 
 def _power(values: FloatArray, position: FloatArray, cycles: float) -> float:
@@ -434,7 +392,6 @@ def _without_comb(columns: FloatArray, rotations: int) -> FloatArray:
 def analyse_residuals(
     recordings: Sequence[Observed],
     simulated: Sequence[FloatArray],
-    start_angles_rad: Sequence[float],
     *,
     false_lines: float = FALSE_LINES,
 ) -> ResidualAnalysis:
@@ -446,8 +403,6 @@ def analyse_residuals(
         Recordings in steady rotation.
     simulated
         Prediction for each, shape (c, n) as its ``signals``.
-    start_angles_rad
-        Load angle at each recording's first sample.
     false_lines
         Probability of any line where there is none.
 
@@ -457,9 +412,9 @@ def analyse_residuals(
         If a recording holds less than two load rotations.
     """
     count = sum(len(seen.signals) for seen in recordings)
-    wholes = list(map(_whole, recordings, start_angles_rad))
+    wholes = list(map(_whole, recordings))
     names = [seen.name for seen in recordings]
-    by_recording: list[list[ChannelResiduals]] = [[] for _ in recordings]
+    every: list[ChannelResiduals] = []
     remaining: list[Unexplained] = []
     for channel in dict.fromkeys(name for seen in recordings for name in seen.channels):
         splits = {
@@ -471,22 +426,16 @@ def analyse_residuals(
             (dependence, [(i, len(splits[i].lines) - 1) for i in shown])
             for dependence, shown in _remove_lines(splits, false_lines / count)
         ]
-        own = {i: _channel(channel, split, false_lines / count) for i, split in splits.items()}
-        for i, residuals in own.items():
-            by_recording[i].append(residuals)
+        own = [_channel(names[i], channel, s, false_lines / count) for i, s in splits.items()]
         turning = [line for line in lines if line[0] != LOAD]
-        pairs = [(names[i], residuals) for i, residuals in own.items()]
-        remaining += _repeating(pairs, count)
+        remaining += _repeating(own, count)
         remaining += _lines(channel, names, splits, turning)
-        remaining += _numbers(pairs, count)
-    found = tuple(
-        RecordingResiduals(name, whole, tuple(channels))
-        for name, whole, channels in zip(names, wholes, by_recording, strict=True)
-    )
-    return ResidualAnalysis(found, tuple(remaining))
+        remaining += _numbers(own, count)
+        every += own
+    return ResidualAnalysis(tuple(every), tuple(remaining))
 
 
-def _whole(seen: Observed, start_angle_rad: float) -> WholeRotations:
+def _whole(seen: Observed) -> WholeRotations:
     rotation = seen.rotation_period_s * seen.sampling_hz
     rotations = int(seen.samples / rotation + 1e-6)
     if rotations < FEWEST_ROTATIONS:
@@ -500,9 +449,7 @@ def _whole(seen: Observed, start_angle_rad: float) -> WholeRotations:
         rotations=rotations,
         samples=min(round(rotations * rotation), seen.samples),
         sampling_hz=seen.sampling_hz,
-        reference_speed_rpm=seen.reference_speed_rpm,
         gear_ratio=seen.rotation_period_s * abs(seen.reference_speed_rpm) / 60.0,
-        start_angle_rad=start_angle_rad,
     )
 
 
@@ -558,7 +505,7 @@ def _remove_lines(splits: Mapping[int, _Split], rate: float) -> Iterator[tuple[W
         yield dependence, shown
 
 
-def _channel(name: str, split: _Split, rate: float) -> ChannelResiduals:
+def _channel(recording: str, name: str, split: _Split, rate: float) -> ChannelResiduals:
     n, whole, rest = split.values.size, split.whole, split.without_lines
     transform = np.fft.rfft(rest)[:: whole.rotations]
     floor = split.floor.at_bins(n)
@@ -577,6 +524,7 @@ def _channel(name: str, split: _Split, rate: float) -> ChannelResiduals:
     excess = float((power - 2.0 * at_orders / n)[1 : highest + 1].sum())
     difference = split.values
     return ChannelResiduals(
+        recording=recording,
         channel=name,
         offset=float(rest.mean()),
         offset_error=math.sqrt(split.floor.at_zero / n),
@@ -585,10 +533,6 @@ def _channel(name: str, split: _Split, rate: float) -> ChannelResiduals:
         repeating_probability=min(1.0, len(bands) * probability),
         main_orders=_main_orders(np.where(significant, power, 0.0)[1:]),
         lines=tuple(sorted(split.lines, key=lambda line: -line.amplitude)),
-        load_map=whole.against_load_angle(rest),
-        map_error=math.sqrt(float(at_orders[0] + 2.0 * at_orders[1 : MAP_POINTS // 2].sum()) / n),
-        amplitude=2.0 * np.abs(np.fft.rfft(difference - difference.mean())) / n,
-        noise_amplitude=2.0 * np.sqrt(floor / n),
         other=float(np.mean((difference - rest) ** 2)),
         noise_sd=math.sqrt(float(np.mean(floor[:-1]))),
         drift_per_s=float(split.coefficients[0]) * whole.sampling_hz,
@@ -623,39 +567,36 @@ def _lines(
         yield Unexplained(name, dependence, size, unit_of(name), order, order, hertz, shown)
 
 
-def _repeating(seen: Sequence[tuple[str, ChannelResiduals]], tests: int) -> Iterator[Unexplained]:
+def _repeating(seen: Sequence[ChannelResiduals], tests: int) -> Iterator[Unexplained]:
     """What repeats with the load: a line of a load order, or a whole band."""
-    channel = seen[0][1].channel
+    channel = seen[0].channel
     repeats = [
-        (r, c)
-        for r, c in seen
-        if c.main_orders is not None or c.repeating_probability * tests <= SURE
+        c for c in seen if c.main_orders is not None or c.repeating_probability * tests <= SURE
     ]
     if repeats:
-        orders = [c.main_orders or (1, c.repeating_band) for _, c in repeats]
+        orders = [c.main_orders or (1, c.repeating_band) for c in repeats]
         low, high = min(first for first, _ in orders), max(last for _, last in orders)
-        size = math.sqrt(2.0) * max(c.repeating_rms for _, c in repeats)
-        shown = tuple(r for r, _ in repeats)
+        size = math.sqrt(2.0) * max(c.repeating_rms for c in repeats)
+        shown = tuple(c.recording for c in repeats)
         unit = unit_of(channel)
         yield Unexplained(channel, LOAD, size, unit, float(low), float(high), math.nan, shown)
 
 
-def _numbers(seen: Sequence[tuple[str, ChannelResiduals]], tests: int) -> Iterator[Unexplained]:
+def _numbers(seen: Sequence[ChannelResiduals], tests: int) -> Iterator[Unexplained]:
     """What a channel has one of: the largest of those sure."""
-    channel, nan = seen[0][1].channel, math.nan
+    channel, nan = seen[0].channel, math.nan
     unit = unit_of(channel)
 
     def sure(value: float, error: float) -> bool:
         return 2.0 * float(norm.sf(abs(value) / error)) * tests <= SURE
 
-    numbers: list[tuple[What, str, dict[str, float]]] = [
-        ("offset", unit, {r: c.offset for r, c in seen if sure(c.offset, c.offset_error)}),
-        (
-            "drift",
-            f"{unit}/s",
-            {r: c.drift_per_s for r, c in seen if sure(c.drift_per_s, c.drift_error_per_s)},
-        ),
-        ("outliers", "samples", {r: c.outliers for r, c in seen if c.outliers >= FEWEST_OUTLIERS}),
+    offsets = {c.recording: c.offset for c in seen if sure(c.offset, c.offset_error)}
+    drifts = {c.recording: c.drift_per_s for c in seen if sure(c.drift_per_s, c.drift_error_per_s)}
+    outliers = {c.recording: c.outliers for c in seen if c.outliers >= FEWEST_OUTLIERS}
+    numbers: list[tuple[What, str, Mapping[str, float]]] = [
+        ("offset", unit, offsets),
+        ("drift", f"{unit}/s", drifts),
+        ("outliers", "samples", outliers),
     ]
     for what, own_unit, values in numbers:
         if values:

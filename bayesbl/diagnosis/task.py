@@ -9,10 +9,9 @@ from types import MappingProxyType
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import RigidLaw
 from bayesbl.config.kinds import DiagnoseConfig
-from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.inference import MOST_EFFECTS, View, diagnose
+from bayesbl.diagnosis.inference import MOST_EFFECTS, Piece, View, diagnose
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import require_channels, require_unclipped

@@ -1,4 +1,4 @@
-"""Groups of ``result.nc`` by which an identification is stored.
+"""``summary.json`` of an identification, the groups of ``result.nc``, and why it is withheld.
 
 ``identified``: prior and posterior of the bench's parameters with their joint normal prior for
 what comes later; ``posterior``: draws of everything unknown. The answer in the words of
@@ -11,43 +11,126 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from itertools import combinations
-from typing import Literal
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 import xarray as xr
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.bench import dump_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import estimates
 from bayesbl.diagnosis.closed_loop.prediction import residuals_of, simulated_pairs
 from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
-from bayesbl.diagnosis.groups import posterior_dataset
-from bayesbl.diagnosis.summary import disagreement_summary, interval_of, plain, sampling_summary
+from bayesbl.diagnosis.groups import (
+    DisagreementTableSummary,
+    HeldValue,
+    SamplingSummary,
+    disagreement_summary,
+    interval_of,
+    plain,
+    posterior_dataset,
+    sampling_summary,
+)
 from bayesbl.errors import SimulationError
 from bayesbl.identification.identify import (
+    BeyondDataSheet,
     Identification,
     Problem,
+    Verdict,
     identified_bench,
     is_plausible,
     parameter_draws,
 )
-from bayesbl.identification.next_recording import next_recording
-from bayesbl.identification.summary import (
-    IdentificationAnswer,
-    NextRecordingSummary,
-    ParameterSummary,
-    TogetherSummary,
-)
-from bayesbl.identification.verdict import misfit_in_words, reason_of
+from bayesbl.identification.next_recording import NextRecordingSummary, next_recording
 from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, standing_out
 from bayesbl.matching.signals import GAP
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import IDENTIFIED_BENCH
 from bayesbl.results.identified import IDENTIFIED
-from bayesbl.results.intervals import IntervalKind, interval
+from bayesbl.results.intervals import Interval, IntervalKind, interval
+from bayesbl.results.store import Head, head
 from bayesbl.results.variables import dataset
+from bayesbl.units import in_words
+
+
+class PriorSummary(TypedDict):
+    """The data sheet: its value, and the range within the tolerance."""
+
+    value: float
+    low: float
+    high: float
+
+
+class ParameterSummary(TypedDict):
+    """``learned``: 1 − posterior sd / prior sd."""
+
+    unit: str
+    prior: PriorSummary
+    posterior: Interval
+    learned: float
+
+
+class EffectFound(TypedDict):
+    """A missing or free effect, and its parameters if the identified bench has it."""
+
+    name: str
+    parameters: dict[str, Interval | HeldValue]
+    indistinguishable_from: list[str]
+
+
+class BeyondSummary(TypedDict):
+    """A value of the data sheet that the recordings contradict."""
+
+    name: str
+    believed: float
+    tolerance: float
+    found: float
+    deviations: float
+    could_be: list[str]
+
+
+class TogetherSummary(TypedDict):
+    """Parameters known together far better than alone: all by their ratios to each other, or two by
+    their product; relative standard deviations, the largest of one alone and of what is told."""
+
+    parameters: list[str]
+    told: Literal["ratios", "product"]
+    alone_sd: float
+    together_sd: float
+
+
+class IdentificationAnswer(TypedDict):
+    """What an identification says; ``gaps`` are null where they are withheld."""
+
+    verdict: Verdict
+    parameters: dict[str, ParameterSummary]
+    gaps: dict[str, Interval | None]
+    gap_shared: bool
+    effects: list[EffectFound]
+    missing: list[list[str]]
+    data_sheet_error: BeyondSummary | None
+    not_told_apart: list[TogetherSummary]
+    disagreement: DisagreementTableSummary
+    suggested_recording: NextRecordingSummary | None
+    diagnostics: SamplingSummary
+    bench: NotRequired[str]
+
+
+class IdentificationSummary(Head, IdentificationAnswer):
+    """``summary.json``."""
+
+    kind: Literal["identify"]
+
+
+def summarise_identification(tree: xr.DataTree) -> IdentificationSummary:
+    """``summary.json`` of a stored identification."""
+    answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
+    return {"kind": "identify", **head(tree), **answer}
+
 
 SHARPER = 0.5
 """Spread of a combination, as a share of that of its sharper member, below which it is reported.
@@ -247,3 +330,73 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSumm
         }
         for group, how, together in told
     ]
+
+
+def reason_of(result: Identification) -> str | None:
+    """Why gaps and bench are withheld; ``None`` where they are not."""
+    if result.missing and not result.completed:
+        return _lacking(result)
+    if result.beyond is not None:
+        return beyond_in_words(result.beyond)
+    if (result.verdict == "unexplained" and not result.allows_for_misfit) or _stands_out(result):
+        return (
+            "No values within the tolerances, no single value beyond them and no effect of the "
+            "catalogue explain these recordings: something of the joint is not in the bench, "
+            "several values of the data sheet are wrong, or the gap was not the same in all "
+            "recordings (give their dates). "
+            f"{left_over(result.check)} Check the data sheet, or widen its tolerances."
+        )
+    if result.posterior.diagnostics.outcome == "withheld":
+        return " ".join(result.posterior.diagnostics.reasons)
+    # The bench is the answer: a value that its sheet excludes is none, whatever δ makes of it.
+    if contradicted := result.posterior.contradicted:
+        return " ".join(
+            [*contradicted, "Correct the data sheet, or widen this tolerance, and identify again."]
+        )
+    return None
+
+
+def misfit_in_words(result: Identification) -> list[str]:
+    """What a user of gaps and bench must know of what nothing explains; empty without it."""
+    if not result.allows_for_misfit:
+        return []
+    return [
+        f"Something of the joint is not in the bench. {left_over(result.check)} All intervals "
+        "include what that may do to them. `bayesbl diagnose` looks for what is missing."
+    ]
+
+
+def _lacking(result: Identification) -> str:
+    names = " and ".join(" or ".join(map(in_words, members)) for members in result.missing)
+    lacks = (
+        f"The bench lacks an effect that these recordings show: {names}. Let it be found "
+        '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
+        "data sheet under [[effects]]."
+    )
+    return with_bench_file_hint(lacks, (members[0] for members in result.missing))
+
+
+def beyond_in_words(wrong: BeyondDataSheet) -> str:
+    """Which value of the data sheet is wrong, by how much, and what else it could be."""
+    text = (
+        f"{wrong.name} is {wrong.deviations:.0f} standard deviations outside its data sheet: "
+        f"{wrong.found:.4g} by the recordings, {wrong.believed:.4g} ± {wrong.tolerance:.2g} there."
+    )
+    if wrong.could_be:
+        text += f" It could also be {' or '.join(wrong.could_be)}."
+    return text + " Correct the data sheet, or widen this tolerance, and identify again."
+
+
+def left_over(check: Sequence[RepeatingPower]) -> str:
+    """Where recording and simulation disagree most."""
+    worst = max(standing_out(check) or check, key=lambda entry: entry.ratio)
+    where = f"orders up to {worst.highest_order}" if worst.highest_order else "the mean"
+    return (
+        f"The disagreement is largest in {worst.channel} of {worst.recording}, {where}: "
+        f"{worst.ratio:.3g} times the power expected from noise."
+    )
+
+
+def _stands_out(result: Identification) -> bool:
+    """Whether anything still repeats although effects were named."""
+    return result.completed and not agrees(result.check)

@@ -31,7 +31,6 @@ from bayesbl.bench.parameters import JointNormal
 from bayesbl.bench.steady import contact_rates
 from bayesbl.diagnosis.closed_loop.prediction import augmented_bench
 from bayesbl.errors import SimulationError
-from bayesbl.identification.summary import Verdict
 from bayesbl.matching.alignment import aligned_starts, fit_aligned, remaining_noise
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
@@ -67,6 +66,8 @@ from bayesbl.model_search.refit import (
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
+
+Verdict = Literal["agrees", "missing_effect", "unexplained"]
 
 AFAR = "Seeking a value wrong by far"
 """Stage of the progress."""

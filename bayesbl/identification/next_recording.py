@@ -6,11 +6,11 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TypedDict
 
 import numpy as np
 
 from bayesbl.diagnosis.closed_loop.prediction import ROTATIONS, SPEED_SHARES
-from bayesbl.identification.summary import NextRecordingSummary
 from bayesbl.matching.least_squares import SimulatedFit, derivatives
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
@@ -25,6 +25,19 @@ OF_ITS_START = (START_ANGLE, REFERENCE_DELAY)
 
 PACES = (1.0, 0.6, 0.3)
 """Of a recorded motion: none is asked for that is faster than the joint has shown."""
+
+
+class NextRecordingSummary(TypedDict):
+    """What to record next: five load rotations at one speed, or ``motion_of`` the recording whose
+    motion to repeat; ``information_bits``: half the binary logarithm of how much the volume of what
+    is unknown shrinks; what it ``sharpens`` most, and the standard deviation of its logarithm."""
+
+    reference_speed_rpm: float
+    motion_of: str | None
+    information_bits: float
+    sharpens: str
+    sd_before: float
+    sd_after: float
 
 
 def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:

@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import starmap
 from typing import TYPE_CHECKING, Literal
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import (
-    Advice,
-    Block,
-    Heading,
-    Sentence,
-    Table,
-    aside,
-    numbers,
-    table,
-    text,
-)
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
 from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from bayesbl.diagnosis.disagreement import Use
-    from bayesbl.diagnosis.summary import (
+    from bayesbl.diagnosis.groups import (
         Answer,
         DiagnosisSummary,
         DisagreementSummary,
@@ -40,7 +27,7 @@ if TYPE_CHECKING:
         LearnedSummary,
         RemainingSummary,
     )
-    from bayesbl.identification.summary import EffectFound
+    from bayesbl.identification.groups import EffectFound
     from bayesbl.results.intervals import Interval
 
 
@@ -61,17 +48,6 @@ def blocks(summary: DiagnosisSummary) -> Iterator[Block]:
     if any(removed(None) in row for row in disagreement.rows):
         yield aside(UNTOLD_SHARE)
     yield from map(Sentence, (*remaining(summary), *wear(summary), *suggestion(summary)))
-
-
-def residual_blocks(tree: xr.DataTree, _: DiagnosisSummary) -> Iterator[Block]:
-    """Residuals in steady rotation before naming, and after it if anything was named."""
-    stages = {"residuals_before": "Residuals of the bench before naming"}
-    if tree.attrs.get("augmented_bench"):
-        stages["residuals_after"] = "Residuals with what was named"
-    for group, heading in stages.items():
-        if group in tree.children:
-            yield Heading(heading)
-            yield from map(Sentence, residual_sentences(tree[group].to_dataset()))
 
 
 def headline(summary: DiagnosisSummary) -> str:
@@ -171,8 +147,8 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         text += f" It cannot be distinguished from {others}."
     yield text
     share = found["gap_share"]
-    if found["gap_withheld"]:
-        yield found["gap_withheld"]
+    if withheld := summary.get("gap_withheld"):
+        yield withheld
     elif share is not None and share < 0.5:
         yield (
             f"It hides all but {significant(100.0 * share)} % of the information on the gap; "
@@ -367,20 +343,6 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     )
 
 
-def residual_sentences(stored: xr.Dataset) -> list[str]:
-    """What is significant over all recordings, of a group that diagnosis.groups stored."""
-    names = [str(name) for name in stored["recording"].values]
-    entries: list[RemainingSummary] = json.loads(stored.attrs["unexplained"])
-    if not entries:
-        rate = 100.0 * float(stored.attrs["false_discovery_rate"])
-        return [
-            "Nothing repeats or drifts beyond noise in any channel "
-            f"(tested so that {rate:g} % of data without any show a line by chance)."
-        ]
-    sentences = [f"{unexplained_phrase(entry)}{_where(entry, names)}." for entry in entries]
-    return [capitalised(text) for text in sentences]
-
-
 def unexplained_phrase(entry: RemainingSummary) -> str:
     """``motor current: 0.13 A at 7.3 Hz, periodic in time``; for a verdict's list."""
     return f"{CHANNELS.get(entry['channel'], entry['channel'])}: {_what(entry)}"
@@ -409,10 +371,3 @@ def _what(entry: RemainingSummary) -> str:
         f"{size} at {hertz:.4g} Hz or order {order:.4g} of the motor (these recordings do not "
         "show which)"
     )
-
-
-def _where(entry: RemainingSummary, names: Sequence[str]) -> str:
-    """Which recordings show it, if not all do."""
-    if len(entry["recordings"]) == len(names):
-        return ""
-    return f" (in {', '.join(repr(name) for name in entry['recordings'])})"

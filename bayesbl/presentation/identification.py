@@ -11,13 +11,13 @@ from bayesbl.presentation.diagnosis import disagreement_table, effect_in_words
 from bayesbl.units import in_words
 
 if TYPE_CHECKING:
-    from bayesbl.identification.summary import (
+    from bayesbl.identification.groups import (
         IdentificationSummary,
-        NextRecordingSummary,
         ParameterSummary,
         PriorSummary,
         TogetherSummary,
     )
+    from bayesbl.identification.next_recording import NextRecordingSummary
 
 LITTLE = 0.1
 """Share learned below which a parameter counts as no better known than its data sheet."""

@@ -283,7 +283,6 @@ SUBJECTS: Mapping[str, Subject] = MappingProxyType(
             diagnosis.blocks,
             diagnosis.advice,
             lambda _: diagnosis.ASSUMES,
-            diagnosis.residual_blocks,
             warning_label="Note",
         ),
         "identify": Subject(

@@ -18,16 +18,16 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.config.kinds import Compared, DiagnoseConfig, Method
 from bayesbl.config.loading import config_from_options
-from bayesbl.diagnosis.closed_loop.method import CHANNELS as CLOSED_LOOP
-from bayesbl.diagnosis.closed_loop.method import DEFAULT_GAP_RAD
+from bayesbl.diagnosis.closed_loop.diagnosis import CHANNELS as CLOSED_LOOP
+from bayesbl.diagnosis.closed_loop.diagnosis import DEFAULT_GAP_RAD
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
+from bayesbl.diagnosis.groups import summarise_diagnosis as summarise
 from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.rigid.free_motion import CHANNELS as FREE_MOTION
 from bayesbl.diagnosis.rigid.inverse import CHANNELS as INVERSE
 from bayesbl.diagnosis.rigid.inverse import MOTION_ALONE
 from bayesbl.diagnosis.rigid.speed_loop import LOOP_PARAMETERS
-from bayesbl.diagnosis.summary import summarise_diagnosis as summarise
 from bayesbl.diagnosis.task import INERTIAS, Task
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed

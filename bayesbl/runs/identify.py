@@ -12,8 +12,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.kinds import IdentifyConfig
 from bayesbl.errors import ConfigError
 from bayesbl.identification.groups import identification_tree
+from bayesbl.identification.groups import summarise_identification as summarise
 from bayesbl.identification.identify import Identification, Problem, identify
-from bayesbl.identification.summary import summarise_identification as summarise
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.model_search.always_in import with_friction
 from bayesbl.recording.checks import ready_for_fit, require_alive

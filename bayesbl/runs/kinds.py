@@ -28,8 +28,8 @@ from bayesbl.sentences import with_sentences
 if TYPE_CHECKING:
     import xarray as xr
 
-    from bayesbl.diagnosis.summary import DiagnosisSummary
-    from bayesbl.identification.summary import IdentificationSummary
+    from bayesbl.diagnosis.groups import DiagnosisSummary
+    from bayesbl.identification.groups import IdentificationSummary
     from bayesbl.measurement.summary_types import ComparisonSummary, FitSummary
     from bayesbl.progress import StageProgress
     from bayesbl.runs.fleet import FleetSummary

@@ -13,10 +13,9 @@ from bayesbl.config.kinds import Method as Configured
 from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, residuals_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import ResidualNoise, disagreement_table, piece_residuals
-from bayesbl.diagnosis.groups import diagnosis_tree
+from bayesbl.diagnosis.groups import diagnosis_tree, summarise_diagnosis
 from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.rigid.motion import LowPass
-from bayesbl.diagnosis.summary import summarise_diagnosis
 from bayesbl.matching.observed import Observed
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 

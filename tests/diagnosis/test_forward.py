@@ -16,12 +16,16 @@ from bayesbl.bench.simulation import Measurement
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench, reference_bench
 from bayesbl.config.loading import load_config
-from bayesbl.diagnosis.closed_loop import method as forward
-from bayesbl.diagnosis.closed_loop.diagnosis import Findings, diagnosis_of, estimates, search
-from bayesbl.diagnosis.closed_loop.method import part_of
+from bayesbl.diagnosis.closed_loop import diagnosis as forward
+from bayesbl.diagnosis.closed_loop.diagnosis import (
+    Findings,
+    diagnosis_of,
+    estimates,
+    part_of,
+    search,
+)
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate
-from bayesbl.diagnosis.groups import diagnosis_tree
-from bayesbl.diagnosis.summary import summarise_diagnosis
+from bayesbl.diagnosis.groups import diagnosis_tree, summarise_diagnosis
 from bayesbl.diagnosis.task import Task
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
@@ -29,10 +33,9 @@ from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.signals import GAP, START_ANGLE, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.model_search.catalogue import order_peaks
 from bayesbl.noise.process import NoiseModel
-from bayesbl.presentation.diagnosis import headline, residual_sentences, wear
+from bayesbl.presentation.diagnosis import headline, wear
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_POSITION, MOTOR_SPEED, Recording
-from bayesbl.results.store import read_tree, write_tree
 from bayesbl.runs.kinds import result_of_run
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -158,22 +161,10 @@ def test_intervals_are_those_of_the_draws_that_are_stored(friction: Found) -> No
     assert float(log_gap.std()) == pytest.approx(laplace.sd, rel=0.1)
 
 
-@pytest.mark.long
-def test_a_stored_diagnosis_says_with_what_the_residuals_repeat(
-    friction: Found, tmp_path: Path
-) -> None:
-    fit, settings = friction.findings.final.fit, SamplerSettings(ensembles=2)
-    posterior = sample_direct(fit, settings, np.random.SeedSequence(2))
-    path = tmp_path / "result.nc"
-    tree = diagnosis_tree(diagnosis_of(friction.findings, posterior), 0.9, "equal_tailed")
-    write_tree(tree, path)
-    stored = read_tree(path)
-    before, after = (
-        residual_sentences(stored[f"residuals_{stage}"].to_dataset())
-        for stage in ("before", "after")
-    )
-    assert any(s.startswith("Motor current: ") and "with the load angle" in s for s in before)
-    assert after[0].startswith("Nothing repeats")
+def test_what_repeats_before_and_after_naming_is_told_from_noise(friction: Found) -> None:
+    before, after = friction.findings.before.remaining, friction.findings.after.remaining
+    assert ("motor_current_a", "load angle") in {(e.channel, e.dependence) for e in before}
+    assert not after
 
 
 def test_naming_what_was_missing_rights_the_gap(friction: Found) -> None:

@@ -206,8 +206,7 @@ def test_what_the_bench_states_is_what_the_disagreement_starts_from() -> None:
     bench = replace(bench, parameters=stated)
     made = replace(comparison(swinging(1.5, 0.0), bench, 20.0, WHOLE), bench=bench, unknown=())
     found = answer(made)
-    piece = made.pieces[0]
-    left = piece.kept(piece.measured - made.base(0))
+    left = (made.rows.measured - made.base)[made.rows.shown]
     before = found.disagreement.overall["used"].before
     assert before == pytest.approx(float(np.sqrt(np.mean(left**2))), rel=1e-6)
 

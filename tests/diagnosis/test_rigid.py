@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,10 +17,9 @@ from bayesbl.bench.effects.gap import play
 from bayesbl.bench.effects.shaft import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import Piece
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import Use, piece_residuals
-from bayesbl.diagnosis.inference import diagnose
+from bayesbl.diagnosis.inference import Candidate, Look, Piece, _told, diagnose
 from bayesbl.diagnosis.rigid.free_motion import FREE_MOTION_LAWS, FreeMotionView
 from bayesbl.diagnosis.rigid.inverse import (
     POSITION_LAWS,
@@ -290,6 +290,15 @@ def test_a_line_at_one_speed_is_left_open() -> None:
     assert found.remaining[0].dependence == "angle or time"
     assert found.remaining[0].lowest_order == pytest.approx(2.0, abs=0.02)
     assert found.remaining[0].frequency_hz == pytest.approx(80.0 / (2.0 * np.pi), rel=0.02)
+
+
+def test_a_line_that_may_be_a_law_too_is_told_by_its_frequency() -> None:
+    looks = (Look({"frequency_hz": 0.7}, np.zeros((1, 2))),)
+    line = Candidate("line", "line", "line", ("amplitude",), looks, 0.3, is_wave=True)
+    name = "motor_coulomb_friction"
+    law = Candidate(name, "effect", name, ("torque_nm",), (Look({}, np.zeros((1, 1))),), 1.0)
+    found = SimpleNamespace(labels={name: law, "line": line}, sure=((name, "line"),))
+    assert _told(SimpleNamespace(), found, 6) == ([], [("line", "time")])
 
 
 @pytest.mark.long

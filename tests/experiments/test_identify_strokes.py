@@ -9,8 +9,8 @@ import pytest
 from identify import FAST_DIRECT, GAP_RANGE_RAD, STROKES_ALONE, data_sheet, stroked
 
 from bayesbl.config.bench import reference_bench
+from bayesbl.identification.groups import reason_of
 from bayesbl.identification.identify import Problem, identify
-from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.signals import GAP
 from bayesbl.model_search.always_in import with_friction
 

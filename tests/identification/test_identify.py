@@ -21,7 +21,7 @@ from bayesbl.bench.motion import strokes
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, JointNormal
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
-from bayesbl.identification.groups import identification_tree, not_told_apart
+from bayesbl.identification.groups import identification_tree, not_told_apart, reason_of
 from bayesbl.identification.identify import (
     Identification,
     Problem,
@@ -32,7 +32,6 @@ from bayesbl.identification.identify import (
     parameter_draws,
 )
 from bayesbl.identification.next_recording import next_recording
-from bayesbl.identification.verdict import reason_of
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed

@@ -1,6 +1,6 @@
 """What an identification says where nothing explains the recordings."""
 
-from bayesbl.identification.verdict import left_over
+from bayesbl.identification.groups import left_over
 from bayesbl.matching.predictive_check import RepeatingPower
 
 

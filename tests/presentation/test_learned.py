@@ -10,8 +10,7 @@ import pytest
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer, LearnedCurve
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
-from bayesbl.diagnosis.groups import diagnosis_tree
-from bayesbl.diagnosis.summary import answer_of
+from bayesbl.diagnosis.groups import answer_of, diagnosis_tree
 from bayesbl.presentation.diagnosis import headline, learned
 from bayesbl.presentation.figures.diagnosis import learned_course
 
@@ -30,7 +29,6 @@ def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:
         term,
         alike,
         LearnedCurve(x, term.over(x), np.full(x.size, 1e-5)),
-        gap_withheld="No gap is given." if alike else "",
     )
     return Diagnosis(
         "unexplained",
@@ -38,6 +36,7 @@ def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:
         (),
         (),
         disagreement_table(pieces, in_units_of_noise=True),
+        gap_withheld="No gap is given." if alike else "",
         learned=told,
     )
 

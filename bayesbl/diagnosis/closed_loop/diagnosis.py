@@ -1,6 +1,9 @@
-"""What a forward comparison finds, and the answer that it makes.
+"""The two-mass bench in its closed loop against speed and current: which effect it lacks.
 
-Names, what is learned beside them, and what they leave.
+Recordings are compared with their simulation (:mod:`bayesbl.matching.signals`), and
+:mod:`bayesbl.model_search` finds what is missing. :mod:`.learned_in_loop` learns what no name
+explains, :mod:`.prediction` writes what was found into the bench, simulates what was held out, and
+says what to record next.
 """
 
 from __future__ import annotations
@@ -13,8 +16,14 @@ from typing import Literal
 
 import numpy as np
 
-from bayesbl.bench.bench import Bench
-from bayesbl.diagnosis.closed_loop.learned_in_loop import Learned, answer_of, learned_term
+from bayesbl.bench.bench import Bench, heaviest, require_flank_change
+from bayesbl.config.kinds import DiagnoseConfig
+from bayesbl.diagnosis.closed_loop.learned_in_loop import (
+    Learned,
+    answer_of,
+    learned_term,
+    why_no_gap,
+)
 from bayesbl.diagnosis.closed_loop.prediction import (
     SimulatedPair,
     augmented_bench,
@@ -23,22 +32,33 @@ from bayesbl.diagnosis.closed_loop.prediction import (
     simulated_pairs,
     suggested_recording,
 )
-from bayesbl.diagnosis.diagnosis import (
-    Diagnosis,
-    Estimate,
-    LearnedAnswer,
-    NamedEffect,
-    ParameterError,
-    verdict_of,
-)
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, NamedEffect, ParameterError, verdict_of
 from bayesbl.diagnosis.disagreement import disagreement_table
 from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
+from bayesbl.diagnosis.task import (
+    USES_OF,
+    Comparison,
+    Task,
+    notes_of,
+    parts_of,
+    require_no_known_torque,
+    unclipped,
+)
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
-from bayesbl.matching.observed import Observed
-from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.matching.observed import ROUNDING, Observed, observed
+from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import is_explained
-from bayesbl.matching.signals import GAP, START_ANGLE, Unknown
+from bayesbl.matching.signals import (
+    GAP,
+    START_ANGLE,
+    Unknown,
+    gap_unknown,
+    shift_unknowns,
+    start_angle_unknown,
+    tolerance_unknowns,
+)
 from bayesbl.model_search.always_in import beside, laws
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import (
@@ -52,8 +72,17 @@ from bayesbl.model_search.closed_loop import (
 )
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
 from bayesbl.model_search.refit import Explanation
-from bayesbl.progress import Progress, silent
-from bayesbl.recording.types import FloatArray
+from bayesbl.progress import Progress, StageProgress, of_stage, silent
+from bayesbl.recording.checks import moves, require_alive, require_channels
+from bayesbl.recording.types import (
+    LOAD_POSITION,
+    MOTOR_CURRENT,
+    MOTOR_POSITION,
+    MOTOR_SPEED,
+    FloatArray,
+    Recording,
+)
+from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
@@ -223,13 +252,7 @@ def _compared(explanation: Explanation) -> ResidualAnalysis:
     own = [fit.model.signals(fit.point, i)[0] for i in range(len(used))]
     # Bridged samples hold nothing that repeats.
     seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
-    return analyse_residuals(seen, own, [_start_angle(explanation, s) for s in used])
-
-
-def _start_angle(explanation: Explanation, seen: Observed) -> float:
-    place = explanation.fit.model.place_of(START_ANGLE, seen.name)
-    known = seen.known.get(START_ANGLE, 0.0)
-    return float(known if place is None else explanation.fit.point[place])
+    return analyse_residuals(seen, own)
 
 
 def diagnosis_of(
@@ -303,10 +326,8 @@ def diagnosis_of(
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
         signals=tuple(signals for pair in shown for signals in signals_of(pair)),
-        residuals_before=found.before,
-        residuals_after=found.after,
         augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
-        learned=_learned_answer(found),
+        learned=None if found.learned is None else answer_of(found.learned),
     )
 
 
@@ -405,9 +426,10 @@ def _averaged(
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
     """What is missing or was learned leaves δ open, or a tolerance decides it; else empty."""
-    told = _learned_answer(found)
-    if told is not None:
-        return told.gap_withheld
+    if found.learned is not None:
+        # Noise is told from what remains by its tests, not by a share of little.
+        remains = bool(found.after.remaining) or not is_explained(found.final.fit)
+        return why_no_gap(found.learned, found.after.closes(found.before), remains)
     if _place_of_gap(found.final.fit) is None:
         return ""
     if found.naming.repeats:
@@ -419,10 +441,210 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
     return "" if posterior is None else posterior.beyond_tolerance(None, level) or ""
 
 
-def _learned_answer(found: Findings) -> LearnedAnswer | None:
-    if found.learned is None:
+CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
+DEFAULT_GAP_RAD = (1e-4, 4e-3)
+KNOWN_ANGLE_SD_RAD = 1e-3
+"""Standard deviation of a start angle that a load encoder gives."""
+
+NEAR_LIMIT = 0.95
+"""Share of the drive's current limit from which on a current is held by it, offsets allowed for."""
+
+SPEED_ALONE = (
+    "There is no motor current: friction, offsets and the torque constant cannot be told apart "
+    "by the speed alone, as the controller's integral hides them."
+)
+
+NOT_SAMPLED = (
+    "With a learned torque nothing is sampled: intervals are of the normal approximation to the "
+    "posterior of all its coefficients with everything else."
+)
+
+
+def comparison(task: Task) -> Comparison:
+    """Speed and current beside their simulation, with draws of everything unknown.
+
+    Raises
+    ------
+    UserError
+        As :func:`forward_problem`.
+    """
+    used, held_out, unknowns, notes = forward_problem(task)
+    config = task.config
+
+    def diagnose(progress: StageProgress | None) -> Diagnosis:
+        found = search(
+            task.bench,
+            used,
+            held_out,
+            unknowns,
+            effects=config.candidates.effects,
+            max_effects=config.candidates.max_effects or MOST_EFFECTS,
+            load_angle_known=config.comparison.load_angle_known,
+            motor_angle_known=config.comparison.motor_angle_known,
+            workers=config.run.workers,
+            progress=of_stage(progress, "Fitting candidates"),
+        )
+        if found.learned is not None:
+            return diagnosis_of(found, None, (*notes, NOT_SAMPLED))
+        seed = np.random.SeedSequence(config.run.seed)
+        level = config.interval.level
+        posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
+        posterior = widened(posterior, *seed.spawn(1))
+        return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)), level)
+
+    free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
+    return Comparison(
+        f"forward, {len(used)} to fit on, {len(held_out)} held out; unknown {free}", diagnose
+    )
+
+
+def forward_problem(
+    task: Task,
+) -> tuple[list[Observed], list[Observed], list[Unknown], list[str]]:
+    """Recordings to fit on and to predict, the unknowns, and what these recordings cannot show.
+
+    Raises
+    ------
+    UserError
+        If bench, recordings or unknowns do not suit the method.
+    """
+    require_no_known_torque(task, "The forward comparison knows no torque from outside.")
+    config, bench = task.config, task.bench
+    channels = _channels(task)
+    recordings = [unclipped(r, _unclipped(bench, r, channels)) for r in task.recordings]
+    used: list[Observed] = []
+    held_out: list[Observed] = []
+    notes = notes_of(recordings)
+    for entry, recording in zip(config.recordings, recordings, strict=True):
+        if moves(recording):
+            raise RecordingError(
+                "A diagnosis compares recordings of one speed each, and this is of a motion.",
+                file=str(entry.file),
+                found="a reference that varies over time",
+                expected="bayesbl identify RECORDINGS --bench FILE --effects catalogue, which "
+                "finds wrong values and what is missing from motions",
+            )
+        seen = observed(recording, bench, entry.reference_speed_rpm)
+        seen = replace(
+            seen,
+            name=entry.name,
+            signals=seen.signals[: len(channels)],
+            motor_angle_rad=_motor_angle(config, recording),
+        )
+        notes += [f"{entry.name}: {note}" for note in seen.notes]
+        if entry.use in ("fit", "split"):
+            require_rotations(seen, str(entry.file), entry.use == "split")
+        for use, rows in parts_of(USES_OF[entry.use], seen.samples // 2):
+            (used if use == "used" else held_out).append(part_of(seen, rows))
+    speeds = [seen.reference_speed_rpm for seen in used]
+    require_flank_change(heaviest(bench), speeds, config.bench)
+    unknowns = _unknowns(config, bench, used, recordings)
+    notes += _counted_twice(bench, recordings)
+    notes += [] if MOTOR_CURRENT in channels else [SPEED_ALONE]
+    return used, held_out, unknowns, notes
+
+
+def _counted_twice(bench: Bench, recordings: Sequence[Recording]) -> Iterator[str]:
+    known = () if bench.identified is None else bench.identified.sources
+    names = [r.name for r in recordings if r.source is not None and r.source.sha256 in known]
+    if names:
+        yield (
+            f"The bench was identified from {', '.join(names)} too. It was fitted to them, so "
+            "it may hide what is missing: use later recordings."
+        )
+
+
+def _notes_on(posterior: DirectPosterior) -> Iterator[str]:
+    if posterior.diagnostics.outcome == "withheld":
+        yield "The posterior could not be sampled; intervals are of its normal approximation."
+    yield from posterior.diagnostics.reasons
+
+
+def _channels(task: Task) -> tuple[str, ...]:
+    asked = task.config.comparison.channels or tuple(
+        c for c in CHANNELS if all(c in recording.channels for recording in task.recordings)
+    )
+    if MOTOR_SPEED not in asked or not set(asked) <= set(CHANNELS):
+        raise ConfigError(
+            "The forward comparison needs the motor speed, with or without the current.",
+            where="[comparison] channels",
+            found=", ".join(asked) or "none in every recording",
+            expected=", ".join(CHANNELS),
+        )
+    for recording in task.recordings:
+        require_channels(recording, asked)
+        require_alive(recording, asked)
+    return tuple(c for c in CHANNELS if c in asked)
+
+
+def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> list[str]:
+    """Channels whose peaks must be whole: all but a current at the limit that the bench has too."""
+    reached = NEAR_LIMIT * bench.value("current_limit_a")
+    return [
+        name
+        for name in channels
+        if name != MOTOR_CURRENT or np.abs(recording.channels[name]).max() < reached
+    ]
+
+
+def require_rotations(seen: Observed, file: str, split: bool) -> None:
+    """Whole rotations separate what repeats from noise, in each half if it is split."""
+    fewest = (2.0 - ROUNDING) * seen.lag * (2 if split else 1)
+    if seen.samples >= fewest:
+        return
+    problem = "split: each half needs" if split else "fitted: it needs"
+    raise RecordingError(
+        f"The recording is too short to be {problem} two load rotations.",
+        file=file,
+        found=f"{seen.samples / seen.lag:.3g} load rotations",
+        expected=f"at least {fewest / seen.lag:.3g}, or another use",
+    )
+
+
+def part_of(seen: Observed, rows: slice) -> Observed:
+    """Some samples of a recording, under its name."""
+    excluded, angle = seen.excluded, seen.motor_angle_rad
+    return replace(
+        seen,
+        signals=seen.signals[:, rows],
+        excluded=None if excluded is None else excluded[rows],
+        motor_angle_rad=None if angle is None else angle[rows],
+        begin_s=seen.begin_s + (rows.start or 0) / seen.sampling_hz,
+    )
+
+
+def _motor_angle(config: DiagnoseConfig, recording: Recording) -> FloatArray | None:
+    if not config.comparison.motor_angle_known:
         return None
-    closed = found.after.closes(found.before)
-    # Noise is told from what remains by its tests, not by a share of little.
-    remains = bool(found.after.remaining) or not is_explained(found.final.fit)
-    return answer_of(found.learned, closed, remains)
+    require_channels(recording, (MOTOR_POSITION,))
+    return recording.channels[MOTOR_POSITION]
+
+
+def _unknowns(
+    config: DiagnoseConfig, bench: Bench, used: Sequence[Observed], recordings: Sequence[Recording]
+) -> list[Unknown]:
+    unknowns = [gap_unknown(*(config.unknowns.gap_rad or DEFAULT_GAP_RAD))]
+    measured = {entry.name: r for entry, r in zip(config.recordings, recordings, strict=True)}
+    for seen in used:
+        if config.comparison.load_angle_known:
+            require_channels(measured[seen.name], (LOAD_POSITION,))
+            angle = float(measured[seen.name].channels[LOAD_POSITION][0]) % (2.0 * math.pi)
+            known = Unknown(START_ANGLE, centre=angle, sd=KNOWN_ANGLE_SD_RAD, recording=seen.name)
+            unknowns.append(known)
+        else:
+            unknowns.append(start_angle_unknown(seen.name))
+    told = config.comparison.motor_angle_known
+    for learned in bench.learned_terms:
+        if not (told and learned.variable == "motor_angle"):
+            unknowns += shift_unknowns(learned, [seen.name for seen in used])
+    toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
+    for name in config.unknowns.bench_parameters:
+        if name not in toleranced:
+            raise ConfigError(
+                "A parameter is free within its tolerance, and this one has none.",
+                where="[unknowns] bench_parameters",
+                found=name,
+                expected=f"a tolerance for {name} in {config.bench.name}",
+            )
+        unknowns.append(toleranced[name])
+    return unknowns

@@ -382,42 +382,40 @@ def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatA
     return term.over(x), np.sqrt(variance)
 
 
-def answer_of(learned: Learned, closed: float, remains: bool) -> LearnedAnswer:
-    """What is told of it.
-
-    ``closed``: share of what repeated that is gone; ``remains``: whether anything still stands out.
-    """
+def answer_of(learned: Learned) -> LearnedAnswer:
+    """What is told of it."""
     term = learned.term
     lowest = 0.0 if term.belongs_to_recordings else -0.5 * term.period
     x = lowest + term.period * np.linspace(0.0, 1.0, CURVE_POINTS)
-    values, sd = band_of(learned.explanation.fit, term, x)
-    withheld = ""
+    curve = LearnedCurve(x, *band_of(learned.explanation.fit, term, x))
+    return LearnedAnswer(term, learned.alike, curve, learned.gap_share)
+
+
+def why_no_gap(learned: Learned, closed: float, remains: bool) -> str:
+    """What leaves δ open beside it, else empty.
+
+    ``closed``: share of what repeated that is gone; ``remains``: whether anything still stands out.
+    """
     if learned.reaches_ringing:
-        withheld = (
+        return (
             "What was learned repeats with the load at orders that reach the ringing of an "
             "impact: it could be taken for impacts, so no gap is given."
         )
-    elif remains and closed < (1.0 - UNEXPLAINED_SHARE):
-        withheld = (
+    if remains and closed < (1.0 - UNEXPLAINED_SHARE):
+        return (
             f"What was learned removes {100.0 * closed:.0f} % of what repeats; from "
             f"{100.0 * (1.0 - UNEXPLAINED_SHARE):g} % on a gap would be given."
         )
-    elif len({other.block for other in (term, *learned.alike)}) > 1:
-        withheld = (
+    if len({other.block for other in (learned.term, *learned.alike)}) > 1:
+        return (
             "These recordings do not tell an error of the motor's encoder from a torque at the "
             "motor, nor either from a transmission error, which moves the gap: so no gap is given. "
             "Record a second speed, and the other direction."
         )
-    elif learned.explanation.candidates:
-        withheld = (
+    if learned.explanation.candidates:
+        return (
             "Beside a torque of no known law a name of the catalogue may be wrong and bias the "
             "gap, so no gap is given. Add known effects of the joint to the bench, and diagnose "
             "again."
         )
-    return LearnedAnswer(
-        term,
-        learned.alike,
-        LearnedCurve(x, values, sd),
-        learned.gap_share,
-        withheld,
-    )
+    return ""

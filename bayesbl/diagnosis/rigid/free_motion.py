@@ -23,9 +23,17 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES, Slot
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.simulation import simulate_states
-from bayesbl.diagnosis.comparison import AffineModel, Discrepancy, Look, Piece, Series, candidate_of
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.inference import Inference
+from bayesbl.diagnosis.inference import (
+    AffineModel,
+    Discrepancy,
+    Inference,
+    Look,
+    Piece,
+    Rows,
+    Series,
+    candidate_of,
+)
 from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, without_load_angle
 from bayesbl.diagnosis.task import (
     GRAVITY,
@@ -60,12 +68,6 @@ differences see of an effect, and searches ended early, each elsewhere.
 WIDTHS = (1e-3, 0.01, 0.3)
 """Speed over which dry friction changes its sign, in RMS speeds: least, first and largest."""
 
-SHAPE_RANGE = (0.01, 2.0)
-"""Of a fading speed, in RMS speeds."""
-
-SHAPES = tuple(np.geomspace(0.02, 1.0, 6))
-"""Fading speeds that are tried, in RMS speeds."""
-
 ORDERS = 4
 """Of a torque that nothing explains, over the load's angle and the speed."""
 
@@ -83,7 +85,7 @@ _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_
 FREE_MOTION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
     {e.name: TORQUE_LAWS[e.name] for e in EFFECTS if e.free_motion}
 )
-"""Of effects that free motion shows."""
+"""Of effects that free motion shows, linear in all they have."""
 
 
 Values = Mapping[str, float]
@@ -103,7 +105,7 @@ class FreeMotionView:
     fitted, values
         Effects in the fit that all is linearised around, and its values.
     without
-        Predictions of the fit without any effect.
+        Prediction of the fit without any effect, (N,).
     """
 
     pieces: tuple[Piece, ...]
@@ -113,7 +115,7 @@ class FreeMotionView:
     load_angle_known: bool = True
     fitted: tuple[str, ...] = ()
     values: Values = field(default_factory=dict)
-    without: tuple[FloatArray, ...] = ()
+    without: FloatArray | None = None
 
     def prepared(self) -> FreeMotionView:
         """Around a fit with the usual frictions."""
@@ -146,10 +148,8 @@ class FreeMotionView:
         return None
 
     def reportable(self, inference: Inference, label: str) -> bool:
-        """What ended at the end of its range is no optimum."""
-        low, high = (share * self._speed for share in SHAPE_RANGE)
-        shapes = [v for k, v in self.values.items() if k == f"{label}.speed_rad_per_s"]
-        return all(1.01 * low < value < 0.99 * high for value in shapes)
+        """All: no law that is tried has a shape."""
+        return True
 
     def fit(self, effects: tuple[str, ...], start: Values) -> dict[str, float]:
         """Least squares with these effects, from what ``start`` holds."""
@@ -185,75 +185,58 @@ class FreeMotionView:
                 values |= self._own_start(i, effects, values)
         return values
 
-    def predictions(self, effects: tuple[str, ...], values: Values) -> tuple[FloatArray, ...]:
-        """Of every piece, (n,)."""
-        return tuple(self._predict(i, effects, values) for i in range(len(self.pieces)))
+    @cached_property
+    def rows(self) -> Rows:
+        """Of the pieces."""
+        return Rows(self.pieces)
+
+    def predictions(
+        self, effects: tuple[str, ...], values: Values, torque: LearnedTerm | None = None
+    ) -> FloatArray:
+        """Of every row, (N,)."""
+        return self.rows.stack(lambda i: self._predict(i, effects, values, torque))
 
     @cached_property
     def model(self) -> AffineModel:
         """The trajectories around the fit."""
         at = self.predictions(self.fitted, self.values)
-        base = [prediction.copy() for prediction in at]
 
-        def slope(i: int, step: float, effects: tuple[str, ...], changed: Values) -> FloatArray:
-            values = {**self.values, **changed}
-            return np.asarray((self._predict(i, effects, values) - at[i]) / step)
+        def slope(effects: tuple[str, ...], changed: Values, step: float) -> FloatArray:
+            moved = self.predictions(effects, {**self.values, **changed})
+            return np.asarray((moved - at) / step)
 
-        nuisances: list[dict[str, FloatArray]] = []
-        for i, piece in enumerate(self.pieces):
-            names = {n: n for n in (*self.unknown, *([_ZERO] if _ZERO in self.values else []))}
-            if WIDTH in self.values:
-                names[WIDTH] = WIDTH
-            names |= {f"{key}@{i}": f"{key}@{piece.name} {i}" for key in ("angle", "speed")}
-            made = {}
-            for name, label in names.items():
-                step = 1e-4 * max(abs(self.values[name]), 1e-2)
-                made[label] = slope(i, step, self.fitted, {name: self.values[name] + step})
-            # Bench parameters are told as what they differ by from the bench's.
-            for name in self.unknown:
-                base[i] -= made[name] * (self.values[name] - self.bench.value(name))
-            nuisances.append(made)
+        base, nuisances = at.copy(), dict[str, FloatArray]()
+        for name in (*self.unknown, *(n for n in (_ZERO, WIDTH) if n in self.values)):
+            step = 1e-4 * max(abs(self.values[name]), 1e-2)
+            nuisances[name] = slope(self.fitted, {name: self.values[name] + step}, step)
+            if name in self.unknown:  # told as what it differs by from the bench's
+                base -= nuisances[name] * (self.values[name] - self.bench.value(name))
+        for key in ("angle", "speed"):
+            own = [f"{key}@{i}" for i in range(len(self.pieces))]
+            step = 1e-4 * max(1e-2, *(abs(self.values[name]) for name in own))
+            every = slope(self.fitted, {name: self.values[name] + step for name in own}, step)
+            for name, rows in zip(own, self.rows.slices, strict=True):
+                nuisances[name] = np.zeros(at.size)
+                nuisances[name][rows] = every[rows]
         candidates = []
-        every = range(len(self.pieces))
         for name in self.effects:
             law, effect = TORQUE_LAWS[name], effect_named(name)
             parameters = (law.amplitude, *law.linear)
-            shape = law.scanned
-            grid: tuple[float | None, ...] = (None,)
-            if shape is not None:
-                grid = tuple(share * self._speed for share in SHAPES)
-                if name in self.fitted:
-                    grid = (self.values[f"{name}.{shape}"],)
             effects = tuple(dict.fromkeys((*self.fitted, name)))
-            looks = []
-            for value in grid:
-                shapes = {} if shape is None or value is None else {shape: value}
-                at_zero = {f"{name}.{p}": self.values.get(f"{name}.{p}", 0.0) for p in parameters}
-                fixed = {f"{name}.{k}": v for k, v in shapes.items()} | at_zero
-                columns = []
-                for i in every:
-                    own = []
-                    for parameter in parameters:
-                        step = STEP * self._first(effect.parameter(parameter))
-                        key = f"{name}.{parameter}"
-                        own.append(slope(i, step, effects, {**fixed, key: at_zero[key] + step}))
-                        base[i] -= own[-1] * at_zero[key]
-                    columns.append(np.column_stack(own))
-                weight = 1.0 if shape is None else 1.0 / len(SHAPES)
-                looks.append(Look(shapes, tuple(columns), weight))
-            candidates.append(candidate_of(law, name, parameters, tuple(looks)))
-        discrepancies = tuple(
-            Discrepancy(
-                series.kind, tuple(self._waves(i, at[i], series) for i in every), series=series
-            )
-            for series in self._series()
-        )
+            there = {f"{name}.{p}": self.values.get(f"{name}.{p}", 0.0) for p in parameters}
+            columns = []
+            for key, parameter in zip(there, parameters, strict=True):
+                step = STEP * self._first(effect.parameter(parameter))
+                columns.append(slope(effects, {**there, key: there[key] + step}, step))
+                base -= columns[-1] * there[key]
+            look = Look({}, np.column_stack(columns))
+            candidates.append(candidate_of(law, name, parameters, (look,)))
         return AffineModel(
-            self.pieces,
-            tuple(base),
-            tuple(nuisances),
+            self.rows,
+            base,
+            nuisances,
             tuple(candidates),
-            discrepancies,
+            tuple(Discrepancy(s.kind, self._waves(at, s), s) for s in self._series()),
             believed_sds(self.bench, self.unknown),
             self.without,
         )
@@ -275,16 +258,12 @@ class FreeMotionView:
             yield over("load_angle", way, reach=ends[0], reverses=reverses)
             yield over("motor_speed", fastest, reach=ends[1], reverses=reverses)
 
-    def _waves(self, i: int, at: FloatArray, series: Series) -> FloatArray:
-        """Change of a trajectory by each coefficient of a torque, (n, 2 orders)."""
+    def _waves(self, at: FloatArray, series: Series) -> FloatArray:
+        """Change of the trajectories by each coefficient of a torque, (N, 2 orders)."""
         size = STEP * self._torque
-        made = []
-        for k in range(2 * series.orders):
-            coefficients = np.zeros(2 * series.orders)
-            coefficients[k] = size
-            torque = series.torque(coefficients)
-            made.append((self._predict(i, self.fitted, self.values, torque) - at) / size)
-        return np.column_stack(made)
+        torques = (series.torque(one) for one in size * np.eye(2 * series.orders))
+        made = [self.predictions(self.fitted, self.values, torque) - at for torque in torques]
+        return np.column_stack(made) / size
 
     def _shared(
         self, effects: tuple[str, ...], start: Values
@@ -303,21 +282,16 @@ class FreeMotionView:
             for item in effect_named(name).parameters:
                 lower = 0.0 if TORQUE_LAWS[name].not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
-                if not item.is_amplitude:
-                    lower, upper = (share * self._speed for share in SHAPE_RANGE)
                 value = start.get(f"{name}.{item.name}", self._first(item))
                 shared[f"{name}.{item.name}"] = (value, lower, upper)
         return shared
 
     def _first(self, parameter: EffectParameter) -> float:
         """A small share of the torques at work: where a search for an effect starts."""
-        speed = self._speed
-        if not parameter.is_amplitude:
-            return 0.3 * speed
         torque = self._torque
         scales = {
             "N m": torque,
-            "N m s/rad": torque / speed,
+            "N m s/rad": torque / self._speed,
             "": _FIRST_SHARE,
             "N m/s": 0.1 * torque,
         }
@@ -480,6 +454,6 @@ def comparison(task: Task) -> Comparison:
     notes = [
         *notes_of(recordings),
         f"No torque is measured: friction is known as well as {scale} of the bench is.",
-        "Torque ripple, encoder and shaft effects are not tried in free motion.",
+        "Torque ripple, Stribeck friction, encoder and shaft effects are not tried in free motion.",
     ]
     return by_search(task, view, effects, notes)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -32,19 +32,20 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned import Variable, variable_of
 from bayesbl.config.kinds import DiagnoseConfig
-from bayesbl.diagnosis.comparison import (
+from bayesbl.diagnosis.diagnosis import Diagnosis
+from bayesbl.diagnosis.disagreement import Use
+from bayesbl.diagnosis.inference import (
     AffineModel,
     Candidate,
     Discrepancy,
+    Inference,
     Look,
     Piece,
+    Rows,
     Series,
     candidate_of,
     least_squares,
 )
-from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.disagreement import Use
-from bayesbl.diagnosis.inference import Inference
 from bayesbl.diagnosis.rigid.motion import (
     END_PERIODS,
     WIDEST,
@@ -198,6 +199,10 @@ class Compared:
     known: FloatArray
     window: Window
 
+    def along(self, signal: FloatArray) -> FloatArray:
+        """A signal over the recording, (n,), at the samples that count, (k,)."""
+        return self.piece.kept(signal[self.window.rows])
+
 
 @dataclass(frozen=True)
 class InverseView:
@@ -215,14 +220,14 @@ class InverseView:
     skew_s, width
         Around which all is linear: lag of the current or position, s; of dry friction, rad/s.
     slope
-        For every piece the change of the prediction by one second of skew, in the channel's unit.
+        Change of the prediction by one second of skew, in the channel's unit, (N,).
     shapes
         Of effects with a shape, values tried in place of the grid over all there may be.
     orders, lines
         Of the motor's turning, and frequencies in Hz.
     columns_bench, discrepancy, cache
-        The bench as fitted, that columns are made of; for every piece what nothing explains, as it
-        is known so far; signals that were computed.
+        The bench as fitted, that columns are made of; what nothing explains, as it is known so far,
+        (N,); signals that were computed.
     """
 
     parts: tuple[Compared, ...]
@@ -233,20 +238,25 @@ class InverseView:
     phases_shared: bool = False
     skew_s: float = 0.0
     width: float = 0.0
-    slope: tuple[FloatArray, ...] = ()
+    slope: FloatArray | None = None
     shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     orders: tuple[Line, ...] = ()
     lines: tuple[Line, ...] = ()
     columns_bench: Bench | None = None
-    discrepancy: tuple[FloatArray, ...] = ()
+    discrepancy: FloatArray | float = 0.0
     cache: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     # Signals
 
     @cached_property
+    def rows(self) -> Rows:
+        """Of the pieces without their motion."""
+        return Rows(tuple(part.piece for part in self.parts))
+
+    @property
     def pieces(self) -> tuple[Piece, ...]:
-        """Without their motion."""
-        return tuple(part.piece for part in self.parts)
+        """What is compared."""
+        return self.rows.pieces
 
     @cached_property
     def load(self) -> bool:
@@ -270,14 +280,9 @@ class InverseView:
         return next((name for name, law in self.laws.items() if law.scanned == ORDER), None)
 
     @cached_property
-    def used(self) -> list[int]:
-        """Pieces that are fitted."""
-        return [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
-
-    @cached_property
-    def below(self) -> list[int]:
-        """Of these, those behind the low pass."""
-        return [i for i in self.used if self.pieces[i].shown]
+    def used(self) -> list[Compared]:
+        """Parts that are fitted."""
+        return [part for part in self.parts if part.piece.use == "used"]
 
     @cached_property
     def _moved(self) -> list[Motion]:
@@ -291,50 +296,72 @@ class InverseView:
         return [replace(m, friction_width=self.width) for m in self.cache[key]]
 
     def _seen(
-        self, i: int, key: Hashable, make: Callable[[Motion], FloatArray], width: float = 0.0
+        self,
+        key: Hashable,
+        make: Callable[[int, Motion], FloatArray],
+        *,
+        width: float = 0.0,
+        above: bool = False,
     ) -> FloatArray:
-        """A signal along a motion, in the unit of the channel, as compared; computed once."""
-        whole = (i, key, self.skew_s, width)
+        """A signal along the motion, or columns, as compared, (N, …); computed once.
+
+        Zero above the cut-off, where little but waves is known, unless ``above``.
+        """
+
+        def of_piece(i: int) -> FloatArray:
+            part, made = self.parts[i], make(i, self._moved[i])
+            if part.window.above and not above:
+                return np.zeros((part.piece.measured.size, *made.shape[1:]))
+            return part.window(made)
+
+        whole = (key, self.skew_s, width)
         if whole not in self.cache:
-            signal = self.parts[i].window(make(self._moved[i]))
-            self.cache[whole] = signal / self.unit
+            self.cache[whole] = self.rows.stack(of_piece)
         found: FloatArray = self.cache[whole]
         return found
 
-    def _signal(self, i: int, name: str, given: Mapping[str, float]) -> FloatArray:
+    def _torque(
+        self, key: Hashable, make: Callable[[Motion], FloatArray], **how: Any
+    ) -> FloatArray:
+        """The same of a torque, or of the load's angle, in the unit of the channel."""
+        return self._seen(key, lambda _, motion: make(motion) / self.unit, **how)
+
+    def _signal(self, name: str, given: Mapping[str, float], *, above: bool = False) -> FloatArray:
         law, bench = self.laws[name], self.columns_bench or self.bench
         width = self.width if "direction" in effect_named(name).depends_on else 0.0
         key = (name, *given.items(), *(bench.value(fitted) for fitted in (*INERTIAS, GRAVITY)))
-        return self._seen(i, key, lambda m: law.signal(m, bench, given), width)
+        return self._torque(key, lambda m: law.signal(m, bench, given), width=width, above=above)
 
-    def _waves(self, i: int, name: str, shapes: Mapping[str, float]) -> FloatArray:
-        """Sine and cosine of an effect's, of unit size, (n, 2)."""
+    def _waves(self, name: str, shapes: Mapping[str, float], *, above: bool = False) -> FloatArray:
+        """Sine and cosine of an effect's, of unit size, (N, 2)."""
         amplitude = self.laws[name].amplitude
         phases = ({amplitude: 1.0, PHASE: phase, **shapes} for phase in (0.0, 0.5 * math.pi))
-        return np.column_stack([self._signal(i, name, given) for given in phases])
+        return np.column_stack([self._signal(name, given, above=above) for given in phases])
 
-    def _ripples(self, i: int, order: float) -> FloatArray:
-        """Those of the effect of any order, (n, 2)."""
+    def _ripples(self, order: float) -> FloatArray:
+        """Those of the effect of any order, (N, 2)."""
         assert self._ripple is not None
-        return self._waves(i, self._ripple, {ORDER: order})
+        return self._waves(self._ripple, {ORDER: order}, above=True)
 
-    def base(self, i: int) -> FloatArray:
-        """The nominal bench, in units of the channel, at the skew."""
+    @cached_property
+    def base(self) -> FloatArray:
+        """The nominal bench at the skew, (N,)."""
         if self.load:
             ratio = self.bench.value("gear_ratio")
-            return self._seen(i, "base", lambda motion: motion.angle / ratio)
+            return self._torque("base", lambda motion: motion.angle / ratio)
         known = {} if self.load_angle_known else {GRAVITY: 0.0}
-        rubs = any("direction" in effect_named(e.name).depends_on for e in self.bench.effects)
+        bench = self.bench.with_parameters(**known)
+        rubs = any("direction" in effect_named(e.name).depends_on for e in bench.effects)
 
-        def torque(motion: Motion) -> FloatArray:
-            bench = self.bench.with_parameters(**known)
-            return np.asarray(required_torque(motion, bench) + self.parts[i].known)
+        def torque(i: int, motion: Motion) -> FloatArray:
+            return np.asarray(required_torque(motion, bench) + self.parts[i].known) / self.unit
 
-        return self._seen(i, "base", torque, self.width if rubs else 0.0)
+        return self._seen("base", torque, width=self.width if rubs else 0.0, above=True)
 
-    def _base_above(self, i: int) -> FloatArray:
+    @cached_property
+    def _base_above(self) -> FloatArray:
         """Above the cut-off: the bench's own ripples, and the part of the inertia's torque along
-        the orders that are tried.
+        the orders that are tried, (N,).
 
         A ripple that the loop is too slow for is in the motion, not in the current. Of the
         acceleration up there little but noise is known, yet along one order little of that is left.
@@ -344,104 +371,77 @@ class InverseView:
             for e in self.bench.effects
             if e.name in TORQUE_LAWS and TORQUE_LAWS[e.name].scanned == ORDER
         ]
-        total = self._seen(
-            i,
-            "own waves",
-            lambda m: np.asarray(
-                sum(
-                    (law.signal(m, self.bench, given) for law, given in own), np.zeros_like(m.angle)
-                )
-            ),
-        )
-        quiet = [line.middle for line in self.orders if self._is_quiet(i, line.middle)]
-        if not quiet or self._ripple is None:
-            return total
-        matrix = np.hstack([self._ripples(i, order) for order in quiet])
-        kept = self.pieces[i].kept
-        return np.asarray(total + matrix @ least_squares(kept(matrix), kept(self.base(i))))
+
+        def waves(motion: Motion) -> FloatArray:
+            every = (law.signal(motion, self.bench, given) for law, given in own)
+            return np.asarray(sum(every, np.zeros_like(motion.angle)))
+
+        total = self._torque("own waves", waves, above=True).copy()
+        for i, rows in enumerate(self.rows.slices):
+            quiet = [line.middle for line in self.orders if self._is_quiet(i, line.middle)]
+            if quiet and self.parts[i].window.above:
+                matrix = np.hstack([self._ripples(order)[rows] for order in quiet])
+                total[rows] += matrix @ least_squares(matrix, self.base[rows])
+        return total
 
     def _is_quiet(self, i: int, order: float) -> bool:
         """Whether J (n ω)² σ, by noise σ of the position, is a small part of the torque's noise."""
-        ratio, piece, window = self.bench.value("gear_ratio"), self.pieces[i], self.parts[i].window
+        ratio, part = self.bench.value("gear_ratio"), self.parts[i]
         inertia = self.bench.value("motor_inertia_kg_m2")
         inertia += self.bench.value("load_inertia_kg_m2") / ratio**2
-        frequency = order * np.abs(piece.kept(self.parts[i].motion.speed[window.rows]))
-        shown = frequency[frequency > 2.0 * math.pi * window.low_pass.cutoff_hz]
+        frequency = order * np.abs(part.along(part.motion.speed))
+        shown = frequency[frequency > 2.0 * math.pi * part.window.low_pass.cutoff_hz]
         if not shown.size:
             return True
-        made = inertia * math.sqrt(float(np.mean(shown**4))) * window.position_noise_rad
-        return made < QUIET * self.unit * noise_of(piece.kept(piece.measured))
+        made = inertia * math.sqrt(float(np.mean(shown**4))) * part.window.position_noise_rad
+        return made < QUIET * self.unit * noise_of(self.rows.measured[self.rows.slices[i]])
 
-    def _nuisances(self, i: int) -> dict[str, FloatArray]:
-        """What is fitted of the bench itself."""
-        where = self.pieces[i].name
+    @cached_property
+    def _nuisances(self) -> dict[str, FloatArray]:
+        """What is fitted of the bench itself, (N,) each."""
+        names = dict.fromkeys(piece.name for piece in self.pieces)
         if self.load:
-            return {f"offset@{where}": self._seen(i, "one", lambda m: np.ones_like(m.angle))}
-        if self.parts[i].window.above:
-            return {}
-        made = {name: self._parameter(i, name) for name in self.unknown}
+            ones = self._torque("one", lambda motion: np.ones_like(motion.angle))
+            return {f"offset@{name}": ones * self.rows.of(name) for name in names}
+        made = {name: self._parameter(name) for name in self.unknown}
         if self.gravity_free:
-            sine, cosine = self._gravity(i).T
-            made |= {f"gravity_sine@{where}": sine, f"gravity_cosine@{where}": cosine}
+            for name in names:
+                sine, cosine = self._gravity.T * self.rows.of(name)
+                made |= {f"gravity_sine@{name}": sine, f"gravity_cosine@{name}": cosine}
         return made
 
-    def _parameter(self, i: int, name: str) -> FloatArray:
-        """Of one unit of an inertia or of gravity, (n,)."""
+    def _parameter(self, name: str) -> FloatArray:
+        """Of one unit of an inertia or of gravity, (N,)."""
         ratio = self.bench.value("gear_ratio")
         laws: dict[str, Callable[[Motion], FloatArray]] = {
             INERTIAS[0]: lambda m: m.acceleration,
             INERTIAS[1]: lambda m: m.acceleration / ratio**2,
             GRAVITY: lambda m: np.sin(m.angle / ratio) / ratio,
         }
-        return self._seen(i, name, laws[name])
+        return self._torque(name, laws[name])
 
-    def _gravity(self, i: int) -> FloatArray:
-        """Of one N m, down and across, (n, 2)."""
+    @property
+    def _gravity(self) -> FloatArray:
+        """Of one N m, down and across, (N, 2)."""
         ratio = self.bench.value("gear_ratio")
-        across = self._seen(i, "across", lambda motion: np.cos(motion.angle / ratio) / ratio)
-        return np.column_stack([self._parameter(i, GRAVITY), across])
-
-    def _window(self, i: int, columns: FloatArray) -> FloatArray:
-        """Columns over a motion as compared, (n, k) to (m, k)."""
-        return np.column_stack([self.parts[i].window(column) for column in columns.T])
+        across = self._torque("across", lambda motion: np.cos(motion.angle / ratio) / ratio)
+        return np.column_stack([self._parameter(GRAVITY), across])
 
     # The model
 
     @cached_property
     def model(self) -> AffineModel:
         """Around the skew and the width."""
-        base = []
-        for i in range(len(self.pieces)):
-            if self.parts[i].window.above:
-                base.append(self._base_above(i))
-                continue
-            at = self.base(i)
-            base.append(at - self.skew_s * self.slope[i] if self.slope else at)
+        base = self.base if self.slope is None else self.base - self.skew_s * self.slope
+        if not all(part.piece.shown for part in self.parts):
+            base = np.where(self.rows.where(lambda piece: piece.shown), base, self._base_above)
         return AffineModel(
-            self.pieces,
-            tuple(base),
-            tuple(self._nuisances(i) for i in range(len(self.pieces))),
+            self.rows,
+            base,
+            self._nuisances,
             tuple(self._candidates()),
             (*self._torques(), self._drift(), *self._twist()),
             believed_sds(self.bench, self.unknown),
-        )
-
-    def _every(
-        self, make: Callable[[int], FloatArray], *, above: bool = False
-    ) -> tuple[FloatArray, ...]:
-        """Columns of every piece, (n, k); zero above the cut-off, where little but waves is known.
-
-        ``make``: those of one, or its only column, (n,).
-        """
-        made = {
-            i: make(i).reshape(piece.measured.size, -1)
-            for i, piece in enumerate(self.pieces)
-            if above or not self.parts[i].window.above
-        }
-        width = next(iter(made.values())).shape[1]
-        return tuple(
-            made[i] if i in made else np.zeros((piece.measured.size, width))
-            for i, piece in enumerate(self.pieces)
         )
 
     def _candidates(self) -> Iterator[Candidate]:
@@ -450,18 +450,17 @@ class InverseView:
         for name, law in self.laws.items():
             amplitude = (law.amplitude,)
             if name == SKEW:
-                if self.slope:
+                if self.slope is not None:
                     period = self.parts[0].window.low_pass.period_s
-                    look = Look({}, self._every(lambda i: self.slope[i]), size=DELAY * period)
+                    look = Look({}, self.slope[:, None], size=DELAY * period)
                     yield candidate_of(law, name, amplitude, (look,))
             elif law.scanned == ORDER:
                 for line in self.orders:
-                    looks = self._alternatives(ORDER, line, self._ripples, above=True)
+                    looks = self._alternatives(ORDER, line, self._ripples)
                     label = f"{name} {line.middle:.6g}"
                     yield candidate_of(law, name, amplitude, looks, label=label, **wave)
             elif effect_named(name).is_periodic:
-                look = Look({}, self._every(partial(self._waves, name=name, shapes={})))
-                yield candidate_of(law, name, amplitude, (look,), **wave)
+                yield candidate_of(law, name, amplitude, (Look({}, self._waves(name, {})),), **wave)
             else:
                 parameters = (*amplitude, *law.linear)
                 yield candidate_of(law, name, parameters, tuple(self._looks(name, parameters)))
@@ -474,42 +473,31 @@ class InverseView:
                 label, "line", label, ("amplitude",), looks, LINE, is_wave=True, own_phase=True
             )
             yield apart
-            if not own_phase and len({self.pieces[i].name for i in self.used}) > 1:
+            if not own_phase and len(self.rows.recordings) > 1:
                 # What a motion excites has one phase in all recordings that begin with it.
                 excludes = frozenset({label})
                 yield replace(apart, label=f"{label}, in phase", own_phase=False, excludes=excludes)
 
     def _alternatives(
-        self,
-        shape: str,
-        line: Line,
-        make: Callable[[int, float], FloatArray],
-        *,
-        above: bool = False,
+        self, shape: str, line: Line, make: Callable[[float], FloatArray]
     ) -> tuple[Look, ...]:
-        """Of a wave; ``make``: its columns in a piece by a value of its shape."""
-
-        def columns(value: float) -> tuple[FloatArray, ...]:
-            return self._every(lambda i: make(i, value), above=above)
-
+        """Of a wave; ``make``: its columns by a value of its shape."""
         every = zip(line.values, line.weights, strict=True)
-        return tuple(Look({shape: value}, columns(value), weight) for value, weight in every)
+        return tuple(Look({shape: value}, make(value), weight) for value, weight in every)
 
     def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
         law = self.laws[name]
-        grid: tuple[float | None, ...] = self._values(name) or (None,)
-        for value in grid:
-            shape = {} if law.scanned is None or value is None else {law.scanned: value}
-
-            def columns(i: int, shape: dict[str, float] = shape) -> FloatArray:
-                if law.scanned == law.amplitude:  # not linear in it: around this size
-                    return self._signal(i, name, shape) / shape[law.amplitude]
-                off = dict.fromkeys(parameters, 0.0)
-                given = [{**off, parameter: 1.0, **shape} for parameter in parameters]
-                return np.column_stack([self._signal(i, name, one) for one in given])
-
-            kept = {} if law.scanned == law.amplitude else shape
-            yield Look(kept, self._every(columns), 1.0 / len(grid))
+        grid = self._values(name)
+        if law.scanned == law.amplitude:  # not linear in it: around this size
+            for size in grid:
+                column = self._signal(name, {law.amplitude: size}) / size
+                yield Look({}, column[:, None], 1.0 / len(grid))
+            return
+        for value in grid or (math.nan,):
+            shape = {} if law.scanned is None or not grid else {law.scanned: value}
+            off = dict.fromkeys(parameters, 0.0)
+            every = [self._signal(name, {**off, one: 1.0, **shape}) for one in parameters]
+            yield Look(shape, np.column_stack(every), 1.0 / max(1, len(grid)))
 
     def _wrong_values(self) -> Iterator[Candidate]:
         """Inertia and gravity that the bench states without a tolerance, as they might be wrong."""
@@ -517,25 +505,28 @@ class InverseView:
         if self.load_angle_known and GRAVITY not in self.unknown:
             names.append(GRAVITY)
         for name in names:
-            look = Look({}, self._every(partial(self._parameter, name=name)))
+            look = Look({}, self._parameter(name)[:, None])
             yield Candidate(name, "parameter", name, (name,), (look,), WRONG_VALUE)
         if not self.load_angle_known and not self.gravity_free and self._travel_rad > TURNS:
-            look = Look({}, self._every(self._gravity))
             yield Candidate(
                 "gravity",
                 "gravity",
                 GRAVITY,
                 (GRAVITY,),
-                (look,),
+                (Look({}, self._gravity),),
                 WRONG_VALUE,
                 is_wave=True,
                 own_phase=True,
             )
 
-    def _hum(self, i: int, hertz: float) -> FloatArray:
-        """Sine and cosine of a line in time, as compared, (n, 2)."""
-        phase = 2.0 * math.pi * hertz * self.parts[i].motion.time_s
-        return self._window(i, np.column_stack([np.sin(phase), np.cos(phase)]))
+    def _hum(self, hertz: float) -> FloatArray:
+        """Sine and cosine of a line in time, as compared, (N, 2)."""
+
+        def waves(_: int, motion: Motion) -> FloatArray:
+            phase = 2.0 * math.pi * hertz * motion.time_s
+            return np.column_stack([np.sin(phase), np.cos(phase)])
+
+        return self._seen(("line", hertz), waves)
 
     # What nothing explains
 
@@ -543,9 +534,12 @@ class InverseView:
         """Over each variable; of the load's position no torque, so none that could be told."""
         ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
-            x = [variable_of(variable, motion, ratio) for motion in self._moved]
             every = np.concatenate(
-                [self.pieces[i].kept(x[i][self.parts[i].window.rows]) for i in self.below]
+                [
+                    part.along(variable_of(variable, motion, ratio))
+                    for part, motion in zip(self.parts, self._moved, strict=True)
+                    if part.piece.use == "used" and part.piece.shown
+                ]
             )
             reach = (float(every.min()), float(every.max()))
             series = Series.over(
@@ -554,26 +548,22 @@ class InverseView:
             if self.load:
                 series = replace(series, means=np.zeros(2 * LEARNED_HARMONICS))
 
-            def columns(i: int, series: Series = series, x: Sequence[FloatArray] = x) -> FloatArray:
-                waves = series.waves(x[i])
-                if series.reverses:
-                    waves = waves * direction(self._moved[i])[:, None]
-                return self._window(i, waves) / self.unit
+            def columns(motion: Motion, series: Series = series) -> FloatArray:
+                waves = series.waves(variable_of(series.variable, motion, ratio))
+                return waves * direction(motion)[:, None] if series.reverses else waves
 
             told = None if self.load else series
-            yield Discrepancy(series.kind, self._every(columns), series=told)
+            key = (series.kind, period, self.width)
+            yield Discrepancy(series.kind, self._torque(key, columns), told)
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
-        motions = [self.parts[i].motion for i in self.used]
-        longest = max(float(np.ptp(m.angle)) for m in motions)
+        longest = max(float(np.ptp(part.motion.angle)) for part in self.used)
         turn = 2.0 * math.pi
         for reverses in (False, True):
             yield "load_angle", self._load_period, reverses
-        if longest >= turn and (
-            self.phases_shared or len({self.pieces[i].name for i in self.used}) == 1
-        ):
+        if longest >= turn and (self.phases_shared or len(self.rows.recordings) == 1):
             yield "motor_angle", turn, False
-        fastest = max(float(np.abs(m.speed).max()) for m in motions)
+        fastest = max(float(np.abs(part.motion.speed).max()) for part in self.used)
         for reverses in (False, True):
             yield "motor_speed", 4.0 * fastest, reverses
 
@@ -581,7 +571,7 @@ class InverseView:
     def _load_period(self) -> float:
         """Twice the way of the load, rad; where that is longer, what repeats with it does over its
         turn."""
-        angles = np.concatenate([self.parts[i].motion.angle for i in self.used])
+        angles = np.concatenate([part.motion.angle for part in self.used])
         way, turn = float(np.ptp(angles)) / self.bench.value("gear_ratio"), 2.0 * math.pi
         return turn if way >= 2.0 * turn else 2.0 * way
 
@@ -590,34 +580,25 @@ class InverseView:
 
         How stiff a shaft is, and where in the gear it rubs, no data sheet says well enough.
         """
-
-        def columns(i: int) -> FloatArray:
-            motion = self._moved[i]
-            return self._window(i, np.column_stack([motion.acceleration, direction(motion)]))
-
         if not self.load:
             return ()
-        every = self._every(columns)
-        squares = sum((every[i] ** 2).sum(axis=0) for i in self.used)
-        scale = np.sqrt(np.where(squares > 0.0, squares, 1.0))
-        return (Discrepancy("load_position_over_torque", tuple(part / scale for part in every)),)
+        columns = self._torque(
+            ("twist", self.width), lambda m: np.column_stack([m.acceleration, direction(m)])
+        )
+        size = np.sqrt((columns[self.rows.used] ** 2).sum(axis=0))
+        columns = columns / np.where(size > 0.0, size, 1.0)
+        return (Discrepancy("load_position_over_torque", columns),)
 
     def _drift(self) -> Discrepancy:
-        """A torque that drifts in each recording."""
-        names = tuple(dict.fromkeys(self.pieces[i].name for i in self.used))
+        """A torque that drifts in each recording; where that is held out, nothing says how."""
 
-        def columns(i: int) -> FloatArray:
-            motion, name = self.parts[i].motion, self.pieces[i].name
+        def waves(_: int, motion: Motion) -> FloatArray:
             x = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
             k = np.arange(1, DRIFT_ORDERS + 1)
-            waves = np.cos(math.pi * x[:, None] * k) / k
-            made = np.zeros((self.pieces[i].measured.size, DRIFT_ORDERS * len(names)))
-            if name in names:
-                at = DRIFT_ORDERS * names.index(name)
-                made[:, at : at + DRIFT_ORDERS] = self._window(i, waves)
-            return made
+            return np.asarray(np.cos(math.pi * x[:, None] * k) / k)
 
-        return Discrepancy("time", self._every(columns), own=True)
+        columns = self._seen("drift", waves) * self.rows.used[:, None]
+        return Discrepancy("time", self.rows.by_recording(columns))
 
     # Towards the fit
 
@@ -694,55 +675,41 @@ class InverseView:
     @cached_property
     def speed_rad_per_s(self) -> float:
         """RMS speed of the motor over what is fitted."""
-        speeds = [
-            self.pieces[i].kept(self.parts[i].motion.speed[self.parts[i].window.rows])
-            for i in self.below
-        ]
+        speeds = [part.along(part.motion.speed) for part in self.used if part.piece.shown]
         return math.sqrt(float(np.mean(np.concatenate(speeds) ** 2)))
 
     @cached_property
     def _travel_rad(self) -> float:
         """Way of the load over what is fitted."""
-        way = max(float(np.ptp(self.parts[i].motion.angle)) for i in self.used)
+        way = max(float(np.ptp(part.motion.angle)) for part in self.used)
         return way / self.bench.value("gear_ratio")
 
-    def _linear_columns(self, i: int) -> dict[str, FloatArray]:
-        """Nuisances, effects linear in one amplitude, waves of the orders found, each (n,)."""
-        columns = dict(self._nuisances(i))
-        where = self.pieces[i].name
+    @cached_property
+    def _linear(self) -> FloatArray:
+        """Nuisances, effects linear in one amplitude, waves of the orders found, (N, p)."""
+        columns = [column[:, None] for column in self._nuisances.values()]
         for name, law in self.laws.items():
             if name == SKEW or effect_named(name).is_periodic:
                 continue
             if law.scanned is None and not law.linear:
-                columns[name] = self._signal(i, name, {law.amplitude: 1.0})
-        if self._ripple is not None:
-            for line in self.orders:
-                order = line.middle
-                sine, cosine = self._ripples(i, order).T
-                columns |= {f"sine {order}@{where}": sine, f"cosine {order}@{where}": cosine}
-        return columns
+                columns.append(self._signal(name, {law.amplitude: 1.0})[:, None])
+        waves = (self.rows.by_recording(self._ripples(line.middle)) for line in self.orders)
+        return np.hstack([np.zeros((self.base.size, 0)), *columns, *waves])
 
-    def _linear(self, places: Sequence[int]) -> AffineModel:
-        """Pieces below the cut-off with all that is linear as what is fitted anyway."""
-        pieces = [self.pieces[i] for i in places]
-        if self.discrepancy:
-            pieces = [
-                replace(piece, measured=piece.measured - self.discrepancy[i])
-                for piece, i in zip(pieces, places, strict=True)
-            ]
-        base = (self.base(i) for i in places)
-        columns = (self._linear_columns(i) for i in places)
-        return AffineModel(tuple(pieces), tuple(base), tuple(columns), ())
+    @cached_property
+    def _by_linear(self) -> FloatArray:
+        """Of these that fit the shown rows best beside what nothing explains, (p,)."""
+        shown, left = self.rows.shown, self.rows.measured - self.discrepancy - self.base
+        return least_squares(self._linear[shown], left[shown])
 
-    def fitted(self) -> dict[int, FloatArray]:
-        """Prediction of every fitted piece below the cut-off by all that is linear, (n,)."""
-        model = self._linear(self.below)
-        return {i: model.at(k, model.by_nuisances) for k, i in enumerate(self.below)}
+    def fitted(self) -> FloatArray:
+        """Prediction by all that is linear, (N,)."""
+        return np.asarray(self.base + self._linear @ self._by_linear)
 
     def least_left(self) -> float:
         """Sum of squares that these leave."""
-        made = ((self.pieces[i], prediction) for i, prediction in self.fitted().items())
-        return sum(float(np.sum(piece.kept(piece.measured - at) ** 2)) for piece, at in made)
+        left = self.rows.measured - self.discrepancy - self.fitted()
+        return float(np.sum(left[self.rows.shown] ** 2))
 
     def _with_width(self) -> InverseView:
         names = (*self.laws, *(e.name for e in self.bench.effects))
@@ -754,46 +721,41 @@ class InverseView:
         )
         return replace(self, width=width)
 
-    def _slopes(self) -> tuple[FloatArray, ...]:
-        """Change of the prediction by a second of skew, with all that is linear as it fits."""
-        fit = self._linear(self.below).by_nuisances
+    def _slopes(self) -> FloatArray:
+        """Change of the prediction by a second of skew, all that is linear as it fits, (N,)."""
         step = 1e-2 / self.parts[0].window.low_pass.cutoff_hz
-        shown = [i for i, piece in enumerate(self.pieces) if piece.shown]
-        ahead, behind = (
-            replace(self, skew_s=self.skew_s + s)._linear(shown) for s in (step, -step)
-        )
-        made = [np.zeros(piece.measured.size) for piece in self.pieces]
-        for k, i in enumerate(shown):
-            made[i] = (ahead.at(k, fit) - behind.at(k, fit)) / (2.0 * step)
-        return tuple(made)
+        made = [
+            view.base + view._linear @ self._by_linear
+            for view in (replace(self, skew_s=self.skew_s + s) for s in (step, -step))
+        ]
+        slopes = (made[0] - made[1]) / (2.0 * step)
+        return np.where(self.rows.where(lambda piece: piece.shown), slopes, 0.0)
 
     def _rests(self) -> list[OrderedRest]:
         """What all that is linear leaves, over the motor's angle."""
         below = replace(self, orders=()).fitted()
-        made = []
-        for i in self.used:
-            part = self.parts[i]
-            piece, motion, window = part.piece, part.motion, part.window
-            rest = piece.measured - (self._base_above(i) if window.above else below[i])
-            made.append(
-                OrderedRest(
-                    piece.name,
-                    piece.kept(piece.time_s),
-                    piece.kept(motion.angle[window.rows]),
-                    piece.kept(np.abs(motion.speed[window.rows])),
-                    piece.kept(rest),
-                    window.low_pass.cutoff_hz,
-                    window.above,
-                    window.low_pass.period_s,
-                    window.step_rad,
-                )
+        shown = self.rows.where(lambda piece: piece.shown)
+        left = self.rows.measured - np.where(shown, below, self._base_above)
+        return [
+            OrderedRest(
+                part.piece.name,
+                part.piece.kept(part.piece.time_s),
+                part.along(part.motion.angle),
+                np.abs(part.along(part.motion.speed)),
+                left[rows],
+                part.window.low_pass.cutoff_hz,
+                part.window.above,
+                part.window.low_pass.period_s,
+                part.window.step_rad,
             )
-        return made
+            for part, rows in zip(self.parts, self.rows.slices, strict=True)
+            if part.piece.use == "used"
+        ]
 
     def _with_lines(self) -> InverseView:
         """With the orders and frequencies that stand out most."""
         rests = self._rests()
-        turning = peaks(rests, self.phases_shared, MOST_ORDERS)
+        turning = peaks(rests, self.phases_shared, MOST_ORDERS) if self._ripple else []
         clock = [
             replace(
                 r,
@@ -817,13 +779,10 @@ class InverseView:
     def _moves_at(self, hertz: float) -> bool:
         """Whether the axis itself accelerates at one frequency alone: a torque there is inertia,
         friction or a spring before it is a line in time."""
-        left = whole = 0.0
-        for i in self.below:
-            own = self.pieces[i].kept(self._parameter(i, INERTIAS[0]))
-            waves = self.pieces[i].kept(self._hum(i, hertz))
-            left += float(np.sum((own - waves @ least_squares(waves, own)) ** 2))
-            whole += float(own @ own)
-        return left < 0.1 * whole
+        shown = self.rows.shown
+        own, waves = self._parameter(INERTIAS[0])[shown], self._hum(hertz)[shown]
+        left = own - waves @ least_squares(waves, own)
+        return float(left @ left) < 0.1 * float(own @ own)
 
     # What is told
 
@@ -917,13 +876,16 @@ def coherent_hz(resolved: InverseView) -> float | None:
         The view behind the highest cut-off that resolves the motion.
     """
     view = resolved.coarse()
+    rows, fitted = view.rows, view.fitted()
     frequencies, measured, left = [], [], []
-    for i, prediction in view.fitted().items():
-        piece = view.pieces[i]
-        rest = piece.measured - prediction
-        frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
-        measured.append(_power(piece.measured))
-        left.append(_power(rest))
+    for piece, own in zip(rows.pieces, rows.slices, strict=True):
+        if piece.use == "used" and piece.shown:
+            rest = np.zeros(piece.measured.size)
+            counts = slice(None) if piece.excluded is None else ~piece.excluded
+            rest[counts] = rows.measured[own] - fitted[own]
+            frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
+            measured.append(_power(piece.measured))
+            left.append(_power(rest))
     frequency, total = np.concatenate(frequencies), np.concatenate(measured)
     rest = np.concatenate(left)
     top = view.parts[0].window.low_pass.cutoff_hz

@@ -187,22 +187,13 @@ SAMPLES_PER_PERIOD = 2.5
 REST_SHARE = 1e-2
 """Of the RMS speed: slower than this, an axis stands or turns round."""
 
-MOST_STEPS = 5.5
-"""Of a position from sample to sample, up to which its written decimals leave them whole."""
-
 ROUNDED = 1e-8
 """Of a position: what its written decimals may move it by."""
-
-FEWEST_STEPS = 50
-SURELY_WHOLE = 0.98
-FARTHER = 2.0
-WHOLE_STEP = 0.1
-"""Share of a step that written decimals may add."""
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """From a signal over a whole recording, shape (n,), to the samples of a piece, (k,).
+    """From a signal over a whole recording, shape (n, …), to the samples of a piece, (k, …).
 
     Attributes
     ----------
@@ -226,7 +217,9 @@ class Window:
     position_noise_rad: float = 0.0
 
     def __call__(self, signal: FloatArray) -> FloatArray:
-        """The signal as it is compared."""
+        """The signal, or columns, as it is compared."""
+        if signal.ndim > 1:
+            return np.column_stack([self(column) for column in signal.T])
         seen = signal if self.window is None else self.window * signal
         passed = self.low_pass(seen)
         return (seen - passed if self.above else passed)[self.rows]
@@ -287,27 +280,10 @@ def noise_of(position: FloatArray) -> float:
 
 
 def step_of(position: FloatArray) -> float:
-    """The step that a position moves in, rad; 0 where it is not seen to.
-
-    From the smallest movements, then from ever longer ways, each a whole number of steps.
-    """
+    """The smallest step that a position moves in, rad: an encoder's, or of noise almost none."""
     moved = np.abs(np.diff(position))
     moved = moved[moved > ROUNDED * np.abs(position).max()]
-    if not moved.size:
-        return 0.0
-    step = float(np.median(moved[moved < 1.5 * moved.min()]))
-    few = moved[moved < MOST_STEPS * step] / step
-    if few.size < FEWEST_STEPS or np.mean(np.abs(few - np.round(few)) < WHOLE_STEP) < SURELY_WHOLE:
-        return 0.0
-    ways = np.abs(position - position[0])
-    reach = MOST_STEPS * step
-    while reach < FARTHER * ways.max():
-        way = ways[ways < reach]
-        steps = np.round(way / step)
-        if steps.any():
-            step = float(way @ steps / (steps @ steps))
-        reach *= FARTHER
-    return step
+    return float(moved.min()) if moved.size else 0.0
 
 
 def turns_of(recordings: Sequence[Recording]) -> float:

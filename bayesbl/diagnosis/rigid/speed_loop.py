@@ -28,7 +28,6 @@ from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER
-from bayesbl.diagnosis.comparison import Piece, bounded_least_squares
 from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
@@ -38,7 +37,13 @@ from bayesbl.diagnosis.diagnosis import (
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import DisagreementTable, Use
-from bayesbl.diagnosis.inference import MOST_EFFECTS, compared_signals
+from bayesbl.diagnosis.inference import (
+    MOST_EFFECTS,
+    Piece,
+    Rows,
+    bounded_least_squares,
+    compared_signals,
+)
 from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, clearest, spectrum_of
@@ -955,15 +960,16 @@ class _Answer:
     def _compared(self, fit: LoopFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
         """Every piece, with a mean alone and with all laws."""
         every = sorted(self.setting.turning, key=lambda item: item.piece.use != "used")
-        before = [item.predicted((), np.zeros(0)) for item in every]
+        rows = Rows(tuple(item.piece for item in every))
+        before = rows.stack(lambda i: every[i].predicted((), np.zeros(0)))
         after = before
         if fit is not None:
             places = np.flatnonzero(fit.parts.any(axis=1)).tolist()
             orders = [self.found[place].order for place in places]
             speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
             sizes = np.reshape([fit.predicted(k, speeds) for k in places], (-1, len(every)))
-            after = [item.predicted(orders, own) for item, own in zip(every, sizes.T, strict=True)]
-        return compared_signals([item.piece for item in every], before, after)
+            after = rows.stack(lambda i: every[i].predicted(orders, sizes[:, i]))
+        return compared_signals(rows, before, after)
 
 
 def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:

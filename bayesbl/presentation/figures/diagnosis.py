@@ -14,18 +14,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-from bayesbl.diagnosis.summary import summarise_diagnosis
+from bayesbl.diagnosis.groups import summarise_diagnosis
 from bayesbl.presentation.diagnosis import USES, compared_pieces, headline, learned_of
 from bayesbl.presentation.figures import style
-from bayesbl.presentation.figures.stored_figure import file_ending, holding, stored_figure
+from bayesbl.presentation.figures.stored_figure import holding, stored_figure
 from bayesbl.presentation.words import capitalised, significant
 from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import in_words, unit_of
 
 if TYPE_CHECKING:
     from bayesbl.diagnosis.disagreement import Use
-    from bayesbl.diagnosis.summary import Answer, DisagreementSummary
-    from bayesbl.identification.summary import IdentificationAnswer, ParameterSummary
+    from bayesbl.diagnosis.groups import Answer, DisagreementSummary
+    from bayesbl.identification.groups import IdentificationAnswer, ParameterSummary
 
     Piece = tuple[str, str, Use, DisagreementSummary]
 
@@ -205,119 +205,6 @@ def _draw_every(panel: Axes, pieces: Sequence[Piece]) -> None:
     panel.set_yticks([])
     panel.spines["left"].set_visible(False)
     panel.set_xlabel("RMS / noise floor")
-
-
-_ROW_IN = 2.0
-_BINS = 250
-_EXCEEDED = 0.01
-"""Probability that noise alone shows any bin beyond the limit drawn."""
-
-
-def _each_recording(tree: xr.DataTree) -> Iterator[tuple[str, tuple[object, ...]]]:
-    before, after = (tree[f"residuals_{stage}"].to_dataset() for stage in ("before", "after"))
-    for name in map(str, before["recording"].values):
-        yield file_ending(name), (before, name, after)
-
-
-@stored_figure(
-    "Residuals before and after naming: mean over the load angle, and spectrum.",
-    90,
-    holding("residuals_before", "residuals_after"),
-    name="residuals",
-    parts=_each_recording,
-)
-def residuals_by_angle(before: xr.Dataset, recording: str, after: xr.Dataset) -> Figure:
-    """A row for each channel: residuals against load angle, their order spectrum.
-
-    Parameters
-    ----------
-    before, after
-        As :mod:`bayesbl.diagnosis.groups` stores them, of the bench as believed and with
-        what was named.
-    recording
-        Name of one recording of theirs.
-    """
-    stages = [stage.sel(recording=recording) for stage in (before, after)]
-    channels = [str(name) for name in np.atleast_1d(before.attrs["channels"])]
-    channels = [n for n in channels if not np.isnan(stages[0][f"{n}_offset"])]
-    rows = len(channels)
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.86 + _ROW_IN * rows)
-    spec = style.grid(figure, rows, 2, left=0.6, top=0.46, between=(0.6, 0.62))
-    axes: list[Axes] = []
-    titles: list[str] = []
-    for row, channel in enumerate(channels):
-        maps = _load_maps(spec[row, 0], stages, channel)
-        spectrum = figure.add_subplot(spec[row, 1])
-        _spectrum(spectrum, stages, channel)
-        axes += [maps[0], spectrum]
-        name = CHANNELS.get(channel, channel)
-        titles += [f"{name}: residuals before, after", "their spectrum"]
-    style.head_panels(axes, titles)
-    limit = f"limit of noise ({100.0 * _EXCEEDED:g} % false alarm)"
-    shown = zip(("before naming", "after naming"), _LOOKS, strict=True)
-    looks = {
-        name: {"color": look.colour, "linestyle": look.dashes, "marker": look.marker}
-        for name, look in shown
-    }
-    style.legend_of(figure, {**looks, limit: {"color": style.LIMIT, "linewidth": 0.8}})
-    return figure
-
-
-def _load_maps(place: SubplotSpec, stages: list[xr.Dataset], channel: str) -> list[Axes]:
-    """Mean residual over the load's angle with its error."""
-    angle = _values(stages[0], "load_angle_rad")
-    panels = _one_above_the_other(place, len(stages))
-    for panel, stage, look in zip(panels, stages, _LOOKS, strict=True):
-        mean = _values(stage, f"{channel}_load_map")
-        error = float(stage[f"{channel}_map_error"])
-        panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
-        panel.fill_between(
-            angle, mean - error, mean + error, color=look.colour, alpha=0.3, linewidth=0.0
-        )
-        panel.plot(angle, mean, color=look.colour, linewidth=0.7)
-    panels[-1].set_xlim(0.0, 2.0 * np.pi)
-    panels[-1].set_xticks(0.5 * np.pi * np.arange(5), ["0", "π/2", "π", "3π/2", "2π"])
-    panels[-1].set_xlabel("Load angle (rad)")
-    panels[0].set_ylabel(f"Recorded − simulated ({unit_of(channel)})", y=-0.06)
-    return panels
-
-
-def _spectrum(panel: Axes, stages: list[xr.Dataset], channel: str) -> None:
-    for stage, look in zip(stages, _LOOKS, strict=True):
-        order, amplitude, noise = (
-            _values(stage, name)
-            for name in ("load_order", f"{channel}_amplitude", f"{channel}_noise_amplitude")
-        )
-        shown = (order > 0.0) & np.isfinite(amplitude)
-        peaks = _peaks(order[shown], amplitude[shown])
-        panel.plot(*peaks, color=look.colour, linestyle=look.dashes, linewidth=0.7, zorder=1.0)
-        names = (f"{channel}_line_{name}" for name in ("load_order", "amplitude"))
-        lines = np.array([_values(stage, name) for name in names])
-        found = lines[:, np.isfinite(lines[0])]
-        panel.plot(
-            *found, look.marker, color=look.colour, markersize=3.0, fillstyle="none", zorder=2.0
-        )
-    limit = noise[shown] * np.sqrt(np.log(shown.sum() / _EXCEEDED))
-    panel.plot(order[shown], limit, color=style.LIMIT, linewidth=0.8)
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    low, high = panel.get_ylim()
-    panel.set_ylim(low, 2.5 * high)
-    panel.set_xlabel("Cycles per load rotation")
-    panel.set_ylabel(f"Amplitude ({unit_of(channel)})")
-
-
-def _peaks(order: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest amplitude in each stretch of the logarithmic axis: every line is on the page."""
-    edges = np.geomspace(order[0], order[-1], _BINS + 1)
-    starts = np.unique(np.searchsorted(order, edges[:-1]))
-    tops = np.maximum.reduceat(amplitude, starts)
-    places = np.append(starts[1:], order.size)
-    return np.sqrt(order[starts] * order[places - 1]), tops
-
-
-def _values(stage: xr.Dataset, name: str) -> FloatArray:
-    return np.atleast_1d(np.asarray(stage[name].values, dtype=float))
 
 
 LEVEL_SD = 1.645
