@@ -22,7 +22,7 @@ SCANNED_GAPS = 10
 MOST_FROM_AFAR = 3
 BEHIND = 2.0
 """What is far from its optimum and leaves this multiple of what the best leaves, or what there was
-before, is not pursued."""
+before, is not pursued. Once fitted, it has to leave less than the excess over this."""
 
 GROSS = 1.05
 """χ² per sample that counts as far off: the gap may be in another place of its range.
@@ -197,7 +197,10 @@ def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Exp
                     refreshed = with_model(alone, extended(model, candidate))
                     best[candidate.label] = fit.chi_square, Explanation((candidate,), refreshed)
     ranked = sorted(best.values(), key=lambda item: item[0])
-    return [e for value, e in ranked if value <= BEHIND * ranked[0][0]][:MOST_FROM_AFAR]
+    size = nominal.fit.residual.size
+    most = size + (free.fit.chi_square - size) / BEHIND
+    hopeful = [e for value, e in ranked if value <= min(BEHIND * ranked[0][0], most)]
+    return hopeful[:MOST_FROM_AFAR]
 
 
 def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]]:
