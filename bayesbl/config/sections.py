@@ -1,9 +1,9 @@
 """What the configurations of several kinds share: one frozen model per section.
 
 Defaults are in these models and nowhere else. Paths are resolved against the folder that the
-validation context names, and must exist. A new kind is one module beside this one with an entry
-in ``kinds.KINDS``, and one in ``bayesbl/runs`` with an entry in ``runs.kinds``. Only pydantic is
-imported, so that ``bayesbl check`` answers at once.
+validation context names, and must exist. A new kind is a model with an entry in ``kinds.KINDS``,
+and one in ``bayesbl/runs`` with an entry in ``runs.kinds``. Only pydantic is imported, so that
+``bayesbl check`` answers at once.
 """
 
 from __future__ import annotations

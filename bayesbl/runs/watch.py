@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from bayesbl.config.fleet import FleetConfig
+from bayesbl.config.kinds import FleetConfig
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.broker import Address, Credentials, Outbox, Sender, stays_known_by
 from bayesbl.fleet.inventory import (
