@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from datetime import date as Date
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -46,12 +46,12 @@ from bayesbl.config.sections import (
     Section,
     SnapshotRecording,
     differently_named,
+    known_name,
     refuse,
     require_different,
     resolve,
     two_angles,
 )
-from bayesbl.recording.channels import did_you_mean
 
 Angles = Items[float]
 
@@ -308,17 +308,6 @@ def bench_parameter(name: str) -> str:
     from bayesbl.bench.parameters import PARAMETER_INFO
 
     return known_name(name, PARAMETER_INFO, "bench parameter")
-
-
-def known_name(name: str, known: Collection[str], what: str) -> str:
-    """The name; refused unless it is one of those known."""
-    if name not in known:
-        refuse(
-            f"There is no such {what}." + did_you_mean(name, known),
-            found=repr(name),
-            expected="one of " + ", ".join(known),
-        )
-    return name
 
 
 def word_or_names(
