@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesbl.config.bench import BenchFile
-from bayesbl.config.kinds import FILES, KINDS
-from bayesbl.config.simulate import SimulateFile
+from bayesbl.config.kinds import FILES, KINDS, SimulateFile
 
 DOCS = Path(__file__).parent
 MODELS = {**KINDS, "simulate": SimulateFile, "bench": BenchFile}

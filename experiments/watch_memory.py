@@ -66,7 +66,7 @@ def main(folder: Path, recordings: int = 200) -> None:
 
 
 def _watch(folder: Path, recordings: int) -> None:
-    from bayesbl.config.fleet import FleetConfig
+    from bayesbl.config.kinds import FleetConfig
     from bayesbl.config.loading import load_config
     from bayesbl.runs.watch import Watched, watch
 

@@ -119,8 +119,6 @@ class Bench:
                 found=unknown[0],
                 expected="one of " + ", ".join(PARAMETER_INFO),
             )
-        if self.assumed and self.drive != "rigid":
-            raise BenchError("A bench of two masses needs this.", where=min(self.assumed))
         if self.encoder_error is not None and self.drive == "rigid":
             raise BenchError(
                 "An error of the encoder over its angle is known of a bench of two masses only.",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayesbl.bench.effect_declaration import EffectParameter
 from bayesbl.bench.effects import EFFECTS, effect_named
-from bayesbl.bench.kernel import SLOTS, Slot
+from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError, SimulationError
 from bayesbl.recording.types import FloatArray
 
@@ -184,12 +184,6 @@ def check_parameters(matrix: FloatArray) -> None:
     BenchError
         Naming the parameter, the row's value and what was expected.
     """
-    if matrix.ndim != 2 or matrix.shape[1] != SLOTS:
-        raise BenchError(
-            "A parameter matrix has one row for each simulation and one column for each slot.",
-            found=f"shape {matrix.shape}",
-            expected=f"(m, {SLOTS})",
-        )
     for slot in Slot:
         _refuse_where(~np.isfinite(matrix[:, slot]), matrix, slot, "a finite number")
     for info in BENCH_PARAMETERS:

@@ -409,7 +409,7 @@ def watch_command(
     from bayesbl.libraries import bare
 
     with bare():
-        from bayesbl.config.fleet import FleetConfig
+        from bayesbl.config.kinds import FleetConfig
         from bayesbl.fleet.broker import read_address, read_credentials
         from bayesbl.fleet.plant_tables import RECORDINGS_FILE
         from bayesbl.runs.kinds import load_run

@@ -1,9 +1,11 @@
-"""Every kind of file, and the model of those that describe a run; the short ones are here."""
+"""Every kind of file and its model; those of measurements and benches have files of their own."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
+import re
+from collections.abc import Callable, Mapping
+from datetime import date as Date
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
@@ -16,29 +18,277 @@ from pydantic import (
     model_validator,
 )
 
-from bayesbl.config.fleet import FleetConfig
-from bayesbl.config.measurement import CompareConfig, FitConfig
+from bayesbl.config.measurement import (
+    CompareConfig,
+    Curve,
+    FitConfig,
+    Noise,
+    Posterior,
+    WearOverDates,
+)
 from bayesbl.config.sections import (
+    SHORTEST_WAY_RAD,
     BenchSource,
     ChannelName,
     ClusterRun,
+    Gap,
     GapBounds,
+    GapBoundsFromZero,
     InputPath,
     Interval,
     Items,
     Model,
+    Name,
+    OutputPath,
     Positive,
     RecordedConfig,
     RunConfig,
     Section,
     SnapshotRecording,
     differently_named,
+    known_name,
     refuse,
     require_different,
     resolve,
     two_angles,
 )
-from bayesbl.recording.channels import did_you_mean
+
+Angles = Items[float]
+
+
+class _PointToPoint(Section):
+    """What motions from point to point share: the motor's speed, acceleration and rests.
+
+    Trapezoids in speed; S-curves where the jerk is limited.
+    """
+
+    speed_rpm: Positive
+    acceleration_rpm_per_s: Positive
+    jerk_rpm_per_s2: Positive | None = None
+    dwell_s: float = Field(default=0.15, ge=0.0)
+    duration_s: Positive
+
+
+class StrokesMotion(_PointToPoint):
+    """Between two load angles and back."""
+
+    kind: Literal["strokes"]
+    range_rad: Angles
+
+    _range = field_validator("range_rad")(two_angles)
+
+
+class CycleMotion(_PointToPoint):
+    """Through some load angles in turn, over and over."""
+
+    kind: Literal["cycle"]
+    points_rad: Angles
+
+    @field_validator("points_rad")
+    @classmethod
+    def _that_move(cls, points: tuple[float, ...]) -> tuple[float, ...]:
+        following = points[1:] + points[:1]
+        if len(points) < 2 or any(
+            abs(b - a) < SHORTEST_WAY_RAD for a, b in zip(points, following, strict=True)
+        ):
+            refuse(
+                "A cycle goes from each point to another.",
+                found=list(points),
+                expected="two load angles or more in rad, each different from the one before",
+            )
+        return points
+
+
+class SineMotion(Section):
+    """To and fro between two load angles, the angle a sine over time."""
+
+    kind: Literal["sine"]
+    range_rad: Angles
+    period_s: Positive
+    duration_s: Positive
+
+    _range = field_validator("range_rad")(two_angles)
+
+
+class TorqueRampMotion(Section):
+    """The motor's torque to and fro with the output held: some cycles at each amplitude."""
+
+    kind: Literal["torque_ramp"]
+    torque_nm: Annotated[Items[Positive], Field(min_length=1)]
+    cycles: int = Field(default=5, ge=1)
+    period_s: Positive = 4.0
+    start_angle_rad: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        """Of all cycles."""
+        return len(self.torque_nm) * self.cycles * self.period_s
+
+
+MotionSection = Annotated[
+    StrokesMotion | CycleMotion | SineMotion | TorqueRampMotion, Field(discriminator="kind")
+]
+
+
+class SimulatedRecording(Section):
+    """An entry of ``[[recordings]]`` to be simulated.
+
+    In steady rotation, from a start angle that is drawn unless given; or in a motion.
+    """
+
+    name: Name
+    file: str = Field(min_length=1)
+    gap_rad: Gap
+    reference_speed_rpm: float | None = None
+    rotations: Positive = 5.0
+    sampling_hz: Positive = 1000.0
+    start_angle_rad: float | None = None
+    motor_start_angle_rad: float | None = None
+    motion: MotionSection | None = None
+
+    @model_validator(mode="after")
+    def _either_turns_or_moves(self) -> Self:
+        steady = {"rotations", "reference_speed_rpm", "start_angle_rad"} & self.model_fields_set
+        if self.motion is not None and steady:
+            refuse(
+                "A motion has its own speed, length and start.",
+                found=f"motion and {', '.join(sorted(steady))}",
+                expected="motion alone, or steady rotation without it",
+            )
+        return self
+
+
+class SimulateRun(Section):
+    """``[run]`` of a simulation; without an output the files go beside the configuration."""
+
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    workers: int = Field(default=1, ge=1, le=1024)
+    output: OutputPath | None = None
+
+
+class SimulateFile(Section):
+    """``kind = "simulate"``."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    kind: Literal["simulate"]
+    run: SimulateRun = SimulateRun()
+    bench: BenchSource
+    truth_file: str | None = Field(default=None, min_length=1)
+    recordings: Annotated[Items[SimulatedRecording], Field(min_length=1)]
+
+    @field_validator("recordings")
+    @classmethod
+    def _different_files(
+        cls, recordings: tuple[SimulatedRecording, ...]
+    ) -> tuple[SimulatedRecording, ...]:
+        for kind in ("name", "file"):
+            values = [getattr(recording, kind) for recording in recordings]
+            require_different(values, f"Two recordings have the same {kind}.")
+        return recordings
+
+
+_PLACES = {"{joint}", "{date}"}
+
+
+def _source_of_recordings(value: object, info: ValidationInfo) -> str:
+    """The pattern or the table as a whole path."""
+    if not isinstance(value, str) or not value.strip() or "\0" in value:
+        refuse("This is neither a pattern nor a table of recordings.", expected="text")
+    places = set(re.findall(r"\{[^{}]*\}", value))
+    if re.match(r"[a-z][a-z0-9+.-]+://", value):
+        refuse("Recordings are files.", expected="a folder that they are copied to")
+    if places == _PLACES:
+        return str(resolve(value, info))
+    if places or "*" in value:
+        refuse(
+            "This pattern does not say which joint and which date a file is of.",
+            expected='{joint} and {date} once each, as in "data/{joint}/{date}.csv", or a table '
+            "with the columns joint, date and file",
+        )
+    return str(_table(value, info))
+
+
+def _table(value: object, info: ValidationInfo) -> object:
+    path = resolve(str(value), info)
+    if path.suffix.lower() != ".csv":
+        refuse("This is no table.", found=path, expected="a file in .csv")
+    if not path.is_file():
+        refuse("There is no such file.", found=path, expected="an existing file")
+    return path
+
+
+class FleetSection(Section):
+    """``[fleet]``: inventory, recordings, and how joints share information.
+
+    ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
+    ``joint``, ``date`` and ``file``. ``pool_by`` is the column of the inventory whose joints wear
+    alike; without it every joint counts by itself. ``covariates`` are columns of numbers, such as
+    a load, that the rates of joints of one type may depend on.
+    """
+
+    joints: Annotated[InputPath, BeforeValidator(_table)]
+    recordings: Annotated[str, BeforeValidator(_source_of_recordings)]
+    pool_by: str | None = None
+    covariates: Items[str] = ()
+    decide_before: Date | None = None
+
+    @model_validator(mode="after")
+    def _covariates_of_a_type(self) -> Self:
+        if self.covariates and self.pool_by is None:
+            refuse(
+                "What rates depend on is learned from joints of one type.",
+                found="covariates without pool_by",
+                expected='pool_by as well, e.g. "gearbox"',
+                at=("covariates",),
+            )
+        require_different(self.covariates, "Two covariates are the same.")
+        return self
+
+    @property
+    def is_pattern(self) -> bool:
+        """Whether the recordings are found by a pattern."""
+        return "{joint}" in self.recordings
+
+
+class FleetEstimator(Section):
+    """``[estimator]`` of a fleet: that of a comparison; the inventory has bench and curve.
+
+    ``route`` holds for joints with a bench; the others are measured by the amplitude.
+    """
+
+    route: Literal["auto", "amplitude", "direct"] = "auto"
+    gap_rad: GapBoundsFromZero = (0.0, 1e-2)
+    model: Model = Field(default_factory=Model)
+    noise: Noise = Field(default_factory=Noise)
+
+
+class FleetConfig(RecordedConfig):
+    """``kind = "fleet"``: every recording of every joint, measured once."""
+
+    kind: Literal["fleet"]
+    run: ClusterRun
+    fleet: FleetSection
+    estimator: FleetEstimator = Field(default_factory=FleetEstimator)
+    posterior: Posterior = Field(default_factory=Posterior)
+    interval: Interval = Field(default_factory=Interval)
+    curve: Curve = Field(default_factory=Curve)
+    wear: WearOverDates = Field(default_factory=WearOverDates)
+
+    @model_validator(mode="after")
+    def _of_joints_stands_in_the_inventory(self) -> Self:
+        for found, what, at in (
+            (self.curve.source, "A curve", ("curve", "source")),
+            (self.wear.in_service_since, "in_service_since", ("wear", "in_service_since")),
+        ):
+            if found is not None:
+                refuse(
+                    f"{what} belongs to a joint, not to a fleet.",
+                    found=found,
+                    expected=f"a column {at[-1].replace('source', 'curve')} of the inventory",
+                    at=at,
+                )
+        return self
+
 
 Method = Literal["forward", "inverse", "free_motion"]
 
@@ -56,17 +306,6 @@ def bench_parameter(name: str) -> str:
     from bayesbl.bench.parameters import PARAMETER_INFO
 
     return known_name(name, PARAMETER_INFO, "bench parameter")
-
-
-def known_name(name: str, known: Collection[str], what: str) -> str:
-    """The name; refused unless it is one of those known."""
-    if name not in known:
-        refuse(
-            f"There is no such {what}." + did_you_mean(name, known),
-            found=repr(name),
-            expected="one of " + ", ".join(known),
-        )
-    return name
 
 
 def word_or_names(

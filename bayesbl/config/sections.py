@@ -1,9 +1,9 @@
 """What the configurations of several kinds share: one frozen model per section.
 
 Defaults are in these models and nowhere else. Paths are resolved against the folder that the
-validation context names, and must exist. A new kind is one module beside this one with an entry
-in ``kinds.KINDS``, and one in ``bayesbl/runs`` with an entry in ``runs.kinds``. Only pydantic is
-imported, so that ``bayesbl check`` answers at once.
+validation context names, and must exist. A new kind is a model with an entry in ``kinds.KINDS``,
+and one in ``bayesbl/runs`` with an entry in ``runs.kinds``. Only pydantic is imported, so that
+``bayesbl check`` answers at once.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import date as Date
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar
@@ -137,13 +137,19 @@ def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-def _symbol(name: str) -> str:
-    if name not in SYMBOLS:
+def known_name(name: str, known: Collection[str], what: str) -> str:
+    """The name; refused unless it is one of those known."""
+    if name not in known:
         refuse(
-            "This is not a symbol of the disturbance model." + did_you_mean(name, SYMBOLS),
-            expected=f"one of {', '.join(SYMBOLS)}",
+            f"There is no such {what}." + did_you_mean(name, known),
+            found=repr(name),
+            expected="one of " + ", ".join(known),
         )
     return name
+
+
+def _symbol(name: str) -> str:
+    return known_name(name, SYMBOLS, "symbol of the disturbance model")
 
 
 def _channel(name: str) -> str:

@@ -25,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from bayesbl.config.fleet import FleetSection
+from bayesbl.config.kinds import FleetSection
 from bayesbl.config.loading import problems_of
 from bayesbl.config.measurement import LimitRad, StatedLimit
 from bayesbl.config.sections import BASE_DIRECTORY, BenchSource, CurveSource, Name, Positive, refuse

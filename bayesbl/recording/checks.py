@@ -374,8 +374,6 @@ def require_plausible_speed_unit(recording: Recording) -> None:
     Directions may differ in sign. A mean speed below 1 rpm is too slow to compare. If another
     unit of any column makes them agree within 2 %, the message says so.
     """
-    if MOTOR_SPEED not in recording.channels:
-        return
     speed = abs(float(recording.motor_speed_rpm.mean()))
     position = recording.channels.get(MOTOR_POSITION)
     if position is not None:

@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 import bayesbl
-from bayesbl.config.fleet import FleetConfig
+from bayesbl.config.kinds import FleetConfig
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import PUBLISHED
 from bayesbl.config.sections import Interval as IntervalConfig

@@ -16,8 +16,8 @@ from bayesbl import __version__
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.motion import Motion, cycle, sine, strokes, torque_ramps
 from bayesbl.config.bench import dump_bench
+from bayesbl.config.kinds import MotionSection, SimulatedRecording, SimulateFile
 from bayesbl.config.loading import load_file
-from bayesbl.config.simulate import MotionSection, SimulatedRecording, SimulateFile
 from bayesbl.errors import BenchError, ConfigError, ResultError
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import TIME, Recording

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from bayesbl.config.fleet import FleetConfig
+from bayesbl.config.kinds import FleetConfig
 from bayesbl.errors import ConfigError
 from bayesbl.fleet.broker import Address, Credentials, Sender
 from bayesbl.fleet.inventory import (

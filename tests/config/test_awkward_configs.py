@@ -14,8 +14,8 @@ from places import CONFIGS
 
 from bayesbl import cli
 from bayesbl.config.bench import load_bench
+from bayesbl.config.kinds import SimulateFile
 from bayesbl.config.loading import load_config, load_file
-from bayesbl.config.simulate import SimulateFile
 from bayesbl.errors import UserError
 
 BENCH = (CONFIGS / "bench.toml").read_text()

@@ -183,7 +183,7 @@ WRONG = {
     "unknown choice": ('[interval]\nkind = "hpd"\n', "'equal_tailed' or 'hdi'", "[interval] kind"),
     "unknown symbol": (
         "[estimator.model]\nfixed = {window_start_s = 0.0, tau = 3.0}\n",
-        "not a symbol",
+        "no such symbol",
         "[estimator.model] fixed.tau",
     ),
     "empty range": (
