@@ -91,7 +91,7 @@ _HOMES = {
     "sweep": "bayesbl.library",
     "write_page": "bayesbl.library",
 }
-"""Public name to the module that holds it, and behind a colon its name there if it differs."""
+"""Public name to the module that holds it."""
 
 
 def __getattr__(name: str) -> object:
@@ -99,8 +99,7 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    module, _, there = _HOMES[name].partition(":")
-    return getattr(import_module(module), there or name)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -123,7 +123,7 @@ def fleet(folder: Path, what: str, files: int) -> None:
     """Run it, and print what it took."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     before, began = used.ru_utime + used.ru_stime, time.monotonic()
-    command = [sys.executable, "-m", "bayesbl", "fleet", str(folder / "plant.toml"), "--quiet"]
+    command = [sys.executable, "-m", "bayesbl", "fleet", str(folder / "plant.toml")]
     subprocess.run(command, check=True)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     cores = used.ru_utime + used.ru_stime - before

@@ -71,8 +71,7 @@ def imports() -> dict[str, set[str]]:
     """For every module those that it imports, in functions too."""
     modules = files()
     return {
-        # A function that is sent to another machine imports its own file there.
-        name: imported(ast.parse(path.read_text(encoding="utf-8")), modules) - {name}
+        name: imported(ast.parse(path.read_text(encoding="utf-8")), modules)
         for name, path in modules.items()
     }
 

@@ -15,7 +15,7 @@ import typer
 
 from bayesbl import __version__
 from bayesbl.cli.commands import COMMANDS
-from bayesbl.cli.running import FAILED, FIGURES, VOLUME, WITHHELD, WRONG, brought_forward
+from bayesbl.cli.running import FAILED, FIGURES, WITHHELD, WRONG, brought_forward
 from bayesbl.errors import UserError
 
 __all__ = ["FAILED", "WITHHELD", "WRONG", "app", "main", "status"]
@@ -57,12 +57,6 @@ def _common(
             "--version", callback=_print_version, is_eager=True, help="Print version and commit."
         ),
     ] = False,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", help="Print the answer's first sentence alone.")
-    ] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", help="Print parameters, diagnostics and origin too.")
-    ] = False,
     no_figures: Annotated[
         bool,
         typer.Option("--no-figures", help="Draw none; `bayesbl figures` does later."),
@@ -70,11 +64,8 @@ def _common(
     pdf: Annotated[bool, typer.Option("--pdf", help="Draw figures as PDF beside PNG.")] = False,
 ) -> None:
     """Options of every command."""
-    if quiet and verbose:
-        raise typer.BadParameter("--quiet and --verbose exclude each other.")
     if no_figures and pdf:
         raise typer.BadParameter("--no-figures and --pdf exclude each other.")
-    VOLUME.set("quiet" if quiet else "verbose" if verbose else "normal")
     FIGURES.set(() if no_figures else ("pdf", "png") if pdf else ("png",))
 
 

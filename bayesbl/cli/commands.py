@@ -14,14 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from bayesbl.cli.running import (
-    WRONG,
-    guessing_columns,
-    notes_console,
-    print_json,
-    run_config,
-    run_file,
-)
+from bayesbl.cli.running import WRONG, guessing_columns, print_json, run_config, run_file
 from bayesbl.errors import ConfigError
 from bayesbl.recording import formats
 
@@ -587,11 +580,12 @@ def diagnose_command(inputs: Inputs, bench: BelievedBench = None, **given: Any) 
         return
     if bench is None and config is None:
         raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
+    from bayesbl.presentation.terminal import make_console
     from bayesbl.runs.diagnose import diagnosis_of
 
     with guessing_columns(inputs[:1], config):
         loaded, guess = diagnosis_of(inputs, config, bench=bench, **given)
-    console = notes_console()
+    console = make_console(stderr=True)
     for choice in guess:
         console.print(f"Guessed: {choice.told}", markup=False, highlight=False)
     run_config(loaded, force, json, config)

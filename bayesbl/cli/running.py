@@ -7,15 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from bayesbl.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from bayesbl.config.sections import RunConfig
 
 
@@ -23,15 +21,10 @@ FAILED, WRONG, WITHHELD = 1, 2, 3
 """A bug or Ctrl-C; wrong usage, configuration or input; an answer that is withheld."""
 
 
-Volume = Literal["quiet", "normal", "verbose"]
-
-VOLUME: ContextVar[Volume] = ContextVar("volume", default="normal")
-"""Of the command that runs."""
-
 FIGURES: ContextVar[tuple[str, ...]] = ContextVar("figures", default=("png",))
 """Formats in which a run draws its figures."""
 
-_OPTIONS = ("--quiet", "--verbose", "--no-figures", "--pdf")
+_OPTIONS = ("--no-figures", "--pdf")
 
 
 def brought_forward(arguments: Sequence[str]) -> list[str]:
@@ -54,15 +47,6 @@ def run_file(
         run_config(load_run(config, kind=kind, **options), force, json, config)
 
 
-def notes_console() -> Console:
-    """Standard error, for progress and what is noted on the way; silent with ``--quiet``."""
-    from bayesbl.presentation.terminal import make_console
-
-    console = make_console(stderr=True)
-    console.quiet = VOLUME.get() == "quiet"
-    return console
-
-
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
     from bayesbl.config.sections import ClusterRun
@@ -75,23 +59,19 @@ def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = N
 
 def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -> None:
     from bayesbl.library import draw
-    from bayesbl.presentation.console import print_details, print_headline, print_result
+    from bayesbl.presentation.console import print_result
     from bayesbl.presentation.terminal import make_console, progress, say
-    from bayesbl.runs.kinds import read_result, run
+    from bayesbl.runs.kinds import run
     from bayesbl.runs.workflow import Options
 
-    console, volume = notes_console(), VOLUME.get()
+    console = make_console(stderr=True)
     with progress(console) as tell:
         options = Options(draw, force, tell, console.print, FIGURES.get())
         summary = run(config, options, file)
     if json:
         print_json(summary)
-    elif volume == "quiet":
-        print_headline(summary, make_console())
     else:
         print_result(summary, config.run.output, make_console())
-        if volume == "verbose" and config.kind != "fleet":
-            print_details(read_result(config.run.output), summary, make_console())
     if summary["outcome"] == "withheld":
         if json:
             reason = summary["reason"]

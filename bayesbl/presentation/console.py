@@ -37,33 +37,23 @@ if TYPE_CHECKING:
 
 
 def print_result(summary: Summary, folder: Path | None, console: Console) -> None:
-    """The answer in words, its table, and everything that limits the answer."""
-    print_headline(summary, console)
+    """The answer in words, what to do, its table, and everything that limits the answer."""
+    tone: Tone = "withheld" if summary["outcome"] == "withheld" else "answer"
+    print_blocks([Sentence(SUBJECTS[summary["kind"]].headline(summary), tone)], console)
+    if answer.is_measured(summary):
+        print_blocks([Sentence(answer.advice(summary).title, tone)], console)
     print_blocks(blocks(summary), console)
     if folder is not None:
         # Not wrapped: a path is there to be copied.
         console.print(f"Written to {folder}", soft_wrap=True)
 
 
-def print_headline(summary: Summary, console: Console) -> None:
-    """The answer in a sentence; of a measurement also what to do."""
-    tone: Tone = "withheld" if summary["outcome"] == "withheld" else "answer"
-    print_blocks([Sentence(SUBJECTS[summary["kind"]].headline(summary), tone)], console)
-    if answer.is_measured(summary):
-        print_blocks([Sentence(answer.advice(summary).title, tone)], console)
-
-
-def print_details(tree: xr.DataTree, summary: Summary, console: Console) -> None:
-    """Parameters, diagnostics, and where a result comes from."""
-    print_blocks(SUBJECTS[summary["kind"]].details(tree, summary), console)
-    print_blocks(_origin(tree, summary), console)
-
-
 def print_summary(tree: xr.DataTree, console: Console) -> None:
     """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
     summary = summarise(tree)
     print_result(summary, None, console)
-    print_details(tree, summary, console)
+    print_blocks(SUBJECTS[summary["kind"]].details(tree, summary), console)
+    print_blocks(_origin(tree, summary), console)
 
 
 def _origin(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:

@@ -1,9 +1,9 @@
 """Independent jobs over processes of this machine, or on a Dask cluster that is already there.
 
 The numbers are the same. So every worker of a cluster must run the same code on the same files, its
-linear algebra on one thread; what differs is refused before anything runs, and by workers that join
-later. In a worker process one job runs at a time whatever its threads, as jobs need not be safe
-against each other. A job whose worker dies is run again by another.
+linear algebra on one thread; a worker that differs refuses, whenever it joins. In a worker process
+one job runs at a time whatever its threads, as jobs need not be safe against each other. A job
+whose worker dies is run again by another.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import asyncio
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import as_completed as completed
 from contextlib import contextmanager
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 ANSWER_WITHIN_S = 10.0
 
 _LINEAR_ALGEBRA = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_SAME = "the same bayesbl, Python and packages, and the same files at the same paths"
 
 _one_job = threading.Lock()
 
@@ -129,7 +131,7 @@ def _on_cluster(
         files = tuple(files)
         # Of one thread, however many are free here: a worker process has one.
         wanted = tuple(dict(facts(files), **dict.fromkeys(_LINEAR_ALGEBRA, "1")).items())
-        count = _require_common(client, wanted, files, scheduler)
+        count = len(client.nthreads())
         say(
             f"{len(jobs)} {what} run on {count} workers of {scheduler}."
             if count
@@ -154,6 +156,16 @@ def _on_cluster(
                     "The scheduler was lost. What is finished is kept; the same command goes on.",
                     file=scheduler,
                 ) from None
+            except ImportError as error:
+                raise ClusterError(
+                    "A worker of the cluster lacks a package.",
+                    file=scheduler,
+                    found=str(error),
+                    expected=_SAME,
+                ) from None
+            except ClusterError as error:
+                error.name_file(scheduler)
+                raise
             yield job, done
             future.release()
 
@@ -172,7 +184,11 @@ def _require_here(wanted: Facts, files: tuple[str, ...]) -> None:
 
     different = differences(wanted, files)
     if different:
-        raise _refusal({get_worker().address: different}, None)
+        raise ClusterError(
+            "A worker of the cluster would not give the numbers that this machine gives.",
+            found=f"{get_worker().address}: {'; '.join(different)}",
+            expected=_SAME,
+        )
 
 
 @contextmanager
@@ -228,34 +244,4 @@ def _unanswered(scheduler: str, found: str) -> ClusterError:
         file=scheduler,
         found=found,
         expected="the address that `dask scheduler` prints, reachable from here",
-    )
-
-
-def _require_common(client: Client, wanted: Facts, files: tuple[str, ...], scheduler: str) -> int:
-    """The number of workers there are, none of which differs."""
-
-    # Sent as code, not by name: it must arrive where the package is not.
-    def look() -> list[str]:
-        try:
-            from bayesbl.runs.cluster import differences
-        except ImportError as error:
-            return [f"bayesbl cannot be imported there ({error})"]
-        return differences(wanted, files)
-
-    found: dict[str, list[str]] = client.run(look)
-    different = {worker: what for worker, what in found.items() if what}
-    if different:
-        raise _refusal(different, scheduler)
-    return len(found)
-
-
-def _refusal(different: Mapping[str, Sequence[str]], scheduler: str | None) -> ClusterError:
-    workers: dict[str, list[str]] = {}
-    for worker, what in different.items():
-        workers.setdefault("; ".join(what), []).append(worker)
-    return ClusterError(
-        "Workers of the cluster would not give the numbers that this machine gives.",
-        file=scheduler,
-        found=" ".join(f"{', '.join(names)}: {what}." for what, names in workers.items()),
-        expected="the same bayesbl, Python and packages, and the same files at the same paths",
     )

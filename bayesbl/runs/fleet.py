@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date as Date
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -177,39 +176,29 @@ def _jobs(
             refused.append((replace(one, reason=reason), sha))
         else:
             of_joint[one.joint].append((one, sha))
-    make = job_maker(config)
     jobs = []
     for joint in joints:
         mine = of_joint[joint.name]
-        recordings, shas = (tuple(part) for part in zip(*mine, strict=True)) if mine else ((), ())
-        jobs.append(make(joint, recordings, shas))
+        jobs.append(job_of(config, joint, [one for one, _ in mine], [sha for _, sha in mine]))
     return jobs, refused
 
 
-def job_maker(
-    config: FleetConfig,
-) -> Callable[[Joint, Sequence[Found], Sequence[str]], JointJob]:
-    """Makes the job of a joint from its recordings and their digests."""
+def job_of(
+    config: FleetConfig, joint: Joint, recordings: Sequence[Found], sha256: Sequence[str]
+) -> JointJob:
+    """The job of a joint from its recordings and their digests."""
     settings = settings_of(config)
-    digest_of = cache(file_sha256)
-    shared = {
-        key: settings.get(key, {})
-        for key in ("columns", "estimator", "posterior", "interval", "curve", "wear")
-    }
-
-    def make(joint: Joint, recordings: Sequence[Found], sha256: Sequence[str]) -> JointJob:
-        return JointJob(
-            joint,
-            tuple(recordings),
-            tuple(sha256),
-            None if joint.bench is None else digest_of(joint.bench),
-            None if joint.curve in (None, PUBLISHED) else digest_of(joint.curve),
-            shared,
-            config.run.seed,
-            str(config.run.output),
-        )
-
-    return make
+    shared = ("columns", "estimator", "posterior", "interval", "curve", "wear")
+    return JointJob(
+        joint,
+        tuple(recordings),
+        tuple(sha256),
+        None if joint.bench is None else file_sha256(joint.bench),
+        None if joint.curve in (None, PUBLISHED) else file_sha256(joint.curve),
+        {key: settings.get(key, {}) for key in shared},
+        config.run.seed,
+        str(config.run.output),
+    )
 
 
 def _copied(one: Found, alike: Sequence[Found]) -> str | None:

@@ -42,7 +42,7 @@ from bayesbl.fleet.plant_tables import recording_row
 from bayesbl.fleet.recording_table import RecordingTable
 from bayesbl.results.atomic import sibling
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.fleet import KEPT, identity, job_maker
+from bayesbl.runs.fleet import KEPT, identity, job_of
 
 SETTLED_S = 5.0
 """For how long size and time of a file have to stay as they are before it is complete."""
@@ -193,7 +193,7 @@ class _Measuring:
         return True
 
     def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
-        job = job_maker(self.config)(self.joints[one.joint], [one], [sha256])
+        job = job_of(self.config, self.joints[one.joint], [one], [sha256])
         before = self._before(job)
         problem = job.problem_of(0, before)
         answer = self.store.recall("recording", problem, RecordingAnswer)

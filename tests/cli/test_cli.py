@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from fresh_process import loaded_by
 from places import AFTER, BEFORE, CONFIGS, RECORDINGS
-from quick import two_ensembles, without_figures
 
 from bayesbl import cli
 from bayesbl.cli.running import brought_forward
@@ -422,22 +421,6 @@ def test_a_closed_pipe_is_quiet(compared):
     assert errors == b""
 
 
-@pytest.mark.long
-def test_quiet_says_the_answer_alone_wherever_it_stands(tmp_path, capsys):
-    base = two_ensembles(tmp_path, "fit")
-    recording = cut(BEFORE, tmp_path / "two.csv", 2 * ROTATION_SAMPLES + 100)
-    command = ["fit", str(recording), "--config", str(base), "--curve", "published"]
-    with without_figures():
-        assert cli.status([*command, "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    answer, caution = re.fullmatch(r"(.*?\.)\n(.*\.)\n", printed.out, re.DOTALL).groups()
-    assert " ".join(answer.split()).endswith("mrad).")
-    assert " ".join(caution.split()) == "Do not act on these gaps: the curve is another machine's."
-    assert printed.out.count(". ") == 0
-    assert cli.status(["--quiet", "cite", "--verbose"]) == 2
-
-
 def test_only_options_before_two_dashes_are_brought_forward():
-    given = ["fit", "a.csv", "--verbose", "--", "--quiet"]
-    assert brought_forward(given) == ["--verbose", "fit", "a.csv", "--", "--quiet"]
+    given = ["fit", "a.csv", "--pdf", "--", "--no-figures"]
+    assert brought_forward(given) == ["--pdf", "fit", "a.csv", "--", "--no-figures"]

@@ -565,8 +565,7 @@ def test_what_cannot_is_refused_in_one_message_with_status_2(
     write, place, found, expected = REFUSED[case]
     path = write(tmp_path)
     output = tmp_path / "out"
-    # On a busy machine progress would be told before.
-    options = ["--gear-ratio", "120", "--out", str(output), "--quiet"]
+    options = ["--gear-ratio", "120", "--out", str(output)]
     assert cli.status(["fit", str(path), *options]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
