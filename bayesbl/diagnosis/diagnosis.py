@@ -20,7 +20,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.recording.types import FloatArray
 
 CURVE_POINTS = 181
-"""Of a :class:`LearnedCurve`: one for every two degrees of a turn."""
+"""Of a :class:`LearnedAnswer`: one for every two degrees of a turn."""
 
 Verdict = Literal["nothing_missing", "named", "parameter_error", "unexplained"]
 
@@ -113,20 +113,13 @@ class Suggestion:
 
 
 @dataclass(frozen=True, slots=True)
-class LearnedCurve:
-    """What was learned over its variable, each (n,): N m at the side it acts forwards, or rad."""
-
-    variable: FloatArray
-    value: FloatArray
-    sd: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class LearnedAnswer:
     """What was learned where no effect of the catalogue explains what repeats.
 
     Attributes
     ----------
+    variable, sd
+        Values of what it depends on, and its standard deviation there, (n,) each.
     alike
         Other dependences that the recordings do not tell from it.
     gap_share
@@ -134,14 +127,20 @@ class LearnedAnswer:
     """
 
     term: LearnedTerm
-    alike: tuple[LearnedTerm, ...]
-    curve: LearnedCurve
+    variable: FloatArray
+    sd: FloatArray
+    alike: tuple[LearnedTerm, ...] = ()
     gap_share: float | None = None
+
+    @property
+    def value(self) -> FloatArray:
+        """N m at the side it acts, forwards, or rad, (n,)."""
+        return self.term.over(self.variable)
 
     @property
     def amplitude(self) -> float:
         """Largest size in the term's unit, less its mean where it does not reverse."""
-        size = self.curve.value
+        size = self.value
         return float(np.abs(size if self.term.reverses else size - size.mean()).max())
 
 

@@ -340,7 +340,7 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     if found.posterior is not None:
         groups["posterior"] = posterior_dataset(found.posterior)
     if found.learned is not None:
-        curve, group = found.learned.curve, LEARNED[found.learned.term.block]
+        curve, group = found.learned, LEARNED[found.learned.term.block]
         size, sd = (variable.name for variable in group.variables)
         groups[group.name] = dataset(
             group, {size: curve.value, sd: curve.sd}, {"variable": curve.variable}

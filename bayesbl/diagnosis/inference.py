@@ -28,7 +28,6 @@ from bayesbl.diagnosis.diagnosis import (
     Diagnosis,
     Estimate,
     LearnedAnswer,
-    LearnedCurve,
     NamedEffect,
     ParameterError,
     PieceSignals,
@@ -1076,12 +1075,9 @@ def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> Le
     if series is None:
         return None
     draws = inference.discrepancy_draws[:, inference.groups[group]]
-    value = fitted.discrepancy[group]
-    term = series.torque(value, draws.std(axis=0))
+    term = series.torque(fitted.discrepancy[group], draws.std(axis=0))
     low, high = series.reach
     if high - low > term.period:
         low, high = -0.5 * term.period, 0.5 * term.period
     x = np.linspace(low, high, CURVE_POINTS)
-    waves = series.waves(x)
-    curve = LearnedCurve(x, waves @ value, (waves @ draws.T).std(axis=1))
-    return LearnedAnswer(term, (), curve)
+    return LearnedAnswer(term, x, (series.waves(x) @ draws.T).std(axis=1))

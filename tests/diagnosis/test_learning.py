@@ -207,12 +207,12 @@ def test_friction_that_depends_on_the_position_is_a_mean_and_what_departs_from_i
     assert found.learned is not None
     torque = found.learned.term
     assert (torque.variable, torque.reverses) == ("load_angle", True)
-    x = found.learned.curve.variable
+    x = found.learned.variable
     mean = float(np.mean(0.3 * np.sin(4.0 * x + 0.5)))
     assert sizes(found)["motor_coulomb_friction"] == pytest.approx(0.4 + mean, abs=0.02)
     assert sizes(found)["motor_viscous_friction"] == pytest.approx(2e-3, rel=0.05)
     departs = 0.3 * np.sin(4.0 * x + 0.5) - mean
-    assert np.std(found.learned.curve.value - departs) < 0.15 * np.std(departs)
+    assert np.std(found.learned.value - departs) < 0.15 * np.std(departs)
 
 
 @pytest.mark.xfail(
@@ -225,7 +225,7 @@ def test_a_spring_is_learned_beside_the_gravity_that_the_bench_states() -> None:
     assert sizes(found)["motor_coulomb_friction"] == pytest.approx(0.4, rel=0.05)
     assert not found.parameter_errors
     assert found.learned is not None
-    curve = found.learned.curve
+    curve = found.learned
     slope, rest = np.polyfit(curve.variable, 100.0 * curve.value, 1)
     assert slope == pytest.approx(200.0, rel=0.05)
     assert -rest / slope == pytest.approx(0.3, abs=0.02)

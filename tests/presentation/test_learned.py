@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer, LearnedCurve
+from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
 from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
 from bayesbl.diagnosis.groups import answer_of, diagnosis_tree
 from bayesbl.presentation.diagnosis import headline, learned
@@ -25,11 +25,7 @@ def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:
     x = np.linspace(0.0, TURN, 50)
     noise = np.random.default_rng(1).standard_normal((2, 300))
     pieces = [piece_residuals("forward", "motor_speed_rpm", "used", *noise, 100)]
-    told = LearnedAnswer(
-        term,
-        alike,
-        LearnedCurve(x, term.over(x), np.full(x.size, 1e-5)),
-    )
+    told = LearnedAnswer(term, x, np.full(x.size, 1e-5), alike)
     return Diagnosis(
         "unexplained",
         (),

@@ -19,7 +19,7 @@ from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable, waves_over
 from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.prediction import learned_terms
-from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer, LearnedCurve
+from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer
 from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
@@ -370,8 +370,8 @@ def _fitted(base: Explanation, series: Series, sizes: FloatArray) -> Explanation
     return replace(base, fit=fit_simulated(extended, begin, base.fit.steps, rough=True))
 
 
-def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A term at these values of its variable and its standard deviation, each as ``x``."""
+def sd_over(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> FloatArray:
+    """Standard deviation of a term at these values of its variable, as ``x``."""
     basis = np.hstack([np.ones((x.size, 1)), *waves_over(x, term.period, term.orders)])
     basis = basis[:, -len(term.names) :]  # an encoder has no constant
     places = {u.name: i for i, u in enumerate(fit.model.unknowns) if u.recording is None}
@@ -379,7 +379,7 @@ def band_of(fit: SimulatedFit, term: LearnedTerm, x: FloatArray) -> tuple[FloatA
     at = [places[term.names[k]] for k in free]
     covariance = fit.covariance[np.ix_(at, at)]
     variance = np.einsum("xi,ij,xj->x", basis[:, free], covariance, basis[:, free])
-    return term.over(x), np.sqrt(variance)
+    return np.asarray(np.sqrt(variance))
 
 
 def answer_of(learned: Learned) -> LearnedAnswer:
@@ -387,8 +387,8 @@ def answer_of(learned: Learned) -> LearnedAnswer:
     term = learned.term
     lowest = 0.0 if term.belongs_to_recordings else -0.5 * term.period
     x = lowest + term.period * np.linspace(0.0, 1.0, CURVE_POINTS)
-    curve = LearnedCurve(x, *band_of(learned.explanation.fit, term, x))
-    return LearnedAnswer(term, learned.alike, curve, learned.gap_share)
+    sd = sd_over(learned.explanation.fit, term, x)
+    return LearnedAnswer(term, x, sd, learned.alike, learned.gap_share)
 
 
 def why_no_gap(learned: Learned, closed: float, remains: bool) -> str:
