@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp, ndtri
-from scipy.stats import norm, qmc, t
+from scipy.stats import norm, qmc
 
 from bayesbl.compiled import compiled
 from bayesbl.progress import Progress
@@ -58,14 +58,16 @@ PLAY_RAD = (1e-5, 1.0)
 NO_PLAY = 0.5
 """Probability of none, beforehand."""
 
-HELD_RAD, HELD_SPREAD, HELD_TAILS = 2.5e-5, 1.2, 3.0
-"""Half of what friction winds up, where no torque tells it: median, scale of ln, and degrees of
-freedom of its Student's t.
+HELD_RAD, HELD_SPREAD = 2.5e-5, 1.2
+"""Half of what friction winds up, where no torque tells it: median, and standard deviation of ln.
 
 Makers of precision reducers state 0.3 to 0.6 arcmin of lost motion at 3 % of the rated torque,
-about what a free output's friction is: 0.04 to 0.09 mrad each way, at most. Belts, printed gears
-and joints that are built elastic are no such reducers: two of a hundred wind up by 2 mrad or more.
+about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 """
+
+SOFT, SOFT_RAD, SOFT_SPREAD = 0.06, 7e-4, 1.0
+"""Share of joints that are no such reducers (belts, printed gears, joints that are built elastic),
+and the same of theirs: one of a hundred joints winds up by 1.7 mrad each way or more."""
 
 STOPS, STOPS_SPREAD = 30.0, 1.7
 """Deceleration of a free load by its friction, rad/s²: median, and standard deviation of ln. An arm
@@ -896,7 +898,9 @@ def _density_of_held(model: Model, cell: Cell) -> Callable[[FloatArray], FloatAr
     winds = np.exp(logs)[:, None] / stops
     likely = norm.pdf(seen, winds, spread).mean(axis=1)
     likely /= norm.pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
-    densities = likely * t.pdf((logs - np.log(HELD_RAD)) / HELD_SPREAD, HELD_TAILS) / HELD_SPREAD
+    usual = norm.pdf(logs, np.log(HELD_RAD), HELD_SPREAD)
+    soft = norm.pdf(logs, np.log(SOFT_RAD), SOFT_SPREAD)
+    densities = likely * ((1.0 - SOFT) * usual + SOFT * soft)
     return lambda held: np.interp(np.log(held), logs, densities)
 
 

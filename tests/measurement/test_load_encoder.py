@@ -31,7 +31,7 @@ from bayesbl.results.store import read_tree
 
 pytestmark = pytest.mark.long
 
-GAP_RAD, OTHER_RAD = 2e-3, 4e-3
+GAP_RAD, OTHER_RAD = 2e-3, 2e-2
 MOTION = strokes(120.0, (-0.2, 0.2), 400.0, 800.0, 0.1, 12.0)
 
 
@@ -42,7 +42,10 @@ def joint() -> Bench:
 
 
 def recorded(load_gap_rad: float = GAP_RAD, name: str = "r") -> Recording:
-    """Of δ by the motor, and by the load's encoder of 2^19 counts."""
+    """Of δ by the motor, and by the load's encoder of 2^19 counts.
+
+    Torque and lag are then of two joints, so that the lag alone must tell play from wind-up.
+    """
     bench, seed = joint(), np.random.default_rng(5)
     made = bench.simulate(GAP_RAD, MOTION, sampling_hz=250.0, seed=seed, name=name)
     at = bench.vector(gap_rad=load_gap_rad, start_angle_rad=MOTION.start_angle_rad)
