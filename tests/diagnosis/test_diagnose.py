@@ -228,7 +228,7 @@ def test_current_says_as_much_as_torque_and_speed_as_much_as_position(folder: Pa
             "only the sum",
         ),
         ("[unknowns]", "[unknowns]\ngap_rad = [1e-4, 1e-3]", "has no gap"),
-        ("[unknowns]", "[unknowns]\ngap_rad = [0.0, 1e-3]", "A gap must be positive"),
+        ("[unknowns]", "[unknowns]\ngap_rad = [0.0, 1e-3]", "greater than 0"),
         ('method = "inverse"', 'method = "inverse"\ncutoff_hz = 120.0', "cut-off"),
         ('method = "inverse"', 'method = "inverse"\nchannels = ["motor_current_a"]', "no column"),
         ('method = "inverse"', 'method = "inverse"\nknown_torque = ["gravity_nm"]', "gravity_nm"),
