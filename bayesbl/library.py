@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -420,14 +420,11 @@ def _made(config: RunConfig, tell: StageProgress | None) -> Any:
     return result_of(result_of_run(config, tell))
 
 
-@contextmanager
-def _shown(progress: bool) -> Iterator[StageProgress | None]:
+def _shown(progress: bool) -> AbstractContextManager[StageProgress | None]:
     """What a run calls with its steps, if they are to be shown."""
     if not progress:
-        yield None
-        return
+        return nullcontext()
     from bayesbl.presentation.terminal import make_console
     from bayesbl.presentation.terminal import progress as bars
 
-    with bars(make_console(stderr=True)) as tell:
-        yield tell
+    return bars(make_console(stderr=True))
