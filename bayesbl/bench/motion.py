@@ -159,8 +159,11 @@ def cycle(
     return Motion(through(np.array(time), np.array(speed), bends), duration_s, float(points_rad[0]))
 
 
-strokes = cycle
-"""From one end of a range of the load to the other and back."""
+def strokes(
+    gear_ratio: float, range_rad: tuple[float, float], *args: float, **named: float
+) -> Motion:
+    """From one end of a range of the load to the other and back, as :func:`cycle`."""
+    return cycle(gear_ratio, range_rad, *args, **named)
 
 
 def _fastest_over(way: float, acceleration: float, jerk: float) -> float:

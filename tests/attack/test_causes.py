@@ -295,6 +295,7 @@ def test_a_mistake_is_told_before_the_folder_is_looked_at(
     put_configuration(tmp_path, "fit")
     (tmp_path / "result").mkdir()
     (tmp_path / "result" / "summary.json").write_text("{}")
+    (tmp_path / "result" / "manifest.json").write_text('{"files": ["summary.json"]}')
     (tmp_path / "before.csv").write_text("time_s,speed\n0,1\n")
     assert cli.status(["run", "fit.toml"]) == cli.WRONG
     assert "before.csv" in capsys.readouterr().err

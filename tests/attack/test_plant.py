@@ -210,7 +210,7 @@ def test_what_another_subscriber_got_instead_comes_again(plant, broker):
         watched(plant, publish=address, credentials=ANN)
         assert len(got) >= 2
         assert collected(plant, broker) == []
-        with patch("bayesbl.fleet.broker.SEND_ALL_AFTER_S", 1.0):
+        with patch("bayesbl.fleet.broker.SEND_ALL_AFTER_S", 0.2):
             watched(plant, publish=address, credentials=ANN)
         assert len(collected(plant, broker)) == 2
     finally:
