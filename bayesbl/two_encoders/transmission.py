@@ -944,7 +944,7 @@ def _drawn(
     last = model.final(best, model.misfit(noise))
     of_held = _density_of_held(model, model.cell(best.course, best.half_rad, again, last))
     shown = VISIBLE * float(np.hypot(noise.white_rad, model.misfit(noise)))
-    falls = [how.weight != 0.0 for how in model.courses]
+    falls = [abs(how.weight) > how.drag for how in model.courses]
     flies = [np.array([falls[c.course] and c.half_rad > shown for c in each]) for each in lists]
     priors = [_priors(c, f, likely, of_held) for c, f in zip(lists, flies, strict=True)]
     of_parts = priors[1][1]
