@@ -8,8 +8,10 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -171,13 +173,23 @@ def processes(tmp_path, monkeypatch):
         yield json.loads(at.read_text())["address"], *started
 
 
+def once_done(end: Callable[[Any], object], process: Any) -> Callable[[str, int, int], None]:
+    """Progress that ends a process when the first job is done."""
+
+    def progress(stage: str, done: int, count: int) -> None:
+        if done:
+            end(process)
+
+    return progress
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("ends", [subprocess.Popen.kill, subprocess.Popen.terminate])
 def test_a_scheduler_that_is_lost_is_told_and_the_study_goes_on_without_it(folder, processes, ends):
     address, scheduler, _ = processes
     config = configure(folder, "kept", f'scheduler = "{address}"', "sleep = 0.2")
     with pytest.raises(ClusterError, match="scheduler was lost"):
-        run_study(load_config(config), Options(say=list, progress=lambda *_: ends(scheduler)))
+        run_study(load_config(config), Options(say=list, progress=once_done(ends, scheduler)))
     before = finished(folder)
     assert 0 < before < 12
     run(configure(folder, "kept", "workers = 2", "sleep = 0.2"))
@@ -204,7 +216,7 @@ def test_a_fleet_whose_scheduler_is_killed_loses_nothing_and_measures_nothing_tw
     address, scheduler, _ = processes
     killed = fleet.configure(tmp_path, "killed", f'scheduler = "{address}"')
     with pytest.raises(ClusterError, match="scheduler was lost"):
-        fleet.start(killed, progress=lambda *_: scheduler.kill())
+        fleet.start(killed, progress=once_done(subprocess.Popen.kill, scheduler))
     assert not (tmp_path / "killed").exists()
     said = fleet.start(fleet.configure(tmp_path, "killed"))
     assert said in [[f"{n} recordings to measure, {n} of 4 joints to look at."] for n in (1, 2, 3)]
