@@ -103,8 +103,8 @@ ITEMS = (
         "δ(A) as printed, with its rounding; the cubic of a sweep, with its uncertainty",
         (
             "curve.gap_curve:published_curve",
-            "curve.swept_curve:regress",
-            "curve.swept_curve:swept_curve",
+            "curve.sweep:regress",
+            "curve.sweep:swept_curve",
         ),
         ("configs/wear_published.toml", "configs/sweep.toml"),
         (

@@ -17,8 +17,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve
-from bayesbl.curve.sweep import SweepSettings
-from bayesbl.curve.swept_curve import swept_curve
+from bayesbl.curve.sweep import SweepSettings, swept_curve
 from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.curves import SweepProblem
 from bayesbl.recording.types import FloatArray

@@ -1,8 +1,23 @@
-"""The amplitude that a measured recording would show, at every gap of a virtual bench.
+"""The amplitude that a measured recording would show, at every gap of a virtual bench, and the gap
+curve through it.
 
 Each simulated recording goes through the estimator used for measured ones (model, window, baseline,
 sampling), so that curve and measurement mean the same A. The search is warm-started along the gap;
 it finds the same least-squares optimum.
+
+The bench is also swept at some draws of its parameters. At each gap, ln A, ln ω and ln τ are then
+described as smooth functions of the parameters (each draw regressed at its own gap: A on the
+parameters, never pooled points of δ on A), which gives as many further draws as inference needs.
+Its residuals are added back from the swept draws themselves.
+
+The regression of δ on A has relative weights throughout. The model of one sweep point is
+
+    1 = Σ c_k A^k / δ + g(ln A) + scatter,
+
+c the coefficients with a flat prior, g a smooth lack of fit (Gaussian process with squared
+exponential covariance), scatter the start angle's. Coefficients and lack of fit are inferred
+together (universal kriging; Rasmussen and Williams 2006, section 2.7), the process' size and
+length by restricted maximum likelihood on a grid.
 """
 
 from __future__ import annotations
@@ -13,14 +28,17 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
+from numpy.polynomial import polynomial
+from scipy.linalg import cho_factor, cho_solve
 
 from bayesbl.bench.bench import Bench, require_flank_change
+from bayesbl.curve.gap_curve import KNOTS, GapCurve, Ringing
 from bayesbl.errors import CurveError
 from bayesbl.recording.types import FloatArray
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import exchanged, find_optimum
 from bayesbl.ringing.search import refine
-from bayesbl.ringing.symbols import FREQUENCY, START, DisturbanceModel
+from bayesbl.ringing.symbols import DECAY, FREQUENCY, START, DisturbanceModel
 
 LEAST_LEAP = 0.2
 """Of ln ω: neighbours scatter by some per cent with the start angle, and leaps are to another mode
@@ -248,3 +266,407 @@ def _turned(
     period = bench.rotation_period_s()
     turned[model.searched.index(START)] -= direction * angle_rad / (2.0 * math.pi) * period
     return turned
+
+
+VIRTUAL_DRAWS = 3000
+
+
+@dataclass(frozen=True, slots=True)
+class SweptDraws:
+    """Sweeps of benches drawn within the tolerances.
+
+    Attributes
+    ----------
+    names
+        The p parameters that have a tolerance.
+    shifts
+        Each parameter's departure in units of its tolerance, in [−1, 1], shape (b, p); beyond that
+        where it was identified.
+    departures
+        Departure of (ln A, ln ω, ln τ) from the nominal sweep at each gap, shape (b, g, 3).
+    root
+        Of the covariance of the shifts where they are normal, shape (p, p); ``None``: uniform.
+    """
+
+    names: tuple[str, ...]
+    shifts: FloatArray
+    departures: FloatArray
+    root: FloatArray | None = None
+
+
+def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> FloatArray:
+    """Departures (ln A, ln ω, ln τ) of :data:`VIRTUAL_DRAWS` benches drawn within the tolerances.
+
+    Linear in the parameters, with their squares where the swept draws are three times as many as
+    the terms; the swept draws alone, with repetition, if they are too few for either.
+
+    Returns
+    -------
+    Shape (VIRTUAL_DRAWS, g, 3).
+    """
+    count = VIRTUAL_DRAWS
+    draws, parameters = swept.shifts.shape
+    if draws < 2 * (1 + parameters):
+        return np.asarray(swept.departures[generator.integers(draws, size=count)])
+    squares = draws >= 3 * (1 + 2 * parameters)
+    design = _terms(swept.shifts, squares)
+    flat = swept.departures.reshape(draws, -1)
+    solution = np.linalg.lstsq(design, flat, rcond=None)[0]
+    freedom = max(draws - design.shape[1], 1)
+    left = (flat - design @ solution) * np.sqrt(draws / freedom)
+    if swept.root is None:
+        virtual = generator.uniform(-1.0, 1.0, size=(count, parameters))
+    else:
+        virtual = generator.standard_normal((count, parameters)) @ swept.root.T
+    described = _terms(virtual, squares) @ solution + left[generator.integers(draws, size=count)]
+    return np.asarray(described.reshape(count, *swept.departures.shape[1:]))
+
+
+def _terms(shifts: FloatArray, squares: bool) -> FloatArray:
+    columns = [np.ones((len(shifts), 1)), shifts]
+    if squares:
+        columns.append(shifts**2)
+    return np.concatenate(columns, axis=1)
+
+
+REGRESSION_DRAWS = 2000
+DEGREES = (1, 2, 3, 4, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class DegreeReport:
+    """How well a polynomial of one degree describes the sweep.
+
+    Attributes
+    ----------
+    rms_departure, largest_departure
+        Of δ from the polynomial alone, relative, over the gaps' mean amplitudes.
+    log_evidence
+        Restricted log likelihood with the smooth lack of fit beside the polynomial.
+    """
+
+    degree: int
+    rms_departure: float
+    largest_departure: float
+    log_evidence: float
+
+
+def swept_curve(
+    name: str,
+    nominal: SweepRow,
+    model: DisturbanceModel,
+    degree: int,
+    fingerprint: str,
+    seed: np.random.SeedSequence,
+    draws: SweptDraws | None = None,
+) -> tuple[GapCurve, Regression]:
+    """Regress δ on A over a nominal sweep, with the bench's own uncertainty beside it.
+
+    Raises
+    ------
+    CurveError
+        If A does not grow with δ, or the curve does not grow with A.
+    """
+    regression_seed, bench_seed = seed.spawn(2)
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    _require_growing(name, nominal.gap_rad, mean)
+    regression = _regression(nominal, degree)
+    knots = regression.knots_rpm
+    by_coefficients, by_lack_of_fit = regression.draws(
+        REGRESSION_DRAWS, np.random.default_rng(regression_seed)
+    )
+    coefficients = relative_fit(mean, nominal.gap_rad, degree)
+    sources = {"regression": by_coefficients, "lack_of_fit": by_lack_of_fit}
+    values = _log_values(nominal, model)
+    departures = np.zeros((1, *values.shape[:1], 3))
+    if draws is not None:
+        departures = virtual_departures(draws, np.random.default_rng(bench_seed))
+    by_bench, ringing = _bench_source(nominal, values, departures, knots)
+    if draws is not None:
+        sources["bench"] = by_bench
+    curve = GapCurve(
+        name=name,
+        coefficients=coefficients,
+        knots_rpm=knots,
+        correction=regression.log_gap - np.log(polynomial.polyval(knots, coefficients)),
+        sources=sources,
+        start_angle_sd_rpm=np.interp(knots, mean, start_angle_scatter(nominal.amplitude_rpm)),
+        fingerprint=fingerprint,
+        ringing=ringing,
+    )
+    return curve, regression
+
+
+def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
+    """Polynomials of several degrees, so that a cubic is a result and no assumption."""
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    reports = []
+    for degree in DEGREES:
+        if nominal.gap_rad.size < degree + 3:
+            break
+        coefficients = relative_fit(mean, nominal.gap_rad, degree)
+        departure = polynomial.polyval(mean, coefficients) / nominal.gap_rad - 1.0
+        rms, largest = float(np.sqrt(np.mean(departure**2))), float(np.abs(departure).max())
+        evidence = _regression(nominal, degree).log_evidence
+        reports.append(DegreeReport(degree, rms, largest, evidence))
+    return reports
+
+
+def start_angle_scatter(values: FloatArray) -> FloatArray:
+    """Standard deviation over start angles at each gap, (g, s) to (g,), 0 for a single angle.
+
+    Variances are averaged over five neighbouring gaps: a few start angles alone estimate a
+    standard deviation poorly.
+    """
+    if values.shape[1] < 2:
+        return np.zeros(len(values))
+    variance = np.pad(values.var(axis=1, ddof=1), 2, mode="edge")
+    return np.asarray(np.sqrt(np.convolve(variance, np.full(5, 0.2), "valid") + 1e-18))
+
+
+def _regression(nominal: SweepRow, degree: int) -> Regression:
+    """Of the gaps on all amplitudes, at knots that reach over them."""
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    sd_rpm = start_angle_scatter(nominal.amplitude_rpm)
+    slope = np.gradient(np.log(nominal.gap_rad), mean)
+    shape = nominal.amplitude_rpm.shape
+    return regress(
+        nominal.amplitude_rpm.ravel(),
+        np.broadcast_to(nominal.gap_rad[:, None], shape).ravel(),
+        np.broadcast_to((slope * sd_rpm)[:, None], shape).ravel(),
+        np.geomspace(mean[0], mean[-1], KNOTS),
+        degree,
+    )
+
+
+def _require_growing(name: str, gap_rad: FloatArray, amplitude_rpm: FloatArray) -> None:
+    falls = np.flatnonzero(np.diff(amplitude_rpm) <= 0.0)
+    if falls.size:
+        i = int(falls[0])
+        raise CurveError(
+            "The amplitude does not grow with the gap, so it does not determine the gap.",
+            file=name,
+            where=f"δ = {gap_rad[i]:.3g} to {gap_rad[i + 1]:.3g} rad",
+            found=f"A = {amplitude_rpm[i]:.4g} to {amplitude_rpm[i + 1]:.4g} rpm",
+            expected="A that grows with δ; a narrower range of gaps, or another bench",
+        )
+
+
+def _log_values(row: SweepRow, model: DisturbanceModel) -> FloatArray:
+    """(ln A, ln ω, ln τ) at each gap and start angle, shape (g, s, 3)."""
+    return np.log(
+        np.stack(
+            [
+                row.amplitude_rpm,
+                row.symbol(FREQUENCY, model.fixed),
+                row.symbol(DECAY, model.fixed),
+            ],
+            axis=-1,
+        )
+    )
+
+
+def departures(row: SweepRow, nominal: SweepRow, model: DisturbanceModel) -> FloatArray:
+    """Departure of (ln A, ln ω, ln τ) of a drawn bench from the nominal sweep, shape (g, 3)."""
+    return np.asarray(_log_values(row, model)[:, 0] - _log_values(nominal, model)[:, 0])
+
+
+def _bench_source(
+    nominal: SweepRow, values: FloatArray, departures: FloatArray, knots_rpm: FloatArray
+) -> tuple[FloatArray, Ringing]:
+    """Departures at given gaps turned into departures at given amplitudes."""
+    log_gap, centre = np.log(nominal.gap_rad), values.mean(axis=1)
+    at_knots = np.log(knots_rpm)
+    nominal_gap = _interpolate(at_knots, centre[:, 0], log_gap)
+    nominal_ringing = [_interpolate(at_knots, centre[:, 0], centre[:, k]) for k in (1, 2)]
+    shape = (len(departures), knots_rpm.size)
+    gap, ringing = np.empty(shape), [np.empty(shape), np.empty(shape)]
+    for i, departure in enumerate(departures):
+        moved = centre + departure
+        order = np.maximum.accumulate(moved[:, 0] + 1e-9 * np.arange(len(moved)))
+        gap[i] = _interpolate(at_knots, order, log_gap) - nominal_gap
+        for k in (0, 1):
+            ringing[k][i] = _interpolate(at_knots, order, moved[:, k + 1]) - nominal_ringing[k]
+    frequency, decay = nominal_ringing
+    scatter = _scatter(nominal, values, knots_rpm)
+    return gap, Ringing(frequency, decay, ringing[0], ringing[1], scatter)
+
+
+def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+    """Linear interpolation, continued with the slope over the outer tenth at either end."""
+    inside = np.interp(x, known, values)
+    outer = max(1, known.size // 10)
+    low = (values[outer] - values[0]) / (known[outer] - known[0])
+    high = (values[-1] - values[-1 - outer]) / (known[-1] - known[-1 - outer])
+    inside = np.where(x < known[0], values[0] + low * (x - known[0]), inside)
+    return np.where(x > known[-1], values[-1] + high * (x - known[-1]), inside)
+
+
+def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> FloatArray:
+    """Covariance of (A, ln ω, ln τ) over start angles at the knots, shape (k, 3, 3).
+
+    Correlations are pooled over all gaps, standard deviations over neighbouring ones.
+    """
+    columns = np.stack([nominal.amplitude_rpm, values[:, :, 1], values[:, :, 2]], axis=-1)
+    sds = np.stack([start_angle_scatter(columns[:, :, k]) for k in range(3)], axis=-1)
+    mean = nominal.amplitude_rpm.mean(axis=1)
+    at_knots = np.stack([np.interp(knots_rpm, mean, sds[:, k]) for k in range(3)], axis=-1)
+    if values.shape[1] < 2:
+        return np.zeros((knots_rpm.size, 3, 3))
+    standard = (columns - columns.mean(axis=1, keepdims=True)) / sds[:, None, :]
+    flat = standard.reshape(-1, 3)
+    root = np.sqrt((flat**2).mean(axis=0))
+    correlation = (flat.T @ flat) / len(flat) / np.outer(root, root)
+    return np.asarray(at_knots[:, :, None] * at_knots[:, None, :] * correlation)
+
+
+SIZES = np.geomspace(1e-5, 6e-3, 12)
+"""Relative; a lack of fit beyond half a percent calls for another degree, not for a correction."""
+LENGTHS = np.geomspace(0.15, 0.7, 5)
+"""In ln A; longer ones would only compete with the polynomial."""
+SMALLEST_SCATTER = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """Joint posterior of coefficients and lack of fit, at given knots.
+
+    Attributes
+    ----------
+    coefficients
+        Posterior mean of c_0 … c_degree, δ in rad and A in rpm, shape (k,).
+    knots_rpm
+        Shape (g,).
+    lack_of_fit
+        Posterior mean of g at the knots, relative, shape (g,).
+    lack_of_fit_size, lack_of_fit_length
+        Standard deviation (relative) and length (in ln A) of the process.
+    log_evidence
+        Restricted log likelihood, for comparing degrees.
+    """
+
+    coefficients: FloatArray
+    knots_rpm: FloatArray
+    lack_of_fit: FloatArray
+    lack_of_fit_size: float
+    lack_of_fit_length: float
+    log_evidence: float
+    _coefficient_root: FloatArray
+    _sensitivity: FloatArray
+    _remaining_root: FloatArray
+
+    @property
+    def log_gap(self) -> FloatArray:
+        """ln δ at the knots, polynomial and lack of fit together, shape (g,)."""
+        value = polynomial.polyval(self.knots_rpm, self.coefficients)
+        return np.asarray(np.log(value) - np.log1p(-self.lack_of_fit))
+
+    def draws(self, count: int, generator: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Departures of ln δ at the knots: by the coefficients, by the lack of fit, (count, g).
+
+        The lack of fit moves with the coefficients, as far as the sweep points demand it.
+        """
+        k = self.coefficients.size
+        shifts = generator.standard_normal((count, k)) @ self._coefficient_root.T
+        powers = self.knots_rpm ** np.arange(k)[:, None]
+        nominal = self.coefficients @ powers
+        moved = self.lack_of_fit + shifts @ self._sensitivity.T
+        by_coefficients = np.log1p(shifts @ powers / nominal) - np.log(
+            (1.0 - moved) / (1.0 - self.lack_of_fit)
+        )
+        noise = generator.standard_normal((count, self.knots_rpm.size)) @ self._remaining_root.T
+        by_lack_of_fit = -np.log1p(-noise / (1.0 - self.lack_of_fit))
+        return by_coefficients, by_lack_of_fit
+
+
+def regress(
+    amplitude_rpm: FloatArray,
+    gap_rad: FloatArray,
+    relative_scatter: FloatArray,
+    knots_rpm: FloatArray,
+    degree: int,
+) -> Regression:
+    """Regress δ on A.
+
+    Parameters
+    ----------
+    amplitude_rpm, gap_rad
+        Sweep points, shape (n,).
+    relative_scatter
+        Standard deviation of ln δ from the scatter of A over start angles, shape (n,).
+
+    Raises
+    ------
+    CurveError
+        If there are too few different gaps for the degree.
+    """
+    if np.unique(gap_rad).size < degree + 3:
+        raise CurveError(
+            "The sweep has too few gaps for this degree.",
+            where="[sweep] gap_rad.count",
+            found=np.unique(gap_rad).size,
+            expected=f"at least {degree + 3} for degree {degree}",
+        )
+    scale = float(np.exp(np.mean(np.log(amplitude_rpm))))
+    columns = (amplitude_rpm[:, None] / scale) ** np.arange(degree + 1) / gap_rad[:, None]
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns / norms
+    logs = np.log(amplitude_rpm)
+    ones = np.ones(logs.size)
+    variance = np.maximum(relative_scatter, SMALLEST_SCATTER) ** 2
+
+    evidence, size, length = max(
+        (_log_evidence(columns, ones, _kernel(logs, logs, s, h) + np.diag(variance)), s, h)
+        for s in SIZES
+        for h in LENGTHS
+    )
+    total = cho_factor(_kernel(logs, logs, size, length) + np.diag(variance), lower=True)
+    weighted = cho_solve(total, columns)
+    covariance = np.linalg.inv(columns.T @ weighted)
+    scaled = covariance @ (weighted.T @ ones)
+    across = _kernel(np.log(knots_rpm), logs, size, length)
+    pull = cho_solve(total, across.T).T
+    remaining = _kernel(np.log(knots_rpm), np.log(knots_rpm), size, length) - pull @ across.T
+    back = 1.0 / (norms * scale ** np.arange(degree + 1))
+    coefficients = back * scaled
+    return Regression(
+        coefficients=coefficients,
+        knots_rpm=knots_rpm,
+        lack_of_fit=pull @ (ones - columns @ scaled),
+        lack_of_fit_size=float(size),
+        lack_of_fit_length=float(length),
+        log_evidence=float(evidence),
+        _coefficient_root=back[:, None] * np.linalg.cholesky(covariance),
+        _sensitivity=-(pull @ columns) / back,
+        _remaining_root=_root(remaining),
+    )
+
+
+def relative_fit(amplitude_rpm: FloatArray, gap_rad: FloatArray, degree: int) -> FloatArray:
+    """Coefficients of plain relative least squares, without lack of fit, shape (degree + 1,)."""
+    return np.asarray(polynomial.polyfit(amplitude_rpm, gap_rad, degree, w=1.0 / gap_rad))
+
+
+def _kernel(x: FloatArray, y: FloatArray, size: float, length: float) -> FloatArray:
+    return np.asarray(size**2 * np.exp(-0.5 * ((x[:, None] - y[None, :]) / length) ** 2))
+
+
+def _log_evidence(columns: FloatArray, y: FloatArray, covariance: FloatArray) -> float:
+    """Restricted log likelihood: coefficients integrated out under a flat prior."""
+    factor = cho_factor(covariance, lower=True)
+    weighted = cho_solve(factor, columns)
+    gram = columns.T @ weighted
+    scaled = np.linalg.solve(gram, weighted.T @ y)
+    residual = y - columns @ scaled
+    return float(
+        -0.5 * residual @ cho_solve(factor, residual)
+        - np.sum(np.log(np.diag(factor[0])))
+        - 0.5 * np.linalg.slogdet(gram)[1]
+        - 0.5 * (y.size - columns.shape[1]) * math.log(2.0 * math.pi)
+    )
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Square root of a covariance that rounding may have left slightly indefinite."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -25,8 +25,15 @@ from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import PUBLISHED
 from bayesbl.curve.gap_curve import GapCurve, Ringing, published_curve
-from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_like, sweep_nominal
-from bayesbl.curve.swept_curve import SweptDraws, departures, swept_curve
+from bayesbl.curve.sweep import (
+    SweepRow,
+    SweepSettings,
+    SweptDraws,
+    departures,
+    sweep_like,
+    sweep_nominal,
+    swept_curve,
+)
 from bayesbl.errors import BenchError, CurveError
 from bayesbl.matching.observed import reference_speed
 from bayesbl.matching.signals import SMALLEST_GAP_RAD

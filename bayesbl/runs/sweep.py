@@ -14,8 +14,7 @@ from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.curve.sweep import SweepRow, SweepSettings
-from bayesbl.curve.swept_curve import degree_reports, swept_curve
+from bayesbl.curve.sweep import SweepRow, SweepSettings, degree_reports, swept_curve
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import (
     GAP_CURVE,

@@ -13,12 +13,14 @@ from bayesbl.config.bench import dump_bench, reference_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.config.loading import load_config
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
-from bayesbl.curve.sweep import SweepRow, SweepSettings, sweep_nominal
-from bayesbl.curve.swept_curve import (
+from bayesbl.curve.sweep import (
     SIZES,
+    SweepRow,
+    SweepSettings,
     SweptDraws,
     degree_reports,
     regress,
+    sweep_nominal,
     swept_curve,
     virtual_departures,
 )
