@@ -431,6 +431,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         f"The load's stamps are {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}; this "
         "was corrected."
     ),
+    "free_at_one_speed": (
+        "The load bounces between the flanks, and all motion has one speed. There play looks the "
+        "same as a skew of the channels, {skew_ms:.2g} ms by this recording. Record slow and fast "
+        "motion, or with friction or a brake at the load."
+    ),
     "lag_changes": (
         "The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "
         "and {after_mrad:.2g} mrad in the second, so the interval of δ includes both. Check for "

@@ -245,6 +245,9 @@ class TwoEncoderMeasurer(Measurer):
                 )
         if found.gravity_holds > HELD_BY_WEIGHT and found.probability_of_play < UPPER_BOUND_LEVEL:
             yield Reason("held_by_weight", {"share": found.gravity_holds}, withholds=True)
+        if found.free_at_one_speed:
+            skew_ms = 1e3 * float(np.median(found.draws["channel_skew_s"]))
+            yield Reason("free_at_one_speed", {"skew_ms": skew_ms}, withholds=True)
         if found.reversals < FEW_REVERSALS:
             yield Reason("few_reversals", {"count": found.reversals})
         if found.friction_nm is None:

@@ -139,6 +139,10 @@ COMMON, TOUCHES = 0.1, 0.999
 which it is on a flank.
 """
 
+WAY_SHARES, ONE_SPEED = (0.1, 0.9), 0.8
+"""Shares of the way, up to which it is travelled more slowly than at some speed; the share of those
+speeds that calls them one."""
+
 USUAL_SKEW_S = 5e-3
 """Standard deviation of the skew of the channels."""
 
@@ -244,6 +248,9 @@ class Transmission:
         Of the motor.
     friction_nm, gravity_holds
         Friction at the output by the torque, and how often the load's weight is above it.
+    free_at_one_speed
+        Between the flanks the load goes its own way, and all motion has one speed: what lies
+        between both directions may be play, or skew of the channels.
     """
 
     paths: Paths
@@ -261,6 +268,7 @@ class Transmission:
     reversals: int
     friction_nm: float | None
     gravity_holds: float
+    free_at_one_speed: bool
 
 
 class Design:
@@ -1045,4 +1053,14 @@ def _drawn(
         paths.reversals,
         friction,
         0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else weight,
+        has_one_speed(paths)
+        and bool(np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5),
     )
+
+
+def has_one_speed(paths: Paths) -> bool:
+    """Whether nearly all of the way is travelled at one speed."""
+    speed = np.sort(np.abs(paths.binned(paths.speed)))
+    way = np.cumsum(speed)
+    slow, fast = np.interp(WAY_SHARES, way / way[-1], speed)
+    return bool(slow > ONE_SPEED * fast)

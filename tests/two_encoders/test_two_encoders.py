@@ -8,7 +8,7 @@ from places import ROOT
 
 from bayesbl.recording.types import MOTOR_TORQUE
 from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
-from bayesbl.two_encoders.transmission import fit_transmission, of_friction
+from bayesbl.two_encoders.transmission import fit_transmission, has_one_speed, of_friction
 
 DATA = ROOT.parent / "shared" / "data"
 PLAY, RATIO, SKEW_S = 6e-3, 50.0, 2e-3
@@ -356,3 +356,10 @@ def test_without_a_torque_wind_up_is_no_play_that_is_known(wound):
     assert found.probability_of_play < 0.95
     low, high = bounds(found.draws["lost_motion_rad"], 0.99)
     assert low <= 2.0 * wound <= high
+
+
+def test_only_a_motion_to_and_fro_at_a_constant_speed_has_one_speed():
+    time = np.arange(0.0, 12.0, 1e-2)
+    angle = 2.0 * np.pi * time / 3.0
+    for path, is_one in ((np.arcsin(np.sin(angle)), True), (np.sin(angle), False)):
+        assert has_one_speed(scaled_paths(Channels(time, path, path), 1.0)) is is_one
