@@ -114,6 +114,7 @@ MOTOR_STRIBECK_FRICTION = Effect(
         grid=tuple(np.geomspace(0.01, 2.0, 21)),
         grid_unit="speed",
     ),
+    free_motion=True,
 )
 
 # Over a few constant speeds it is a viscous friction of another size, so it is not sought there.

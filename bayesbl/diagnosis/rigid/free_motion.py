@@ -68,6 +68,12 @@ differences see of an effect, and searches ended early, each elsewhere.
 WIDTHS = (1e-3, 0.01, 0.3)
 """Speed over which dry friction changes its sign, in RMS speeds: least, first and largest."""
 
+SHAPE_RANGE = (0.01, 2.0)
+"""Of a fading speed, in RMS speeds."""
+
+SHAPES = tuple(np.geomspace(0.02, 1.0, 6))
+"""Fading speeds that are tried, in RMS speeds."""
+
 ORDERS = 4
 """Of a torque that nothing explains, over the load's angle and the speed."""
 
@@ -85,7 +91,7 @@ _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_
 FREE_MOTION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
     {e.name: TORQUE_LAWS[e.name] for e in EFFECTS if e.free_motion}
 )
-"""Of effects that free motion shows, linear in all they have."""
+"""Of effects that free motion shows."""
 
 
 Values = Mapping[str, float]
@@ -148,8 +154,10 @@ class FreeMotionView:
         return None
 
     def reportable(self, inference: Inference, label: str) -> bool:
-        """All: no law that is tried has a shape."""
-        return True
+        """What ended at the end of its range is no optimum."""
+        low, high = (share * self._speed for share in SHAPE_RANGE)
+        shapes = [v for k, v in self.values.items() if k == f"{label}.speed_rad_per_s"]
+        return all(1.01 * low < value < 0.99 * high for value in shapes)
 
     def fit(self, effects: tuple[str, ...], start: Values) -> dict[str, float]:
         """Least squares with these effects, from what ``start`` holds."""
@@ -222,15 +230,26 @@ class FreeMotionView:
         for name in self.effects:
             law, effect = TORQUE_LAWS[name], effect_named(name)
             parameters = (law.amplitude, *law.linear)
+            grid: tuple[float | None, ...] = (None,)
+            if law.scanned is not None:
+                grid = tuple(share * self._speed for share in SHAPES)
+                if name in self.fitted:
+                    grid = (self.values[f"{name}.{law.scanned}"],)
             effects = tuple(dict.fromkeys((*self.fitted, name)))
             there = {f"{name}.{p}": self.values.get(f"{name}.{p}", 0.0) for p in parameters}
-            columns = []
-            for key, parameter in zip(there, parameters, strict=True):
-                step = STEP * self._first(effect.parameter(parameter))
-                columns.append(slope(effects, {**there, key: there[key] + step}, step))
-                base -= columns[-1] * there[key]
-            look = Look({}, np.column_stack(columns))
-            candidates.append(candidate_of(law, name, parameters, (look,)))
+            looks = []
+            for value in grid:
+                shapes = {} if law.scanned is None or value is None else {law.scanned: value}
+                fixed = there | {f"{name}.{k}": v for k, v in shapes.items()}
+                columns = []
+                for parameter in parameters:
+                    step = STEP * self._first(effect.parameter(parameter))
+                    key = f"{name}.{parameter}"
+                    columns.append(slope(effects, {**fixed, key: there[key] + step}, step))
+                    base -= columns[-1] * there[key]
+                weight = 1.0 if law.scanned is None else 1.0 / len(SHAPES)
+                looks.append(Look(shapes, np.column_stack(columns), weight))
+            candidates.append(candidate_of(law, name, parameters, tuple(looks)))
         return AffineModel(
             self.rows,
             base,
@@ -282,16 +301,21 @@ class FreeMotionView:
             for item in effect_named(name).parameters:
                 lower = 0.0 if TORQUE_LAWS[name].not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
+                if not item.is_amplitude:
+                    lower, upper = (share * self._speed for share in SHAPE_RANGE)
                 value = start.get(f"{name}.{item.name}", self._first(item))
                 shared[f"{name}.{item.name}"] = (value, lower, upper)
         return shared
 
     def _first(self, parameter: EffectParameter) -> float:
         """A small share of the torques at work: where a search for an effect starts."""
+        speed = self._speed
+        if not parameter.is_amplitude:
+            return 0.3 * speed
         torque = self._torque
         scales = {
             "N m": torque,
-            "N m s/rad": torque / self._speed,
+            "N m s/rad": torque / speed,
             "": _FIRST_SHARE,
             "N m/s": 0.1 * torque,
         }
@@ -454,6 +478,6 @@ def comparison(task: Task) -> Comparison:
     notes = [
         *notes_of(recordings),
         f"No torque is measured: friction is known as well as {scale} of the bench is.",
-        "Torque ripple, Stribeck friction, encoder and shaft effects are not tried in free motion.",
+        "Torque ripple, encoder and shaft effects are not tried in free motion.",
     ]
     return by_search(task, view, effects, notes)
