@@ -124,6 +124,27 @@ def through(
     return pieces
 
 
+def strokes(
+    gear_ratio: float,
+    range_rad: tuple[float, float],
+    speed_rpm: float,
+    acceleration_rpm_per_s: float,
+    dwell_s: float,
+    duration_s: float,
+    jerk_rpm_per_s2: float | None = None,
+) -> Motion:
+    """From one end of a range of the load to the other and back, as :func:`cycle`."""
+    return cycle(
+        gear_ratio,
+        range_rad,
+        speed_rpm,
+        acceleration_rpm_per_s,
+        dwell_s,
+        duration_s,
+        jerk_rpm_per_s2,
+    )
+
+
 def cycle(
     gear_ratio: float,
     points_rad: Sequence[float],
@@ -157,13 +178,6 @@ def cycle(
         now, at = now + whole + dwell_s, at + 1
     bends = None if jerk_rpm_per_s2 is None else np.array(slope)
     return Motion(through(np.array(time), np.array(speed), bends), duration_s, float(points_rad[0]))
-
-
-def strokes(
-    gear_ratio: float, range_rad: tuple[float, float], *args: float, **named: float
-) -> Motion:
-    """From one end of a range of the load to the other and back, as :func:`cycle`."""
-    return cycle(gear_ratio, range_rad, *args, **named)
 
 
 def _fastest_over(way: float, acceleration: float, jerk: float) -> float:
