@@ -129,7 +129,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
         a file at this path or above it.
     """
     path = Path(os.path.abspath(path))
-    if os.path.lexists(sibling(path, STAGING) / _REPLACED):
+    if path.name and os.path.lexists(sibling(path, STAGING) / _REPLACED):
         with _staging(path):
             pass  # a run was killed between the two renames of new_result
     require_no_file(path)

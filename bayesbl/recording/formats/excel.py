@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,6 +21,7 @@ from bayesbl.recording.array_table import (
     number_in,
     table_of_groups,
 )
+from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.text_table import NoTable, layout_of, middle_of, table_of_text
 
 _MOST_COLUMNS = 1000
@@ -37,10 +39,19 @@ def read(file: Path, data: bytes) -> ArrayTable:
     RecordingError
         If it is no workbook, or unpacks to more than the limit of memory allows.
     """
+    _check_size(file, data)
     book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
     repairs: Counter[str] = Counter()
     groups = [_group(file, sheet, repairs) for sheet in book.worksheets]
     return replace(table_of_groups(file, groups), repairs=repairs)
+
+
+def _check_size(file: Path, data: bytes) -> None:
+    with zipfile.ZipFile(io.BytesIO(data)) as parts:
+        size = sum(part.file_size for part in parts.infolist())
+        # A text that many cells share is a few letters in the file and an object in memory.
+        shared = sum(p.file_size for p in parts.infolist() if p.filename.endswith("Strings.xml"))
+    require_memory(file, 2.0 * size + 4.0 * shared, "its sheets, unpacked")
 
 
 def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
