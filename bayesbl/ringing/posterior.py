@@ -124,7 +124,9 @@ def weighed_by_likelihood(target: LogPosterior, optimum: Optimum) -> tuple[Conte
         return ()
     names = optimum.model.searched
     points = np.array([[r.symbols[name] for name in names] for r in optimum.rivals])
-    odds = target(points) - target(optimum.searched[None])[0]
+    height, own = target(points), target(optimum.searched[None])[0]
+    odds = np.full(height.shape, -np.inf)
+    np.subtract(height, own, out=odds, where=np.isfinite(height))
     return tuple(
         Contender(r.symbols[AMPLITUDE], float(o)) for r, o in zip(optimum.rivals, odds, strict=True)
     )
