@@ -43,7 +43,10 @@ def data(stored: Stored) -> xr.Dataset:
     """Share of each source in the variance of ln δ, and its standard deviation along the curve."""
     trees = {label: stored.tree(name) for name, label in CURVES.items()}
     shares = xr.concat(
-        [t["gap"]["budget"].reindex(source=list(SOURCES), fill_value=0.0) for t in trees.values()],
+        [
+            t["amplitude/budget"]["share"].reindex(source=list(SOURCES), fill_value=0.0)
+            for t in trees.values()
+        ],
         dim=xr.DataArray(list(trees), dims="curve", name="curve"),
         coords="minimal", compat="override", join="outer",
     ).transpose("curve", "snapshot", "source")  # fmt: skip

@@ -174,7 +174,7 @@ def check(path: str | Path) -> Plan:
         If the file itself cannot be read or is not valid; what is wrong beyond it is in the plan.
     """
     kind = kind_of(path)
-    plan = Plan(path, [("kind", kind)])
+    plan = Plan(path, [("kind", kind)], is_check=True)
     if kind in _FILES:
         _workflow(kind).describe(Path(path), plan)
         return plan

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
+from bayesbl.errors import UserError
 from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import ExpectedSd
@@ -60,7 +64,11 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
         plan.add(f"recording {entry.name}", partial(checked, entry))
     plan.warnings += [*plan.withheld, *same_files(plan.recordings), *measurer.notes()]
     plan.add("speed", partial(measurer.require_together, plan.recordings))
-    plan.add("expected", lambda: _expected(measurer.expected(plan.recordings), config))
+    if plan.is_check:
+        # It is for a run to refuse a recording, one that something shakes say.
+        with suppress(UserError, np.linalg.LinAlgError):
+            sds = measurer.expected(plan.recordings)
+            plan.add("expected", lambda: _expected(sds, config))
     if config.joint.limit_rad is not None or config.joint.limit is not None:
         plan.add("limit", partial(_limit, config, measurer.gap_range_rad))
 
@@ -70,11 +78,11 @@ def _expected(sds: Sequence[ExpectedSd], config: SnapshotConfig) -> str | None:
     if not sds:
         return None
     times = 1e3 * normal_isf(0.5 * (1.0 - config.interval.level))
-    gaps = " ".join(f"{1e3 * sd.gap_rad:g}±{times * sd.delta_rad:.2g}" for sd in sds)
-    text = f"if the bench is right, δ to {gaps} mrad"
+    gaps = ", ".join(f"{1e3 * sd.gap_rad:g} to ±{times * sd.delta_rad:.2g}" for sd in sds)
+    text = f"if the bench is right, a gap of {gaps} mrad"
     changes = [f"{times * sd.change_rad:.2g}" for sd in sds if sd.change_rad is not None]
     if changes:
-        text += f", and its change to ±{', ±'.join(changes)} mrad at these gaps"
+        text += f"; a change at these gaps to ±{', ±'.join(changes)} mrad"
     return text
 
 

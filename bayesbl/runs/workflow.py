@@ -68,8 +68,9 @@ class Options:
 class Plan:
     """What a configuration would do, in pairs of label and text, and what speaks against it.
 
-    ``withheld``: why an answer would be withheld, where that is known beforehand. ``file`` is named
-    by problems that name no other. ``recordings``: what was read, so that a run need not.
+    ``is_check``: a user asks, and no run follows. ``withheld``: why an answer would be withheld,
+    where that is known beforehand. ``file`` is named by problems that name no other.
+    ``recordings``: what was read, so that a run need not.
     """
 
     file: str | Path | None = None
@@ -78,6 +79,7 @@ class Plan:
     withheld: list[str] = field(default_factory=list)
     problems: list[UserError] = field(default_factory=list)
     recordings: list[Recording] = field(default_factory=list)
+    is_check: bool = False
 
     def add(self, label: str, text: Callable[[], str | None]) -> None:
         """A line, or the problem that making it met; no line for ``None``."""

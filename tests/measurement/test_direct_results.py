@@ -255,7 +255,8 @@ def test_what_changed_in_one_recording_is_no_parameter_of_the_other(folder, no_f
         # Fails by chance in 1 of 10 000.
         off = snapshot["delta_rad"]["median"] - 8e-4
         assert abs(off) < 4.0 * snapshot["posterior_sd"]["delta_rad"]
-    assert set(plain["optimum"]) == {"delta_rad", "start_angle_rad"}
+    friction = {f"{side}_viscous_friction__coefficient_nm_s_per_rad" for side in ("motor", "load")}
+    assert set(plain["optimum"]) == {"delta_rad", "start_angle_rad"} | friction
     assert set(plain["optimum"]) == set(plain["posterior_sd"]) == set(plain["cramer_rao_sd"])
     capsys.readouterr()
     assert run("inspect", folder / "filtered") == 0
