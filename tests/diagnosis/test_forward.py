@@ -368,8 +368,9 @@ def test_both_halves_of_every_recording_show_one_phase_of_the_motor(
     config = load_config(tmp_path / "config.toml", kind="diagnose")
     recording = read_recording(file, name="forward")
     used, held_out, _, notes = forward.forward_problem(Task(config, bench, (recording,)))
-    assert len(notes) == (3 if lost else 0)
-    assert all("left out of the fit" in note for note in notes)
+    # Stray samples of all channels in one note, missing ones in another.
+    assert len(notes) == (2 if lost else 0)
+    assert all("left out" in note for note in notes)
     # 13,000 residuals scatter by 1.2 %; a half without a phase of its own leaves 5 or more.
     for seen in (*used, *held_out):
         assert explained(seen, bench) == pytest.approx(1.0, abs=0.06)
