@@ -171,10 +171,15 @@ class DirectMeasurer(Measurer):
         if not recordings or any(map(moves, recordings)):
             return ()
         seen = [observed_of(self.config, self.bench, recording) for recording in recordings]
+        bench, drift = with_friction(self.bench, seen), drifts_of(self.config, self.bench)
         low, high = self.gap_range_rad
-        gaps_rad = [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high]
-        may_drift = dict.fromkeys(self.config.joint.may_drift, 0.0)
-        return expected_sds(self.bench, seen, gaps_rad, {**may_drift, **self.config.joint.drift})
+        return expected_sds(
+            bench,
+            seen,
+            direct_unknowns(bench, [one.name for one in seen], (low, high), drift),
+            directions(bench, {**dict.fromkeys(drift, 0.0), **self.config.joint.drift}),
+            [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high],
+        )
 
     def measure(self, task: Task) -> Measurement:
         """Match the bench with all recordings at once."""

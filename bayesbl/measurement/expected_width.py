@@ -17,26 +17,20 @@ from bayesbl.bench.bench import Bench
 from bayesbl.matching.least_squares import fit_at
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed, marginalising_motor_lines
-from bayesbl.matching.signals import (
-    GAP,
-    SimulatedSignals,
-    Unknown,
-    effect_unknowns,
-    gap_unknown,
-    start_angle_unknown,
-    tolerance_unknowns,
-)
+from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.measurement.measurement import ExpectedSd
-from bayesbl.model_search.always_in import Direction, beside, directions, with_friction
+from bayesbl.model_search.always_in import Direction, beside
 
 DRAWS = 1000
+"""Of what is marginalised: they tell a standard deviation to 2 %."""
 
 
 def expected_sds(
     bench: Bench,
     recordings: Sequence[Observed],
+    unknowns: Sequence[Unknown],
+    among: Sequence[Direction],
     gaps_rad: Sequence[float],
-    drift: Mapping[str, float],
 ) -> list[ExpectedSd]:
     """What an answer would be known to, at each of these gaps.
 
@@ -44,32 +38,27 @@ def expected_sds(
     ----------
     recordings
         At constant speed; only their noise, length and speed count.
-    drift
-        Relative standard deviations in place of the defaults, by name.
+    unknowns, among
+        Of a fit, with a gap for each recording, and what is marginalised beside it.
 
     Raises
     ------
     RecordingError
         If a recording is too short to tell its noise.
+    SimulationError
+        If the bench cannot be simulated at one of the gaps.
     """
-    bench = with_friction(bench, recordings)
-    names = [seen.name for seen in recordings]
-    unknowns = [
-        *(replace(gap_unknown(0.0, 10.0 * max(gaps_rad)), recording=name) for name in names),
-        *(start_angle_unknown(name) for name in names),
-        *effect_unknowns(bench, names),
-        *tolerance_unknowns(bench),
-    ]
     noise = [noise_of(seen, seen.signals) for seen in recordings]
     seen = [marginalising_motor_lines(one, bench) for one in recordings]
     model = SimulatedSignals(bench, seen, unknowns, noise, 1)
-    return [_at(model, gap_rad, directions(bench, drift)) for gap_rad in gaps_rad]
+    return [_at(model, gap_rad, among) for gap_rad in gaps_rad]
 
 
 def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> ExpectedSd:
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     point = np.array([_expected_value(unknown) for unknown in model.unknowns])
     point[gaps] = [float(model.unknowns[k].coordinate(np.array(gap_rad))) for k in gaps]
+    model.require(point)
     # As if the recordings were the simulation's own, so that nothing is left but noise.
     own = [
         replace(seen, signals=model.signals(point, place)[0])

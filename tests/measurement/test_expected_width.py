@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from places import BEFORE, CONFIGS
 
+from bayesbl import cli
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.measurement.expected_width import expected_sds
+from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.model_search.always_in import directions, settled, with_friction
 
 BENCH, GAP_RAD = reference_bench(), 5e-4
@@ -27,10 +31,17 @@ def recordings(rotations: float) -> list[Observed]:
     ]
 
 
+def expected(seen: list[Observed]) -> ExpectedSd:
+    bench = with_friction(BENCH, seen)
+    unknowns = direct_unknowns(bench, [one.name for one in seen], (0.0, 5e-3))
+    (own,) = expected_sds(bench, seen, unknowns, directions(bench, {}), [GAP_RAD])
+    return own
+
+
 def test_the_expected_width_is_that_of_an_answer() -> None:
     """To within the 20 % by which residuals of one recording move the marginalised laws."""
     seen = recordings(3.0)
-    (expected,) = expected_sds(BENCH, seen, [GAP_RAD], {})
+    before = expected(seen)
     bench = with_friction(BENCH, seen)
     nominal = fit_aligned(bench, seen, direct_unknowns(bench, ["before", "after"], (0.0, 5e-3)))
     fit, rest = settled(nominal, directions(bench, {}))
@@ -39,21 +50,47 @@ def test_the_expected_width_is_that_of_an_answer() -> None:
     covariance = (fit.covariance + np.cov(shift.T))[np.ix_(places, places)]
     change = np.array([-1.0, 1.0])
     slope_rad = float(fit.model.unknowns[places[0]].slope(np.array(GAP_RAD)))
-    assert expected.delta_rad == pytest.approx(
+    assert before.delta_rad == pytest.approx(
         slope_rad * math.sqrt(covariance.diagonal().max()), rel=0.2
     )
-    assert expected.change_rad == pytest.approx(
+    assert before.change_rad == pytest.approx(
         slope_rad * math.sqrt(change @ covariance @ change), rel=0.2
     )
 
 
 def test_more_rotations_narrow_the_noise_and_not_what_the_bench_leaves_open() -> None:
-    few, many = (expected_sds(BENCH, recordings(n), [GAP_RAD], {})[0].delta_rad for n in (2.0, 8.0))
+    few, many = (expected(recordings(n)).delta_rad for n in (2.0, 8.0))
     assert 0.5 * few < many < few
 
 
 def test_without_the_current_a_gap_is_known_less_precisely() -> None:
     seen = recordings(3.0)
     alone = [replace(one, signals=one.signals[:1], rounding=one.rounding[:1]) for one in seen]
-    (both,), (speed,) = (expected_sds(BENCH, rows, [GAP_RAD], {}) for rows in (seen, alone))
-    assert speed.delta_rad > both.delta_rad
+    assert expected(alone).delta_rad > expected(seen).delta_rad
+
+
+@pytest.mark.parametrize(("low_rad", "is_expected"), [(0.0, True), (2e-3, False)])
+def test_check_says_nothing_of_gaps_outside_the_prior(
+    low_rad: float, is_expected: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It ended in a traceback where the prior holds none of the gaps that it asks for."""
+    config = tmp_path / "config.toml"
+    config.write_text(
+        f"""
+schema = 1
+kind = "fit"
+[run]
+output = "out"
+[joint]
+gear_ratio = 120.0
+[estimator]
+route = "direct"
+bench = "{CONFIGS / "bench.toml"}"
+gap_rad = [{low_rad}, 1e-2]
+[[recordings]]
+name = "before"
+file = "{BEFORE}"
+"""
+    )
+    assert cli.status(["check", str(config)]) == 0
+    assert ("expected:" in capsys.readouterr().out) is is_expected
