@@ -373,6 +373,8 @@ class SimulatedSignals:
                 base = settings.get(unknown.name, nominal)
                 # In proportion, so that no drift takes a value below zero that a tolerance lowers.
                 value = base + value * (base / nominal if nominal else 1.0)
+                # What all share may have moved too, and a drift found before is then too far.
+                value = np.clip(value, *simulated_range(unknown.name))
             settings[unknown.name] = value
         return settings
 

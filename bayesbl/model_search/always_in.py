@@ -612,20 +612,24 @@ def _slopes(
     own = point.size - len(among) + np.arange(len(among))
     steps = np.array([max(FIRST_STEP * d.size, d.least) for d in among])
     here = model.whitened_of(point[None], place)[0]
-    at = model.vectors(point[None], model.recordings[place])[0, [Slot[d.slot] for d in among]]
+    values = model.vectors(point[None], model.recordings[place])[0]
+    at = values[[Slot[d.slot] for d in among]]
     # Towards the end of what the simulator takes that is farther, where it leaves no room above.
     low, high = np.array([simulated_range(d.slot) for d in among]).T
     farthest = LARGEST_STEP * np.array([d.size for d in among])
     signs = np.where((high - at < farthest) & (at - low > high - at), -1.0, 1.0)
     farthest = np.minimum(farthest, np.where(signs > 0.0, high - at, at - low))
-    giving_way = np.zeros((len(among), point.size))
+    giving_way, share = np.zeros((len(among), point.size)), np.ones(len(among))
     for k, direction in enumerate(among):
         if direction.instead_of:
             other = model.index(direction.instead_of)
             giving_way[k, other] = -direction.per_unit
-            farthest[k] = min(farthest[k], (point[other] - model.low[other]) / direction.per_unit)
+            # A share of what friction there is in this recording, which may have changed.
+            share[k] = max(values[Slot[direction.instead_of]], 0.0) / point[other]
+            room = min(share[k], 1.0) * point[other] - model.low[other]
+            farthest[k] = min(farthest[k], room / direction.per_unit)
     steps = np.minimum(steps, farthest)
-    slopes, pending = np.zeros((len(among), here.size)), np.arange(len(among))
+    slopes, pending = np.zeros((len(among), here.size)), np.flatnonzero(steps > 0.0)
     for _ in range(2):
         points = np.repeat(point[None], pending.size, axis=0)
         by = signs[pending] * steps[pending]
@@ -642,7 +646,7 @@ def _slopes(
         steps[pending], pending = better, pending[unfit]
         if not pending.size:
             break
-    return slopes
+    return slopes * share[:, None]
 
 
 def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:

@@ -30,6 +30,7 @@ from bayesbl.model_search.always_in import (
     is_useful,
     laws,
     settled,
+    with_friction,
     with_neutral,
 )
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
@@ -448,6 +449,27 @@ def test_no_drift_takes_a_parameter_below_zero_that_its_tolerance_lowers() -> No
     )
     assert before == pytest.approx(0.75 * nominal)
     assert after == pytest.approx(0.1 * before)
+
+
+def test_a_drift_below_what_all_have_leaves_nothing_and_every_column_is_finite() -> None:
+    """What all share may fall after the drift was fitted: then the second has no friction."""
+    slot = Slot.motor_viscous_friction__coefficient_nm_s_per_rad
+    seen = pair_seen(BENCH, 1)
+    bench = with_friction(BENCH, seen)
+    fit = fit_aligned(bench, seen, direct_unknowns(bench, [s.name for s in seen], (1e-4, 1e-2)))
+    drift = Unknown(slot.name, -1.0, 1.0, recording="after", added=True)
+    model = fit.model.beside(bench, [drift])
+    point = np.array([*fit.point, -1e-3])
+    for shared in (2e-5, 0.0):
+        point[model.index(slot.name)] = shared
+        before, after = (float(model.vectors(point[None], own)[0, slot]) for own in seen)
+        assert (before, after) == (shared, 0.0)
+        at = SimulatedFit(
+            model, point, model.whitened(point)[0], fit.curvature, fit.covariance, fit.steps
+        )
+        labels, columns = always_terms(at, directions(bench, {}))
+        assert any(label.directions[0].instead_of == slot.name for label in labels) == bool(shared)
+        assert all(np.all(np.isfinite(by)) for by in columns)
 
 
 def test_a_law_at_the_end_of_its_range_has_its_slope_from_within() -> None:
