@@ -662,7 +662,7 @@ POSTERIOR = Group(
             shared_pattern? (chain, draw) | 1
                 | correlation of the widths around the turn between snapshots
             lost_motion_rad (chain, draw) | rad
-                | between the middles of the loop of the largest ramps at the stated torques
+                | between the positions that the stated torques hold without friction
             compliance_rad_per_nm (chain, draw) | rad/(N m) | of the loaded joint at the output
             stiffness_nm_per_rad (chain, draw) | N m/rad
                 | position over torque by least squares along the largest ramps, both sides

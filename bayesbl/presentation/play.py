@@ -96,12 +96,6 @@ def ramp_blocks(part: RouteSummary) -> Iterator[Block]:
     compliance = f"{shown}; probability that it is above 1: {sure}"
     yield from labelled({"Relative compliance": compliance, "Sampling": words.sampling(part)})
     yield aside(RELATIVE_EXPLAINED)
-    stated = part["lost_motion_torque_nm"]
-    if stated < part["friction_torque_nm"]["median"]:
-        yield aside(
-            f"Lost motion is stated at ±{words.significant(stated)} N m, less than the friction: "
-            "the middles of the loop there say little about the joint."
-        )
 
 
 def _quantities(part: RouteSummary, angles: Sequence[tuple[str, Interval]] = ()) -> Table:

@@ -26,11 +26,11 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtr
 
-from bayesbl.ramps.torque_cycles import Cycle, Ramps, crossing
+from bayesbl.ramps.torque_cycles import Cycle, Ramps
 from bayesbl.recording.types import FloatArray
 
 SAME_LEVEL = 1.5
-"""Ratio of neighbouring amplitudes from which ramps are of another level."""
+"""Times the smallest of a level, from which ramps are of another."""
 
 BEYOND = 3.0
 """Times their amplitude: just beyond small ramps is from one to that."""
@@ -187,7 +187,7 @@ def levels_of(files: Sequence[Ramps]) -> list[Level]:
     every.sort(key=lambda item: item[0])
     groups: list[list[tuple[float, int, Cycle]]] = []
     for item in every:
-        if groups and item[0] < SAME_LEVEL * groups[-1][-1][0]:
+        if groups and item[0] < SAME_LEVEL * groups[-1][0][0]:
             groups[-1].append(item)
         else:
             groups.append([item])
@@ -278,17 +278,12 @@ def _probability_positive(values: FloatArray) -> float:
 
 
 def lost_motion(cycle: Cycle, torque_nm: float) -> float:
-    """Between the middles of the loop at ±torque, rad: as makers state it.
+    """Between the positions that ±torque holds without friction, rad: play and twist of both ways.
 
-    The middle is the mean of the position on the way to larger torque and on the way back.
+    Makers state the middles of the loop at ±torque, which is the same where that is well above the
+    friction. Below it both ways stick, and the middles meet however large the play is.
     """
-    torque, position = cycle.torque_nm, cycle.position_rad
-    middles: dict[int, float] = {}
-    for e in (cycle.first, cycle.last):
-        there = crossing(-torque, -e.side * torque_nm, e.begin, e.top + 1, e.side)
-        back = crossing(torque, e.side * torque_nm, e.top, e.back + 1, e.side)
-        middles[e.side] = 0.5 * float(position[there] + position[back])
-    return middles[1] - middles[-1]
+    return float(_width(cycle, np.array([torque_nm]))[0])
 
 
 def stiffness(cycle: Cycle) -> float:

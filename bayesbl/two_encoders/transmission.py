@@ -152,6 +152,9 @@ LINEAR = 0.02
 RATIO_STATED = 0.01
 """Relative standard deviation of a gear ratio that is stated."""
 
+MOST_ROUNDS = 10
+"""Of fits, until ratio and skew move no more."""
+
 INERTIA_S2 = 3e-4
 """Standard deviation of (1/2πf)², by which inertia winds up a joint that rings at f = 9 Hz."""
 
@@ -694,8 +697,8 @@ def fit_transmission(
     skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
     settled, placed = False, None
     tried: Sequence[int] = ()
-    for made in range(8):
-        told(made, 10)
+    for made in range(MOST_ROUNDS):
+        told(made, MOST_ROUNDS + 1)
         model, friction, weight = _model(channels, slope, skew, stated, first)
         # All courses at first and once skew and ratio are settled, else from the last.
         if made == 0 or settled:
@@ -715,6 +718,9 @@ def fit_transmission(
         moved = abs(late) > LINEAR * model.paths.period_s
         moved &= abs(skew + late) < LONGEST_SKEW_S
         scaled = not stated and abs(scale - 1.0) > 5e-3
+        if stated and abs(scale / model.design.centre[1] - 1.0) > RATIO_STATED:
+            # Stated wrong, it says nothing: a mean of it and of what is seen is neither.
+            stated, settled, scaled = False, False, True
         if not moved and not scaled:
             if settled:
                 break
@@ -730,7 +736,7 @@ def fit_transmission(
         if own.log_evidence > best.log_evidence:
             free, best = fitted, own
             model.see(best)
-    told(9, 10)
+    told(MOST_ROUNDS, MOST_ROUNDS + 1)
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, noise)
     model.counted = model.repeats(best)
