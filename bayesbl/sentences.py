@@ -415,13 +415,14 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "no_torque": (
         "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks the "
-        "same as play, and a change of it as wear. Wind-up is usually 0.05 mrad, in one joint of a "
-        "hundred 3 mrad or more, and the interval includes that. A load that its weight holds on "
-        "one flank hides its play. Record the torque or current."
+        "same as play, and a change of it as wear. Wind-up is usually 0.05 mrad. In one joint of "
+        "sixteen it may be any part of the lost motion, and the interval includes that. A load "
+        "that its weight holds on one flank hides its play. Record the torque or current."
     ),
     "torque_unused": (
         "The torque does not show how far the joint winds up between the flanks. That is usually "
-        "0.05 mrad, in one joint of a hundred 3 mrad or more, and the interval includes that."
+        "0.05 mrad. In one joint of sixteen it may be any part of the lost motion, and the "
+        "interval includes that."
     ),
     "ratio_differs": "The gear ratio looks like {seen:.6g}, not {stated:g} as stated.",
     "motor_at_output": (

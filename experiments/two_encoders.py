@@ -257,7 +257,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> dict[str, fl
 
 def scored(joint: Joint, channels: Channels, fit_seed: np.random.SeedSequence) -> dict[str, float]:
     """What the route says of a recording, against what the joint is."""
-    found = fit_transmission(channels, fit_seed, joint.stated)
+    own, of_joint = fit_seed.spawn(2)
+    found = fit_transmission(channels, own, of_joint, joint.stated)
 
     def bounds(values: Array) -> tuple[float, float]:
         low, high = np.quantile(values, (0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0))

@@ -197,7 +197,7 @@ class TwoEncoderMeasurer(Measurer):
         for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
             report = of_stage(task.progress, f"Fitting {recording.name}")
             found = fit_transmission(
-                channels_of(recording), seed, self.config.joint.gear_ratio, report
+                channels_of(recording), seed, task.seeds.gap, self.config.joint.gear_ratio, report
             )
             answers.append(self._answer(recording, found))
         return Measurement(NAME, answers)

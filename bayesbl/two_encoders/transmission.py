@@ -67,7 +67,9 @@ about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 
 SOFT, SOFT_RAD, SOFT_SPREAD = 0.06, 7e-4, 1.0
 """Share of joints that are no such reducers (belts, printed gears, joints that are built elastic),
-and the same of theirs: one of a hundred joints winds up by 1.7 mrad each way or more."""
+and the same of theirs without play: one of a hundred winds up by 1.7 mrad each way or more. With
+play their size is unknown, so any part of what lies between both directions may be wind-up.
+"""
 
 STOPS, STOPS_SPREAD = 30.0, 1.7
 """Deceleration of a free load by its friction, rad/s²: median, and standard deviation of ln. An arm
@@ -687,10 +689,14 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
 def fit_transmission(
     channels: Channels,
     seed: np.random.SeedSequence,
+    of_joint: np.random.SeedSequence,
     ratio: float | None = None,
     progress: Progress | None = None,
 ) -> Transmission:
-    """Fit one recording; ``ratio`` is the stated one, motor over load."""
+    """Fit one recording; ``ratio`` is the stated one, motor over load.
+
+    ``of_joint``: of what all recordings of a joint have in common.
+    """
     told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
     first = slope
@@ -748,7 +754,7 @@ def fit_transmission(
     model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
-    return _drawn(model, best, lists, free, friction, weight, generator)
+    return _drawn(model, best, lists, free, friction, weight, generator, of_joint)
 
 
 def _model(
@@ -893,8 +899,11 @@ def _log_masses(cells: Sequence[Cell], prior: FloatArray, model: Model) -> Float
     return np.asarray(np.where(same, between, -np.inf))
 
 
-def _density_of_held(model: Model, cell: Cell) -> Callable[[FloatArray], FloatArray]:
-    """Density over ln(w/2) of half of what friction winds up, by the prior and by the inertia.
+def _density_of_held(
+    model: Model, cell: Cell
+) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
+    """Over ln(w/2) of half of what friction winds up: densities of usual and of soft joints, and
+    the likelihood by the inertia.
 
     Friction that winds the joint up by w/2 and stops a free load by d comes with an inertia that
     winds it up by w/2d per acceleration. That is seen, or not: a large w needs much friction then.
@@ -906,36 +915,48 @@ def _density_of_held(model: Model, cell: Cell) -> Callable[[FloatArray], FloatAr
     variance = float(column @ column)
     # Without the prior of the inertia, which is of any joint.
     known = max(1.0 / variance - INERTIA_S2**-2.0, 1e-3 * INERTIA_S2**-2.0)
-    seen, spread = -cell.beta[inertia] / (variance * known), np.hypot(known**-0.5, FILTERS_S2)
+    # Of the side that is moved: the load lags behind the motor, or leads it.
+    how = model.courses[cell.course]
+    sides = np.array([-1.0, 1.0] if how.free else [1.0] if how.drives else [-1.0])[:, None, None]
+    seen, spread = cell.beta[inertia] / (variance * known), np.hypot(known**-0.5, FILTERS_S2)
     stops = STOPS * np.exp(STOPS_SPREAD * ndtri((np.arange(64) + 0.5) / 64.0))
     logs = np.linspace(np.log(1e-9), np.log(1e2), 600)
     winds = np.exp(logs)[:, None] / stops
-    likely = norm.pdf(seen, winds, spread).mean(axis=1)
+    likely = norm.pdf(seen, sides * winds, spread).mean(axis=(0, 2))
     likely /= norm.pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
     usual = norm.pdf(logs, np.log(HELD_RAD), HELD_SPREAD)
     soft = norm.pdf(logs, np.log(SOFT_RAD), SOFT_SPREAD)
-    densities = likely * ((1.0 - SOFT) * usual + SOFT * soft)
-    return lambda held: np.interp(np.log(held), logs, densities)
+    densities = (1.0 - SOFT) * usual, SOFT * soft, likely
+
+    def at(held: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        first, second, third = (np.interp(np.log(held), logs, each) for each in densities)
+        return first, second, third
+
+    return at
 
 
 def _priors(
     cells: Sequence[Cell],
     flies: NDArray[np.bool_],
     likely: FloatArray,
-    of_held: Callable[[FloatArray], FloatArray],
+    of_held: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Log densities over ln h at cells, without play and with it, (cells,), and the latter's
     shares by ``PARTS`` of h that are wound up, (cells, parts). ``likely``: by the torque;
-    ``of_held``: density of what is wound up. Where the load ``flies`` from flank to flank, it does
-    so over a part of h that is no wind-up, and all sizes of that part are alike.
+    ``of_held``: densities of what is wound up. Where the load ``flies`` from flank to flank, it
+    does so over a part of h that is no wind-up, and all sizes of that part are alike.
     """
     half = np.array([c.half_rad for c in cells])
     likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
-    of_gap = of_held(half[:, None] * PARTS) * likely * ((gap > low) & (gap < high))
+    usual, _, inertia = of_held(half[:, None] * PARTS)
+    # Of a soft joint all parts of h are alike, over their logits here.
+    of_gap = (usual + SOFT * PARTS * (1.0 - PARTS)) * inertia
+    of_gap *= likely * ((gap > low) & (gap < high))
     of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
+    usual, soft, inertia = of_held(half)
     with np.errstate(divide="ignore"):
-        bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * of_held(half))
+        bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * (usual + soft) * inertia)
         return (bare, np.log(of_gap.sum(axis=1))), np.asarray(of_gap)
 
 
@@ -947,6 +968,7 @@ def _drawn(
     friction: float | None,
     weight: float,
     generator: np.random.Generator,
+    of_joint: np.random.SeedSequence,
 ) -> Transmission:
     """Draws by two lists of cells: whether there is play, and how large it is."""
     names = model.design.names
@@ -982,11 +1004,13 @@ def _drawn(
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
     nearest = interval + (share > 0.5)
     chosen = np.full(count, PARTS.size - 1)
+    # The same joint is as soft in all recordings: a change is not as unknown as what it is of.
+    softer = np.random.default_rng(of_joint).uniform(size=count)
     for cell in np.unique(nearest[plays]):
         mine = plays & (nearest == cell)
         each = of_parts[cell]
         if each.any():
-            chosen[mine] = generator.choice(PARTS.size, size=int(mine.sum()), p=each / each.sum())
+            chosen[mine] = np.searchsorted(np.cumsum(each) / each.sum(), softer[mine])
     step = LOGITS[1] - LOGITS[0]
     logit = LOGITS[chosen] + step * generator.uniform(-0.5, 0.5, size=count)
     delta = np.where(plays, np.clip(lost / (1.0 + np.exp(logit)), *PLAY_RAD), 0.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
+from bayesbl.measurement.two_encoder_route import upper_bound_rad
 from bayesbl.recording.types import MOTOR_TORQUE
 from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
 from bayesbl.two_encoders.transmission import fit_transmission, has_one_speed, of_friction
@@ -46,7 +47,7 @@ def recorded(
 
 
 def fitted(channels, ratio=RATIO):
-    return fit_transmission(channels, np.random.SeedSequence(1), ratio)
+    return fit_transmission(channels, np.random.SeedSequence(1), np.random.SeedSequence(2), ratio)
 
 
 def bounds(values, level=0.95):
@@ -284,6 +285,9 @@ def test_of_a_load_without_friction_that_bounces_the_play_is_not_told_wrong(rest
     read = np.array(load)[::8] + 1e-4 * generator.standard_normal(time[::8].size)
     found = fitted(Channels(time[::8], RATIO * motor[::8], read))
     low, high = bounds(found.draws["delta_rad"], 0.99)
+    if found.probability_of_play < 0.95:
+        # Then the bound is what is reported.
+        high = upper_bound_rad(found)
     assert low <= half <= high
 
 
