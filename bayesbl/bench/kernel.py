@@ -1346,7 +1346,6 @@ def is_stiffer(p):  # type: ignore[no-untyped-def]
     return (
         p[Slot.speed_sensor_lag__time_s] > 0.0
         or p[Slot.current_loop_lag__time_s] > 0.0
-        or p[Slot.shaft_hysteresis__torque_nm] != 0.0
         or p[Slot.stiffness_hardening__stiffness_nm_per_rad3] != 0.0
         or p[Slot.contact_damping__factor_s_per_rad] != 0.0
         or p[Slot.belt__compliance_rad_per_nm] != 0.0
@@ -1404,6 +1403,9 @@ def integrate(  # type: ignore[no-untyped-def]
     shortest = SHORT_PHASE / max(1.0 / longest, fastest_decay(p, c))
     if not logged or is_stiffer(p):
         shortest = 0.0
+    per_friction_angle = 0.0
+    if p[Slot.shaft_hysteresis__torque_nm] != 0.0:
+        per_friction_angle = 1.0 / p[Slot.shaft_hysteresis__angle_rad]
     evaluations = 0
     budget = 1000 + int(MAX_STEPS_PER_SECOND * max(1.0, stop_time - t))
     runaway = 50.0 * c.fastest_reference + 1e3
@@ -1428,6 +1430,7 @@ def integrate(  # type: ignore[no-untyped-def]
             h = pause - t
             last = False
         is_short = ends and h <= shortest and is_clear(y, region, margin, p, c)
+        is_short = is_short and abs(y[TWIST_SPEED]) * h * per_friction_angle <= SHORT_PHASE
         if is_short:
             short_step(t, y, h, region, p, c, k, y_new, dense)
             evaluations += 3

@@ -283,10 +283,12 @@ class _Search:
             self._explore(best)
             if not best.explanation.candidates and self._is_far(self.best):
                 self._scan()
-            self._shed()
             if self._is_hopeless():
                 return
+            self._shed()
             if self.best is not best:
+                if self._stalls(best):
+                    break
                 continue
             # What was added first may only have stood in for what came after it.
             for less in list(self._reduced(best)):
@@ -383,6 +385,11 @@ class _Search:
         least = min(own.misfit for own in self._sets.values())
         return least > (1.0 - HOPEFUL_SHARE) * self.nominal.excess
 
+    def _stalls(self, before: FittedSet) -> bool:
+        """Whether the best set holds next to nothing more than the last, and leaves much."""
+        best = self.best
+        return not best.explains_all and best.misfit > (1.0 - HOPEFUL_SHARE) * before.misfit
+
     def _is_far(self, own: FittedSet) -> bool:
         """Whether what a bench lacks may have drawn the gap away from where it is."""
         moving = any(seen.motion is not None for seen in own.fit.model.recordings)
@@ -451,7 +458,7 @@ class _Search:
                 starts.append((shape.candidate, promised(shape.candidate, shape.start, own)))
             fitted = refit(explanation, starts, shift)
             if fitted is not None:
-                self._add(fitted)
+                self._add(fitted, base)
 
     def _open(self, base: Explanation) -> Iterator[Candidate]:
         """What may stand beside a set."""
@@ -466,14 +473,20 @@ class _Search:
             if not is_harmonic(candidate, base.candidates):
                 yield candidate
 
-    def _add(self, explanation: Explanation) -> FittedSet:
-        """A set with its evidence; the better one of two fits."""
+    def _add(self, explanation: Explanation, base: FittedSet | None = None) -> FittedSet:
+        """A set with its evidence; the better one of two fits.
+
+        ``base``: the set that a rough fit was promised beside. It is fitted to the end where it may
+        have weight, if either that explains all or this holds much of what that leaves.
+        """
         keys = explanation.keys
         own = self._weighed(explanation)
-        if keys:
+        if base is not None:
             near = own.log_evidence > self.best.log_evidence + math.log(1.0 - NAMED_AT)
-            if near or own.excess < LEAVES_MOST * self.best.excess:
+            hopeful = base.explains_all or own.excess < (1.0 - HOPEFUL_SHARE) * base.excess
+            if hopeful and (near or own.excess < LEAVES_MOST * self.best.excess):
                 own = self._weighed(polished(explanation))
+        if keys:
             self._progress(len(self._sets), max(len(self._sets), CONTENDERS + 2))
         known = self._sets.get(keys)
         if known is None or own.log_evidence > known.log_evidence:

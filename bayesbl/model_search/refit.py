@@ -163,7 +163,7 @@ def reduced(
     for candidate in kept:
         model = extended(model, candidate)
     try:
-        fit = fit_simulated(model, full.fit.point[at], full.fit.steps[at])
+        fit = fit_simulated(model, full.fit.point[at], full.fit.steps[at], one_sided=True)
     except SimulationError:
         return None
     return Explanation(tuple(kept), fit)
