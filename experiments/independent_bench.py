@@ -112,6 +112,7 @@ class Plant(NamedTuple):
     contact_softness__variance_rad2: float = 0.0
     flank_asymmetry__share: float = 0.0
     contact_damping__factor_s_per_rad: float = 0.0
+    contact_release__share: float = 0.0
     gap_damping__coefficient_nm_s_per_rad: float = 0.0
     shaft_hysteresis__torque_nm: float = 0.0
     shaft_hysteresis__angle_rad: float = 1e-3
@@ -367,6 +368,8 @@ def _slopes(t, y, p, phase, asked, drift_start, dy):
             shaft += _hertzian(compression, stiffness, p) - stiffness * compression
         shaft += p.contact_damping__factor_s_per_rad * stiffness * abs(compression) * slip
         shaft += p.outside__contact_damping_nm_s_per_rad * math.sqrt(abs(compression)) * slip
+        if shaft * twist < 0.0:
+            shaft *= 1.0 - p.contact_release__share
     else:
         shaft += p.gap_damping__coefficient_nm_s_per_rad * slip
     shaft += p.shaft_hysteresis__torque_nm * y[7]

@@ -97,6 +97,7 @@ class Slot(IntEnum):
     contact_softness__variance_rad2 = auto()
     flank_asymmetry__share = auto()
     contact_damping__factor_s_per_rad = auto()
+    contact_release__share = auto()
     gap_damping__coefficient_nm_s_per_rad = auto()
     shaft_hysteresis__torque_nm = auto()
     shaft_hysteresis__angle_rad = auto()
@@ -849,6 +850,8 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             shaft += p[Slot.flank_asymmetry__share] * c.stiffness * abs(compression)
             damping = p[Slot.contact_damping__factor_s_per_rad] * c.stiffness * abs(compression)
             shaft += damping * seen_speed
+            if shaft * compression < 0.0:
+                shaft *= 1.0 - p[Slot.contact_release__share]
             if compression == 0.0:
                 shaft += p[Slot.gap_damping__coefficient_nm_s_per_rad] * seen_speed
             shaft += p[Slot.shaft_hysteresis__torque_nm] * y[DAHL]

@@ -116,6 +116,8 @@ def reference_slopes(t, y, p, piece, width):
         shaft += p[S.stiffness_hardening__stiffness_nm_per_rad3] * (x - delta * np.sign(x)) ** 3
         shaft += p[S.flank_asymmetry__share] * ks * (abs(x) - delta)
         shaft += p[S.contact_damping__factor_s_per_rad] * ks * (abs(x) - delta) * v
+        if shaft * x < 0.0:
+            shaft *= 1.0 - p[S.contact_release__share]
     else:
         shaft += p[S.gap_damping__coefficient_nm_s_per_rad] * v
     shaft += p[S.shaft_hysteresis__torque_nm] * dahl
@@ -314,6 +316,7 @@ EFFECT_RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "contact_softness": {"variance_rad2": (1e-11, 5e-9)},
     "flank_asymmetry": {"share": (-0.4, 0.4)},
     "contact_damping": {"factor_s_per_rad": (0.1, 2.0)},
+    "contact_release": {"share": (0.1, 1.0)},
     "gap_damping": {"coefficient_nm_s_per_rad": (5.0, 100.0)},
     "shaft_hysteresis": {"torque_nm": (5.0, 60.0), "angle_rad": (1e-4, 2e-3)},
     "current_loop_lag": {"time_s": (5e-4, 3e-3)},

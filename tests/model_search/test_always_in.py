@@ -261,6 +261,25 @@ def test_a_law_that_no_catalogue_has_widens_the_gap(independent: ModuleType) -> 
 
 
 @pytest.mark.long
+def test_teeth_that_let_go_do_not_move_the_gap_though_nothing_shows_it() -> None:
+    """With three times the damping, fitted without that law gaps are 4 standard deviations off,
+    and χ² is that of noise."""
+    damped = scaled(shaft_damping_nm_s_per_rad=3.0)
+    release = BenchEffect("contact_release", {"share": EffectParameterValue(1.0)})
+    made = damped.with_effects(*damped.effects, release)
+    rng = np.random.default_rng(1)
+    seen = [
+        observed(made.simulate(gap, rotations=3, seed=rng, name=name), damped)
+        for name, gap in GAPS_RAD.items()
+    ]
+    alone = fit_aligned(damped, seen, direct_unknowns(damped, [*GAPS_RAD], (1e-4, 1e-2)))
+    assert alone.chi_square < 1.03 * alone.residual.size
+    for name, gap in GAPS_RAD.items():
+        error = alone.point[alone.model.index(GAP, name)] - math.log(gap)
+        assert error < -4.0 * alone.sd(GAP, name)
+    assert_holds_the_gaps(fit_jointly(damped, seen, (1e-4, 1e-2), {}))
+
+
 def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     """The change was 14 standard deviations off, and the gap "grew, > 99.9 %"."""
     nominal = pair(scaled(**{INERTIA: 1.03, STIFFNESS: 0.99}))

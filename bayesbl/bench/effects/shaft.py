@@ -101,6 +101,31 @@ CONTACT_DAMPING = Effect(
     always_in=True,
 )
 
+# The damper D_s in parallel with the spring pulls at teeth that part, until the spring is slack. A
+# dry flank cannot pull: it lets go where both balance, a little before.
+CONTACT_RELEASE = Effect(
+    place=154,
+    name="contact_release",
+    sentence="Teeth that part let go of one another.",
+    equation="(1 − s) τ_s wherever τ_s pulls the flanks together",
+    parameters=(
+        amplitude(
+            "share",
+            "",
+            "part of the pull that is not there s",
+            high=1.0,
+            typical=0.58,
+            not_negative=True,
+            bounded=True,
+        ),
+    ),
+    enters="shaft",
+    depends_on=("twist",),
+    data="the load sets out across the gap a little sooner, and meets the other flank more gently",
+    reference="Hunt & Crossley 1975, J. Appl. Mech. 42, 440",
+    always_in=True,
+)
+
 # A film of lubricant between the flanks, or a damper beside the gear, works where no teeth touch.
 GAP_DAMPING = Effect(
     place=158,
