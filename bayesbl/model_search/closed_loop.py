@@ -629,10 +629,10 @@ def _banded(
     """
     model, d = fit.model, fit.point.size
     widths = [term.columns.shape[1] for term in terms]
-    derivatives, pull = fit.derivatives(), prior_pull(model, fit.point)
     # What the end of its range has stopped goes no further, whatever would explain more there.
     stopped = (fit.point <= model.low) | (fit.point >= model.high)
-    derivatives[:, stopped], pull[stopped] = 0.0, 0.0
+    derivatives = np.where(stopped, 0.0, fit.derivatives())
+    pull = np.where(stopped, 0.0, prior_pull(model, fit.point))
     everything = np.hstack(
         [
             derivatives,

@@ -32,6 +32,8 @@ from bayesbl.model_search.always_in import (
     settled,
     with_neutral,
 )
+from bayesbl.model_search.closed_loop import weighed
+from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -376,6 +378,15 @@ def test_a_fit_without_its_discrepancy_gives_no_gap_where_something_repeats() ->
     """However narrow: its draws know nothing of what nothing explains."""
     fit = pair(BENCH)
     assert not is_useful(fit, beside(fit, directions(BENCH, {})))
+
+
+def test_what_stands_beside_a_fit_leaves_its_derivatives_as_they_are() -> None:
+    """Of an unknown at the end of its range they were lost."""
+    fit = pair(BENCH).with_derivatives()
+    fit.point[0] = fit.model.high[0]
+    before = fit.derivatives().copy()
+    weighed(Explanation((), fit))
+    assert np.array_equal(fit.derivatives(), before)
 
 
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
