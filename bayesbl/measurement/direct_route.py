@@ -69,7 +69,6 @@ from bayesbl.model_search.always_in import (
     beside,
     directions,
     edge_variances,
-    elastic_part,
     is_useful,
     marginalised,
     settled,
@@ -80,6 +79,7 @@ from bayesbl.model_search.joint_change import (
     FALSE_ALARM,
     JointFindings,
     changed_beside,
+    elastic_part,
     find_changes,
 )
 from bayesbl.noise.outside_lines import without_outside_lines

@@ -11,11 +11,6 @@ by people, other parameters by damage; a cable may pull. These are hypotheses wi
 probability and a wide size, averaged over. One cause may change several parameters: where gravity's
 torque is another, so is the inertia, though what shows of it may look like drift.
 
-An elastic part of the joint, a belt, an arm or a base, is no direction: what it does is far from
-linear in its compliance, and the tolerances of a bench take up most of it, with δ off by much more
-than its interval. So each is tried at its full size over its frequencies, fitted where that
-promises anything, and weighed.
-
 All is linear at a fit (:mod:`bayesbl.model_search.linear`). What is far from where the fit has it
 is made one of its unknowns, fitted and sampled as any other; linear is the rest. Laws that act
 alike may be far together and none of them alone: then the one that explains most by itself is.
@@ -25,7 +20,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -47,10 +42,8 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import FALSE_ALARM, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
-from bayesbl.model_search.refit import Explanation, columns_of, polished, refit
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 
@@ -100,20 +93,6 @@ and another question is asked of the recordings."""
 
 LEAST_LEFT = 0.01
 """Share of a positive parameter that no drift or change takes."""
-
-PART = 1.0 / 6.0
-"""Probability that a joint has one elastic part that its bench lacks. A judgement: half of all
-joints have one, any of three."""
-
-TRIED_IN_VAIN = 0.05
-"""Share of joints without such a part in which one is fitted all the same; that only takes time."""
-
-PLACES_FITTED = 2
-"""Of each part, the most promising of its grid."""
-
-CLOSE = 30.0
-"""χ² by which a rough fit of one part may be behind that of another and still be fitted to the end:
-odds of e¹⁵."""
 
 SAMPLED = "sampled_control"
 DEAD_TIME = Slot.sampled_control__delay_periods.name
@@ -736,7 +715,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     else:
         is_known = DEAD_TIME in taken or "delay_periods" in stated.parameters
         periods_s = () if is_known else (stated.complete()["period_s"],)
-    known, models, promises = _Known.of(fit, among), {}, []
+    left_beside, models, promises = _left_beside(fit, among), {}, []
     for period_s in periods_s:
         bench = fit.model.bench
         if stated is None:
@@ -749,7 +728,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
             point = np.concatenate([fit.point, loop[: len(own)]])
             residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
-                left, shift = known.left(residual)
+                left, shift = left_beside(residual)
                 point[: shift.size] += shift
                 promises.append((left, period_s, point))
     fits: list[SimulatedFit] = []
@@ -862,184 +841,21 @@ def edge_variances(posterior: DirectPosterior) -> FloatArray:
     return posterior.draws[..., names.index(EDGE_VARIANCE)]
 
 
-@dataclass(frozen=True, slots=True)
-class ElasticPart:
-    """A part that the recordings speak for and the bench lacks.
+def _left_beside(
+    fit: SimulatedFit, among: Sequence[Direction]
+) -> Callable[[FloatArray], tuple[float, FloatArray]]:
+    """χ² that is left of a residual (N,), and the shift of the fit's unknowns with it, (d,), where
+    they, laws and drift may move within their priors."""
+    _, columns = always_terms(fit, among)
+    own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
+    laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])
+    known = np.vstack([np.hstack([own, laws]), block_diag(prior, np.eye(laws.shape[1]))])
+    orthogonal, triangle = np.linalg.qr(known)
 
-    Attributes
-    ----------
-    fit
-        With it in the bench at its most probable values, and the unknowns of the nominal fit.
-    directions
-        Its own values, to be marginalised: of what swings behind it the recordings say little, and
-        that moves δ little.
-    values, sds
-        By slot.
-    probability
-        Against no such part and the others.
-    """
-
-    fit: SimulatedFit
-    directions: tuple[Direction, ...]
-    values: Mapping[str, float]
-    sds: Mapping[str, float]
-    probability: float
-
-    @property
-    def name(self) -> str:
-        """Of its effect."""
-        return next(iter(self.values)).partition("__")[0]
-
-    @property
-    def frequency_hz(self) -> float:
-        """Of what swings behind it against the rest of its inertia; of a base against ground."""
-        effect = effect_named(self.name)
-        assert effect.resonance is not None
-        (compliance,) = effect.amplitudes
-        part = self.values[f"{self.name}__{effect.resonance.part}"]
-        inertia = part
-        if effect.resonance.is_share:
-            inertia *= (1.0 - part) * self.fit.model.bench.value(effect.resonance.inertia)
-        of_spring = self.values[f"{self.name}__{compliance.name}"]
-        return 1.0 / (2.0 * math.pi * math.sqrt(of_spring * inertia))
-
-
-def elastic_part(
-    nominal: SimulatedFit, fit: SimulatedFit, among: Sequence[Direction]
-) -> ElasticPart | None:
-    """The part that is more likely than none, laws and drift beside either; ``None`` where none is.
-
-    ``fit``: ``nominal`` with laws and drift freed that stood in for the part. They are linear again
-    beside it, as they are next to nothing then: a lag of microseconds is what the simulator is
-    slowest with.
-    """
-    bench, recordings = fit.model.bench, fit.model.recordings
-    names = [e.name for e in EFFECTS if e.resonance is not None]
-    parts = [c for c in candidates(bench, recordings, names) if c.name in names]
-    tried = sum(len(c.starts) for c in parts)
-    known = _Known.of(fit, among)
-    rough = [e for e in (_fitted_part(known, part, tried) for part in parts) if e is not None]
-    rough = [e for e in rough if e.fit.chi_square < _goal(fit)]
-    least = min((e.fit.chi_square for e in rough), default=0.0)
-    fitted = []
-    for close in (e for e in rough if e.fit.chi_square < least + CLOSE):
-        with suppress(BenchError):
-            fitted.append(polished(close))
-    if not fitted:
-        return None
-    weights = [_log_evidence(Explanation((), fit), among)]
-    for found in fitted:
-        weights.append(_log_evidence(found, among) + math.log(PART / (1.0 - len(parts) * PART)))
-    probability = np.exp(np.array(weights) - max(weights))
-    probability /= probability.sum()
-    best = int(np.argmax(probability))
-    return None if best == 0 else _in_bench(nominal, fitted[best - 1], float(probability[best]))
-
-
-def _log_evidence(explanation: Explanation, among: Sequence[Direction]) -> float:
-    """Laplace's, of what is added to a fit, all that stands beside it marginalised."""
-    added = sum(len(c.unknowns) for c in explanation.candidates)
-    volume = 0.5 * added * math.log(2.0 * math.pi)
-    posterior = beside(explanation.fit, among).posterior
-    return posterior.log_evidence + explanation.log_prior + volume
-
-
-def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
-    """A fitted part put into the bench, its values as directions of their flat priors."""
-    (part,) = found.candidates
-    places, own = found.places(part), nominal.point.size
-    values = {u.name: float(found.fit.point[k]) for u, k in zip(part.unknowns, places, strict=True)}
-    sds = {
-        u.name: math.sqrt(float(found.fit.covariance[k, k]))
-        for u, k in zip(part.unknowns, places, strict=True)
-    }
-    effect = BenchEffect(
-        part.name,
-        {name.partition("__")[2]: EffectParameterValue(value) for name, value in values.items()},
-    )
-    bench, fit = nominal.model.bench, found.fit
-    stated = {own.name for own in bench.effects}
-    # How the controller samples is kept: it did not stand in for the part.
-    ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
-    of_ticks = {DEAD_TIME, INSTANT_SHARE}
-    kept = [
-        *range(own),
-        *(k for k, u in enumerate(fit.model.unknowns) if k >= own and u.name in of_ticks),
-    ]
-    model = nominal.model.beside(
-        bench.with_effects(*bench.effects, *ticks, effect),
-        [fit.model.unknowns[k] for k in kept[own:]],
-    )
-    alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
-    directions = tuple(
-        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0, is_fitted=True)
-        for u in part.unknowns
-    )
-    return ElasticPart(alone, directions, values, sds, probability)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Known:
-    """What may move beside a fit: its unknowns, laws and drift, within their priors.
-
-    Attributes
-    ----------
-    orthogonal, triangle
-        Of its derivatives and priors, d unknowns and k sizes, shapes (N + d + k, d + k) and
-        (d + k, d + k).
-    residual
-        What is orthogonal to all of it, shape (N + d + k,).
-    """
-
-    fit: SimulatedFit
-    orthogonal: FloatArray
-    triangle: FloatArray
-    residual: FloatArray
-
-    @classmethod
-    def of(cls, fit: SimulatedFit, among: Sequence[Direction]) -> _Known:
-        """Of a fit, with laws and drift among these."""
-        _, columns = always_terms(fit, among)
-        own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
-        laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])
-        known = np.vstack([np.hstack([own, laws]), block_diag(prior, np.eye(laws.shape[1]))])
-        orthogonal, triangle = np.linalg.qr(known)
-        residual = np.concatenate([fit.residual, np.zeros(known.shape[1])])
-        return cls(fit, orthogonal, triangle, residual - orthogonal @ (orthogonal.T @ residual))
-
-    def left(self, residual: FloatArray) -> tuple[float, FloatArray]:
-        """χ² that is left of a residual (N,), and the shift of the fit's unknowns with it, (d,)."""
-        residual = np.concatenate([residual, np.zeros(len(self.triangle))])
-        along = self.orthogonal.T @ residual
-        shift = np.linalg.solve(self.triangle, along)[: self.fit.point.size]
+    def left(residual: FloatArray) -> tuple[float, FloatArray]:
+        residual = np.concatenate([residual, np.zeros(len(triangle))])
+        along = orthogonal.T @ residual
+        shift = np.linalg.solve(triangle, along)[: fit.point.size]
         return float(residual @ residual - along @ along), np.asarray(shift)
 
-    def promise(self, column: FloatArray) -> tuple[float, FloatArray]:
-        """Fall of χ² by a column (N,), none where it is the other way, and the shift of the fit's
-        unknowns that goes with its full size, shape (d,)."""
-        column = np.concatenate([column, np.zeros(len(self.triangle))])
-        shared = self.orthogonal.T @ column
-        column = column - self.orthogonal @ shared
-        along = max(float(column @ self.residual), 0.0)
-        shift = -np.linalg.solve(self.triangle, shared)
-        return along**2 / float(column @ column), np.asarray(shift[: self.fit.point.size])
-
-
-def _fitted_part(known: _Known, part: Candidate, tried: int) -> Explanation | None:
-    """A part fitted from the best places of its grid; ``None`` where none of them promises more
-    than noise would in ``tried`` places."""
-    fit = known.fit
-    promises = [
-        (*known.promise(columns[0] * start[0]), start)
-        for start, columns in zip(part.starts, columns_of(fit, part)[1:], strict=True)
-        if columns
-    ]
-    promises.sort(key=lambda promise: -promise[0])
-    limit = chi2_isf(TRIED_IN_VAIN / tried, 1.0)
-    best: Explanation | None = None
-    for promise, shift, start in promises[:PLACES_FITTED]:
-        if promise > limit:
-            found = refit(Explanation((), fit), [(part, start)], shift, _goal(fit))
-            if found and (best is None or found.fit.chi_square < best.fit.chi_square):
-                best = found
-    return best
+    return left

@@ -241,22 +241,24 @@ def name_missing(
     progress
         Called with (fits made, fits expected).
     """
-    posterior = _Search(Explanation((), nominal_fit), candidates, max_effects, among, progress)
-    posterior.climb()
+    posterior = SetSearch(Explanation((), nominal_fit), candidates, max_effects, among, progress)
     naming = posterior.answer()
     return replace(naming, rest=posterior.beside(naming.final)) if among else naming
 
 
-class _Search:
-    """Sets that were fitted, and what they promise."""
+class SetSearch:
+    """Sets that were fitted, from the nominal one on, and what they promise.
+
+    Parameters as :func:`name_missing` takes them.
+    """
 
     def __init__(
         self,
         nominal: Explanation,
         candidates: Callable[[Sequence[float]], Sequence[Candidate]],
         most: int,
-        among: Sequence[Direction],
-        progress: Progress,
+        among: Sequence[Direction] = (),
+        progress: Progress = silent,
     ) -> None:
         self._catalogue, self._most, self._among = candidates, most, among
         self._progress = progress
@@ -269,13 +271,14 @@ class _Search:
         labels = {c.label for c in self._candidates.values()}
         self._log_odds = next(iter(Priors().log_odds(labels).values()), 0.0)
         self.nominal = self._add(nominal)
+        self._climb()
 
     @property
     def best(self) -> FittedSet:
         """The most probable set."""
         return max(self._sets.values(), key=lambda own: own.log_evidence)
 
-    def climb(self) -> None:
+    def _climb(self) -> None:
         """Fit what is promised, from the best set on, until nothing promises more."""
         for _ in range(MOST_ROUNDS):
             best = self.best
@@ -320,16 +323,22 @@ class _Search:
             # Where another law is missing too, alone it is drawn away again.
             self._explore(weighed(explanation, self._among, self._noise))
 
+    @property
+    def sets(self) -> tuple[tuple[FittedSet, float], ...]:
+        """All that were fitted, each with its probability, the most probable first."""
+        fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
+        weights = np.exp([own.log_evidence - fitted[0].log_evidence for own in fitted])
+        return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+
     def answer(self) -> Naming:
         """Names by the one rule."""
-        fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
-        nominal, best = self.nominal.explanation, fitted[0].explanation
-        weights = np.exp([own.log_evidence - fitted[0].log_evidence for own in fitted])
-        sets = tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+        sets = self.sets
+        first, _ = sets[0]
+        nominal, best = self.nominal.explanation, first.explanation
         naming = Naming(nominal, nominal, (), sets, repeats=True)
         if not best.candidates:
-            return replace(naming, repeats=not fitted[0].explains_all)
-        if self._is_unexplained(fitted[0]):
+            return replace(naming, repeats=not first.explains_all)
+        if self._is_unexplained(first):
             return replace(naming, nearest=with_own_noise(best))
         labels = [(frozenset(own.explanation.names), p) for own, p in sets]
         inclusion = {name: sum(p for own, p in labels if name in own) for name in best.names}
@@ -340,8 +349,8 @@ class _Search:
             if place is None:
                 continue
             idle.discard(place)
-            name, rest = best.names[place], self._without(fitted[0], place)
-            gain = math.inf if rest is None else rest.fit.chi_square - fitted[0].fit.chi_square
+            name, rest = best.names[place], self._without(first, place)
+            gain = math.inf if rest is None else rest.fit.chi_square - first.fit.chi_square
             rivals = tuple(
                 (c, own.explanation)
                 for own, p in sets

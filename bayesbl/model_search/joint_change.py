@@ -8,24 +8,30 @@ is fitted together with every gap, so wear is never taken for a change of the jo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from bayesbl.bench.bench import Bench
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, declaration_of
-from bayesbl.matching.least_squares import SimulatedFit
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.loop_noise import noise_along
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP, Unknown
-from bayesbl.model_search.always_in import CHANGED_TOGETHER, Direction, ElasticPart
+from bayesbl.model_search.always_in import (
+    CHANGED_TOGETHER,
+    DEAD_TIME,
+    INSTANT_SHARE,
+    SAMPLED,
+    Direction,
+)
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
-from bayesbl.model_search.closed_loop import Naming, name_missing
+from bayesbl.model_search.closed_loop import Naming, SetSearch, name_missing
 from bayesbl.model_search.refit import Explanation, columns_of
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
@@ -171,6 +177,102 @@ class JointFindings:
 
     def _differs(self, slot: str) -> bool:
         return {c.recording for c in self.changed if c.slot == slot} >= set(self.recordings)
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticPart:
+    """A part that the recordings speak for and the bench lacks.
+
+    Attributes
+    ----------
+    fit
+        With it in the bench at its most probable values, and the unknowns of the nominal fit.
+    directions
+        Its own values, to be marginalised: of what swings behind it the recordings say little, and
+        that moves δ little.
+    values, sds
+        By slot.
+    probability
+        Against no such part and the others.
+    """
+
+    fit: SimulatedFit
+    directions: tuple[Direction, ...]
+    values: Mapping[str, float]
+    sds: Mapping[str, float]
+    probability: float
+
+    @property
+    def name(self) -> str:
+        """Of its effect."""
+        return next(iter(self.values)).partition("__")[0]
+
+    @property
+    def frequency_hz(self) -> float:
+        """Of what swings behind it against the rest of its inertia; of a base against ground."""
+        effect = effect_named(self.name)
+        assert effect.resonance is not None
+        (compliance,) = effect.amplitudes
+        part = self.values[f"{self.name}__{effect.resonance.part}"]
+        inertia = part
+        if effect.resonance.is_share:
+            inertia *= (1.0 - part) * self.fit.model.bench.value(effect.resonance.inertia)
+        of_spring = self.values[f"{self.name}__{compliance.name}"]
+        return 1.0 / (2.0 * math.pi * math.sqrt(of_spring * inertia))
+
+
+def elastic_part(
+    nominal: SimulatedFit, fit: SimulatedFit, among: Sequence[Direction]
+) -> ElasticPart | None:
+    """A belt, an arm or a base that gives way, if one is likelier than none; else ``None``.
+
+    What it does is far from linear in its compliance, and the tolerances of a bench take up most of
+    it, with δ off by much more than its interval. So each is tried where nothing else asks for it.
+
+    ``fit``: ``nominal`` with laws and drift freed that stood in for the part. They are linear again
+    beside it, as they are next to nothing then: a lag of microseconds is what the simulator is
+    slowest with.
+    """
+    bench, recordings = fit.model.bench, fit.model.recordings
+    names = [e.name for e in EFFECTS if e.resonance is not None]
+    parts = [c for c in candidates(bench, recordings, names) if c.name in names]
+    found, probability = SetSearch(Explanation((), fit), lambda _: parts, 1, among).sets[0]
+    part = found.explanation
+    return _in_bench(nominal, part, probability) if part.candidates else None
+
+
+def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
+    """A fitted part put into the bench, its values as directions of their flat priors."""
+    (part,) = found.candidates
+    places, own = found.places(part), nominal.point.size
+    values = {u.name: float(found.fit.point[k]) for u, k in zip(part.unknowns, places, strict=True)}
+    sds = {
+        u.name: math.sqrt(float(found.fit.covariance[k, k]))
+        for u, k in zip(part.unknowns, places, strict=True)
+    }
+    effect = BenchEffect(
+        part.name,
+        {name.partition("__")[2]: EffectParameterValue(value) for name, value in values.items()},
+    )
+    bench, fit = nominal.model.bench, found.fit
+    stated = {own.name for own in bench.effects}
+    # How the controller samples is kept: it did not stand in for the part.
+    ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
+    of_ticks = {DEAD_TIME, INSTANT_SHARE}
+    kept = [
+        *range(own),
+        *(k for k, u in enumerate(fit.model.unknowns) if k >= own and u.name in of_ticks),
+    ]
+    model = nominal.model.beside(
+        bench.with_effects(*bench.effects, *ticks, effect),
+        [fit.model.unknowns[k] for k in kept[own:]],
+    )
+    alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
+    directions = tuple(
+        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0, is_fitted=True)
+        for u in part.unknowns
+    )
+    return ElasticPart(alone, directions, values, sds, probability)
 
 
 def find_changes(

@@ -26,13 +26,13 @@ from bayesbl.model_search.always_in import (
     beside,
     directions,
     edge_variances,
-    elastic_part,
     is_useful,
     laws,
     settled,
     with_neutral,
 )
 from bayesbl.model_search.closed_loop import weighed
+from bayesbl.model_search.joint_change import elastic_part
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings
