@@ -209,7 +209,7 @@ def identify(
     posterior = sample_direct(match.final.fit, sampler, seed, drawing, simulating)
     for_impacts, for_laws = seed.spawn(2)
     # As wide as impacts that are not alike ask for, and laws that nothing shows.
-    posterior = marginalised(widened(posterior, for_impacts), rest, for_laws)
+    posterior = marginalised(widened(posterior, for_impacts), rest.posterior, for_laws)
     return Identification(
         match.nominal,
         match.final,
@@ -354,6 +354,9 @@ REACH = STEP**2
 """Factor, up or down, that a fit may go: to the next place but one. Without an end, fits of what is
 not wrong ran off to where a joint takes minutes to simulate."""
 
+SD_DRAWS = 4000
+"""A standard deviation is then good to 1 %."""
+
 FASTEST_PER_S = 5e3
 """Rate of a speed loop or shaft (800 Hz) beyond which a place is not scanned: those of joints reach
 some hundred Hz, and what is faster takes as much longer to simulate. A data sheet beyond it is
@@ -400,7 +403,7 @@ def _beyond(
     (place,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
     ends = [math.log(end) for end in (value - half, value + half) if end > 0.0]
-    sd = math.sqrt(float(weighed(final).covariance[place, place]))
+    sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, place].std())
     at = float(fit.point[place])
     deviations = min(abs(at - end) for end in ends) / sd
     return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)

@@ -362,7 +362,7 @@ class JointFit:
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
         """Its draws with impacts that differ, laws, drift, and all that the bench may lack."""
         scattering, drifting, others = seed.spawn(3)
-        whole = marginalised(widened(posterior, scattering), self.rest, drifting)
+        whole = marginalised(widened(posterior, scattering), self.rest.posterior, drifting)
         if self.naming is None or not self.naming.effects:
             # Sets that explain too little to be named know less of the misfit than the bench does.
             return whole

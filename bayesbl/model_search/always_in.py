@@ -770,9 +770,11 @@ def _fitted_from(
 
 
 def marginalised(
-    posterior: DirectPosterior, rest: Beside, seed: np.random.SeedSequence
+    posterior: DirectPosterior, rest: ModelPosterior, seed: np.random.SeedSequence
 ) -> DirectPosterior:
     """Draws that no longer take laws and parameters of the bench to be as it has them.
+
+    ``rest``: of what stands beside the fit.
 
     Where the recordings show that the gap's edges are soft, nor is δ known more sharply than these
     edges are: where teeth begin to touch depends on how, which no recording tells. All snapshots
@@ -781,20 +783,18 @@ def marginalised(
     Within the ranges of the unknowns: a draw that would leave them is made anew, and stays where it
     was where none is within.
     """
-    if not rest.labels:
-        return posterior
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
     lean = None
-    if rest.has_discrepancy:
+    if rest.linearised.groups:
         # What nothing explains is in no catalogue, so neither is the side to which it moves δ.
-        drawn = rest.posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
+        drawn = rest.draw(np.random.default_rng(0), SIZES_DRAWN)
         lean = drawn.shift[:, gaps].mean(axis=0)
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
-        tried = flat[outside] + rest.posterior.draw(rng, outside.size).shift
+        tried = flat[outside] + rest.draw(rng, outside.size).shift
         if lean is not None:
             tried[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)

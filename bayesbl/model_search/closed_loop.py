@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesbl.bench.effects import effect_named
 from bayesbl.matching.least_squares import SimulatedFit, prior_pull
@@ -109,15 +108,11 @@ class FittedSet:
         """Of everything unknown."""
         return self.explanation.fit
 
-    @cached_property
-    def covariance(self) -> FloatArray:
-        """Of everything unknown but for what is always beside it, with the misfit, (d, d)."""
-        return self.posterior.covariance()
-
     def draws(self, generator: np.random.Generator, n: int) -> FloatArray:
-        """Of everything unknown, with what is always beside it, (n, d), normal at the fit."""
-        sd = np.sqrt(np.diag(self.covariance))
-        correlation = self.covariance / np.outer(sd, sd)
+        """Of everything unknown, with misfit and what is always beside it, (n, d), normal at the
+        fit."""
+        sd = np.sqrt(np.diag(self.fit.covariance))
+        correlation = self.fit.covariance / np.outer(sd, sd)
         around = generator.multivariate_normal(np.zeros(sd.size), correlation, n, method="eigh")
         return np.asarray(self.fit.peak() + sd * around + self.posterior.draw(generator, n).shift)
 
@@ -183,37 +178,28 @@ class Naming:
         return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
 
 
-def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatArray:
-    """Draws of ln δ beside one set, (n,)."""
-    place = own.fit.model.index(GAP)
-    spread = math.sqrt(float(own.covariance[place, place]))
-    return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n))
-
-
 def averaged(
-    posterior: DirectPosterior, naming: Naming, seed: np.random.SeedSequence
+    posterior: DirectPosterior,
+    naming: Naming,
+    seed: np.random.SeedSequence,
+    among: Sequence[Direction] = (),
 ) -> DirectPosterior:
     """Draws of all sets: each other one than that of ``posterior`` has its share, normal at its
-    fit; of what it lacks the draws stay."""
+    fit; of what it lacks the draws stay.
+
+    ``among``: what is always beside each set, where the search had nothing there.
+    """
     common, model = naming.nominal.fit.point.size, posterior.fit.model
     rng, draws = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
-    draws = draws.copy()
-    for other, rows in shares_of_others(naming, naming.final.keys, len(draws), rng):
-        own = other.draws(rng, rows.size)[:, :common]
-        draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
-    return posterior.with_model(draws)
-
-
-def shares_of_others(
-    naming: Naming, keys: frozenset[tuple[str, float | None]], n: int, rng: np.random.Generator
-) -> Iterator[tuple[FittedSet, NDArray[np.int64]]]:
-    """Each set but that of ``keys``, with the places that it has among n draws, in random order."""
-    order = rng.permutation(n)
+    draws, order = draws.copy(), rng.permutation(len(draws))
     for other, weight in naming.sets:
-        count = round(weight * n)
-        if other.explanation.keys != keys and count:
-            yield other, order[:count]
-            order = order[count:]
+        count = round(weight * len(draws))
+        if other.explanation.keys != naming.final.keys and count:
+            rows, order = order[:count], order[count:]
+            whole = weighed(other.explanation, among) if among else other
+            own = whole.draws(rng, count)[:, :common]
+            draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
+    return posterior.with_model(draws)
 
 
 def name_missing(

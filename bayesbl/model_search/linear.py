@@ -724,16 +724,6 @@ class ModelPosterior:
         added = grams.extensions((), (0,) * len(self.linearised.scaled))
         return dict(zip(grams.selected, added.tolist(), strict=True))
 
-    def covariance(self) -> FloatArray:
-        """(d, d) of u beside what the terms and the discrepancy move it by, of the average."""
-        total = np.zeros((self._grams.d, self._grams.d))
-        for model in self.models:
-            gram = self._grams.base(model._level).nuisance_gram
-            total += (
-                math.exp(model.log_posterior) * _factor(gram[: self._grams.d, : self._grams.d])[0]
-            )
-        return total
-
     @cached_property
     def sizes(self) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
         """Of each selected term that a likely model has: the probability of each such model, (m,),
