@@ -36,7 +36,7 @@ from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
 from bayesbl.matching.signals import (
     GAP,
     SimulatedSignals,
@@ -48,7 +48,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.matching.standstill import believed, in_motion
-from bayesbl.model_search.always_in import Beside, is_useful, laws, marginalised, settled
+from bayesbl.model_search.always_in import Beside, laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import LEAVES_MOST, NAMED_AT, SLACK
@@ -195,14 +195,11 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     match, unnamed = _match(problem, progress)
-    fit, rest = settled(match.final.fit, laws(match.final.fit.model.bench))
-    check = tuple(disagreements(rest.explained(fit)))
-    explained = agrees(check) and rest.is_possible
-    if not explained and unnamed is not None and fit is match.final.fit:
+    rest = settled(match.final.fit, laws(match.final.fit.model.bench))
+    if not rest.explains and unnamed is not None and rest.fit is match.final.fit:
         rest = unnamed
-    allows = not (explained or agrees(check)) and is_useful(fit, rest)
-    match = replace(match, final=replace(match.final, fit=fit))
-    verdict: Verdict = "agrees" if explained else "unexplained"
+    match = replace(match, final=replace(match.final, fit=rest.fit))
+    verdict: Verdict = "agrees" if rest.explains else "unexplained"
     if match.missing:
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
@@ -216,9 +213,9 @@ def identify(
         match.beyond,
         match.missing,
         verdict=verdict,
-        check=check,
+        check=rest.check,
         posterior=posterior,
-        allows_for_misfit=allows,
+        allows_for_misfit=not agrees(rest.check) and rest.is_useful,
     )
 
 
@@ -236,8 +233,7 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
     if nominal is None:
         nominal = _nominal(problem, progress)
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
-    fit, _ = settled(nominal.fit, laws(nominal.fit.model.bench))
-    nominal = replace(nominal, fit=fit)
+    nominal = replace(nominal, fit=settled(nominal.fit, laws(nominal.fit.model.bench)).fit)
     naming = name_missing(
         nominal.fit,
         partial(_hypotheses, problem, nominal),

@@ -23,6 +23,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -40,7 +41,7 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.predictive_check import FALSE_ALARM, agrees, disagreements
+from bayesbl.matching.predictive_check import FALSE_ALARM, RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
@@ -351,14 +352,14 @@ class Label:
         return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Beside:
-    """What stands beside a fit.
+    """A fit, and what stands beside it.
 
     Attributes
     ----------
     labels
-        Of each term.
+        Of each term beside the fit.
     posterior
         Of sizes and changes, in standard deviations.
     sizes
@@ -369,6 +370,7 @@ class Beside:
         By which the loop is late in the fit itself.
     """
 
+    fit: SimulatedFit
     labels: tuple[Label, ...]
     posterior: ModelPosterior
     sizes: FloatArray
@@ -434,17 +436,41 @@ class Beside:
             sizes[kind].mean() < -max(FAR * sizes[kind].std(), own) for kind, own in least.items()
         )
 
-    def explains(self, fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> bool:
+    @cached_property
+    def check(self) -> tuple[RepeatingPower, ...]:
+        """What repeats beside the fit with all this."""
+        return tuple(disagreements(replace(self.fit, residual=self.residual)))
+
+    @property
+    def explains(self) -> bool:
         """Whether the fit with all this agrees with the recordings, and can be."""
-        return self.is_possible and agrees(disagreements(self.explained(fit)), false_alarm)
+        return self.is_possible and agrees(self.check)
+
+    @property
+    def is_useful(self) -> bool:
+        """Whether a fit beside which something repeats that nothing explains has gaps of use.
+
+        A fit that leaves as much again as noise does is no place to be linear at, and without the
+        discrepancy beside it the draws know nothing of what repeats.
+        """
+        fit = self.fit
+        if not self.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
+            return False
+        drawn = self.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
+        for place, unknown in enumerate(fit.model.unknowns):
+            if unknown.name != GAP:
+                continue
+            moved = float(np.mean(drawn[:, place] ** 2))
+            sd = math.sqrt(float(fit.covariance[place, place]) + moved)
+            reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
+            low, high = unknown.value(fit.point[place] + np.array([-reach, reach]))
+            if not 0.0 < high < USEFUL_RATIO * low:
+                return False
+        return True
 
     def by_label(self) -> list[FloatArray]:
         """Draws of the sizes of each label, shape (n, directions)."""
         return np.split(self.sizes, np.cumsum([len(own.directions) for own in self.labels])[:-1], 1)
-
-    def explained(self, fit: SimulatedFit) -> SimulatedFit:
-        """The fit with the residuals that are left beside all this."""
-        return replace(fit, residual=self.residual)
 
 
 def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
@@ -483,7 +509,7 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
         residual - jacobian @ shift - by @ size[own]
         for residual, jacobian, own, by in zip(residuals, jacobians, acting, columns, strict=True)
     ]
-    return Beside(labels, posterior, drawn.sizes, np.concatenate(left), _lag_s(fit))
+    return Beside(fit, labels, posterior, drawn.sizes, np.concatenate(left), _lag_s(fit))
 
 
 def _lag_s(fit: SimulatedFit) -> float:
@@ -637,7 +663,7 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
     return bench.with_effects(*bench.effects, *added) if added else bench
 
 
-def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
+def settled(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
     One after another: what is far for a lack of another is so no more when that is there.
@@ -645,20 +671,19 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
     Where all that does not explain the recordings, nothing is freed: a misfit has put it there, and
     takes the gaps along.
     """
-    nominal = fit, (rest := beside(fit, among))
+    nominal = rest = beside(fit, among)
     for _ in range(MOST_ROUNDS):
-        nearer = _nearer(fit.with_derivatives(), rest, among)
+        nearer = _nearer(rest, among)
         if nearer is None:
             break
         fit = fit_simulated(nearer.model, nearer.point, nearer.steps, one_sided=True)
         rest = beside(fit, among)
-    if fit is nominal[0] or not rest.explains(fit):
+    if rest is nominal or not rest.explains:
         return nominal
-    fit = fit_simulated(fit.model, fit.point, fit.steps)
-    return fit, beside(fit, among)
+    return beside(fit_simulated(fit.model, fit.point, fit.steps), among)
 
 
-def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
+def _nearer(rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
     """With one more of what is far among the unknowns; ``None`` where that leads nowhere.
 
     Lags of the loop are much alike where all is linear. So where one of them promises most, or the
@@ -666,7 +691,7 @@ def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> Simu
     time of a controller that the bench states. No other law is freed where even all together leave
     too much.
     """
-    far = rest.far()
+    fit, far = rest.fit.with_derivatives(), rest.far()
     lags = [own for own in far if own[0].is_lag]
     if lags and (far[0][0].is_lag or fit.chi_square > _goal(fit)):
         tried: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
@@ -807,27 +832,6 @@ def marginalised(
         if not outside.size:
             break
     return posterior.with_model(moved)
-
-
-def is_useful(fit: SimulatedFit, rest: Beside) -> bool:
-    """Whether a fit beside which something repeats that nothing explains has gaps of use.
-
-    A fit that leaves as much again as noise does is no place to be linear at, and without the
-    discrepancy beside it the draws know nothing of what repeats.
-    """
-    if not rest.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
-        return False
-    drawn = rest.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
-    for place, unknown in enumerate(fit.model.unknowns):
-        if unknown.name != GAP:
-            continue
-        moved = float(np.mean(drawn[:, place] ** 2))
-        sd = math.sqrt(float(fit.covariance[place, place]) + moved)
-        reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
-        low, high = unknown.value(fit.point[place] + np.array([-reach, reach]))
-        if not 0.0 < high < USEFUL_RATIO * low:
-            return False
-    return True
 
 
 def edge_variances(posterior: DirectPosterior) -> FloatArray:

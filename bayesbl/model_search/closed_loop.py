@@ -357,7 +357,7 @@ class SetSearch:
     def beside(self, explanation: Explanation) -> Beside:
         """Laws and drift beside a fit; where something remains, all other laws at once too."""
         rest = beside(explanation.fit, self._among)
-        if rest.explains(explanation.fit):
+        if rest.explains:
             return rest
         explanation = explanation.with_derivatives()
         view, _ = self._linearised(explanation, tuple(self._open(explanation)))

@@ -21,7 +21,7 @@ from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.loop_noise import noise_along
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.predictive_check import is_explained
+from bayesbl.matching.predictive_check import FALSE_ALARM, is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import (
     CHANGED_TOGETHER,
@@ -58,9 +58,6 @@ MOST_ORDERS = 6
 
 BEYOND = 2.0
 """Budgets of drift beyond which a parameter has changed: one in twenty drifts so far."""
-
-FALSE_ALARM = 0.005
-"""Of the predictive check and of naming a change, each over all that it tests."""
 
 MISSED = 0.05
 """Share of changes of a blind spot's size that pass; smaller ones pass more often."""
@@ -300,11 +297,11 @@ def find_changes(
         progress=progress,
     )
     final, rest = naming.final, naming.rest
-    explained = is_explained(final.fit if rest is None else rest.explained(final.fit), FALSE_ALARM)
+    explained = is_explained(final.fit) if rest is None else rest.explains
     names = dict.fromkeys(name for effect in naming.effects for name in effect.members)
     return naming, JointFindings(
         tuple(seen.name for seen in nominal.model.recordings),
-        explained and (rest is None or rest.is_possible),
+        explained,
         tuple(_parameters(final)),
         tuple(names),
         tuple(blind_spots(final.fit, among)) if explained else (),
