@@ -20,7 +20,6 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS, declaration_of
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.loop_noise import noise_along
-from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import FALSE_ALARM, is_explained
 from bayesbl.matching.signals import GAP, Unknown
 from bayesbl.model_search.always_in import (
@@ -53,8 +52,6 @@ FURTHEST_CHANGE = 3.0
 """Factor by which a parameter may have changed, up or down."""
 
 MOST_CHANGES = 2
-MOST_ORDERS = 6
-"""Of the motor that are listed."""
 
 BEYOND = 2.0
 """Budgets of drift beyond which a parameter has changed: one in twenty drifts so far."""
@@ -327,12 +324,12 @@ def changed_beside(
             for slot, value in part.values.items()
         ]
     )
-    for place, unknown in enumerate(fit.model.unknowns):
+    for unknown in fit.model.unknowns:
         direction = by_slot.get(unknown.name)
         # A tolerance of the bench, or what the user lets drift, is flat.
         if direction is None or not math.isfinite(unknown.sd):
             continue
-        difference = _as_changed(fit, place)
+        difference = _as_changed(fit, unknown)
         drifted = (
             unknown.added
             and abs(difference.estimate - difference.expected) <= BEYOND * direction.drift
@@ -349,19 +346,13 @@ def changed_beside(
     )
 
 
-def _as_changed(fit: SimulatedFit, place: int) -> ChangedParameter:
+def _as_changed(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
     """An unknown of a fit against the first recording, or where all share it against the bench."""
-    unknown, model = fit.model.unknowns[place], fit.model
-    sd = math.sqrt(float(fit.covariance[place, place]))
-    first = model.recordings[0]
-    seen = next((r for r in model.recordings if r.name == unknown.recording), first)
-
-    def value(recording: Observed) -> float:
-        return float(model.vectors(fit.point[None], recording)[0, Slot[unknown.name]])
-
-    by_bench = float(model.bench.vector()[0, Slot[unknown.name]])
-    expected = value(first) if unknown.added else by_bench
-    return ChangedParameter(unknown.name, unknown.recording, expected, value(seen), sd)
+    slot, where = unknown.name, unknown.recording
+    if unknown.added and where is not None:
+        return _against(fit, slot, where, fit.model.recordings[0].name)
+    by_bench = float(fit.model.bench.vector()[0, Slot[slot]])
+    return ChangedParameter(slot, where, by_bench, fit.value(slot, where), fit.sd(slot, where))
 
 
 def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
@@ -383,14 +374,12 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
             and all(_is_tolerated(fit, slot, fit.value(slot, where)) for slot in slots)
         )
         for place, slot in zip(places, slots, strict=True):
-            expected, estimate = float(candidate.neutral[place]), fit.value(slot, where)
-            sd = fit.sd(slot, where)
             if where is not None and others:
-                expected, sd = _in_another(fit, slot, where, others[0])
-            if turned:
-                yield ChangedParameter(slot, names[1], estimate, expected, sd)
+                one, other = (others[0], where) if turned else (where, others[0])
+                yield _against(fit, slot, one, other)
             else:
-                yield ChangedParameter(slot, where, expected, estimate, sd)
+                believed, estimate = float(candidate.neutral[place]), fit.value(slot, where)
+                yield ChangedParameter(slot, where, believed, estimate, fit.sd(slot, where))
 
 
 def _stated_places(candidate: Candidate) -> list[int]:
@@ -424,11 +413,9 @@ def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
     return any(low <= value <= high for low, high in ends)
 
 
-def _in_another(fit: SimulatedFit, name: str, one: str, other: str) -> tuple[float, float]:
-    """A parameter in another recording, and the standard deviation of what it differs by in this.
-
-    What is known of the other one, or what all share, with its drift.
-    """
+def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParameter:
+    """A parameter in one recording against what is known of it in another, or what all share, with
+    its drift."""
     own_sd = np.sqrt(np.diag(fit.covariance))
     steps = np.diag(own_sd)
     points = np.concatenate([fit.point[None], fit.point + steps, fit.point - steps])
@@ -441,7 +428,8 @@ def _in_another(fit: SimulatedFit, name: str, one: str, other: str) -> tuple[flo
     ]
     up, down = np.split((values[0] - values[1])[1:], 2)
     slopes = np.divide(up - down, 2.0 * own_sd, out=np.zeros(own_sd.size), where=own_sd > 0.0)
-    return float(values[1][0]), math.sqrt(float(slopes @ fit.covariance @ slopes))
+    sd = math.sqrt(float(slopes @ fit.covariance @ slopes))
+    return ChangedParameter(name, one, float(values[1][0]), float(values[0][0]), sd)
 
 
 def _candidates(

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr, ndtri
+from scipy.special import log_ndtr
 
 from bayesbl.model_search.constants import (
     BEAM,
@@ -42,6 +42,7 @@ from bayesbl.model_search.constants import (
     WEIGHED_SHARE,
 )
 from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.importance import normal_between
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 GIBBS_SWEEPS = 25
@@ -895,7 +896,8 @@ def _truncated(
                 others = [j for j in range(bounded.size) if j != i]
                 sd = 1.0 / math.sqrt(own[i, i])
                 centre = middle[i] - (x[:, others] - middle[others]) @ own[others, i] / own[i, i]
-                x[:, i] = _above_zero(centre, sd, generator)
+                z = normal_between(-centre / sd, np.full(n, np.inf), generator.uniform(size=n))
+                x[:, i] = np.maximum(centre + sd * z, 0.0)
         result[:, bounded] = x
     if free.size:
         centre = np.broadcast_to(mean[free], (n, free.size))
@@ -905,16 +907,3 @@ def _truncated(
         root = _root(np.linalg.inv(precision[np.ix_(free, free)]))
         result[:, free] = centre + generator.standard_normal((n, free.size)) @ root.T
     return result
-
-
-def _above_zero(centre: FloatArray, sd: float, generator: np.random.Generator) -> FloatArray:
-    """A draw above zero of each normal."""
-    z = centre / sd
-    uniform = generator.uniform(size=z.size)
-    near = z > -6.0
-    tail = ndtr(np.where(near, z, 0.0)) * uniform
-    x = -ndtri(np.clip(tail, 1e-300, 1.0 - 1e-16)) + z
-    # Far below zero the part above it falls off exponentially (Robert 1995).
-    far = np.where(near, 1.0, -z)
-    x = np.where(near, x, -np.log(uniform) / far)
-    return np.asarray(np.maximum(x, 0.0) * sd)
