@@ -44,7 +44,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import FALSE_ALARM, RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.constants import FORM_SHARE
-from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
+from bayesbl.model_search.linear import Linearised, ModelPosterior, Term, search
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 
@@ -501,8 +501,8 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
         [label.term(own) for label, own in zip(labels, by_label, strict=bool(labels))],
         np.zeros((len(every), 0)),
     )
-    priors = Priors(probability={label.hypothesis: CHANGED for label in labels if label.cause})
-    posterior = search(linearised, priors, MOST_CHANGED)
+    changed = {label.hypothesis: CHANGED for label in labels if label.cause}
+    posterior = search(linearised, MOST_CHANGED, changed)
     drawn = posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
     size, shift = drawn.sizes.mean(axis=0), drawn.shift.mean(axis=0)
     left = [

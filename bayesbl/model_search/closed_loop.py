@@ -45,9 +45,10 @@ from bayesbl.model_search.linear import (
     Linearised,
     MisfitBand,
     ModelPosterior,
-    Priors,
     Term,
     confounded,
+    even_probability,
+    log_odds,
     search,
 )
 from bayesbl.model_search.refit import (
@@ -255,7 +256,7 @@ class SetSearch:
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
         # As many hypotheses as there are at the start: those found later raise no odds.
         labels = {c.label for c in self._candidates.values()}
-        self._log_odds = next(iter(Priors().log_odds(labels).values()), 0.0)
+        self._probability = even_probability(len(labels))
         self.nominal = self._add(nominal)
         self._climb()
 
@@ -366,7 +367,7 @@ class SetSearch:
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
         always = [t for t in view.terms if t.always]
         whole = replace(view, terms=always, discrepancy=columns, groups=[group])
-        return replace(rest, posterior=search(whole, None, 0))
+        return replace(rest, posterior=search(whole, 0))
 
     def _is_unexplained(self, own: FittedSet) -> bool:
         """What no hypothesis holds is more than a share of the disagreement."""
@@ -417,9 +418,8 @@ class SetSearch:
         explanation = base.explanation.with_derivatives()
         view, shapes = self._linearised(explanation, tuple(self._open(explanation)))
         offset = base.log_evidence - base.posterior.log_evidence
-        odds = 1.0 / (1.0 + math.exp(-self._log_odds))
-        priors = Priors(probability={c.label: odds for c in self._candidates.values()})
-        posterior = search(view, priors, min(2, room))
+        labels = {c.label for c in self._candidates.values()}
+        posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
         gains = posterior.single_gains()
         left = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
         least = max(min(left.values(), default=0.0), 0.0)
@@ -481,7 +481,7 @@ class SetSearch:
 
     def _weighed(self, explanation: Explanation) -> FittedSet:
         own = weighed(explanation, self._among, self._noise)
-        own.log_evidence += self._log_odds * len(explanation.candidates)
+        own.log_evidence += log_odds(self._probability) * len(explanation.candidates)
         return own
 
     def _linearised(
@@ -557,7 +557,7 @@ def weighed(
     fit has it.
     """
     view = linearised(explanation, (), among, noise)
-    alone = search(view, None, 0)
+    alone = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
     scales = alone.models[0].scales
     misfit = sum(max(b, 0.0) for b, scale in zip(beyond, scales, strict=True) if scale > 0.0)
