@@ -393,7 +393,7 @@ def fit_jointly(
             wider = [*among, *part.directions]
             own = settled(part.fit, wider)
             if own.explains:
-                return JointFit(own, changed_beside(own.fit, wider, part))
+                return JointFit(own, changed_beside(own.fit, wider, part.added))
         return JointFit(rest, changed_beside(rest.fit, among))
     seeking = of_stage(progress, f"Seeking changes in {name}")
     naming, joint = find_changes(rest.fit, among=among, progress=seeking)

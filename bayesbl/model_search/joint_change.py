@@ -100,11 +100,16 @@ class ChangedParameter(_Quantity):
 
 @dataclass(frozen=True, slots=True)
 class AddedPart:
-    """An elastic part that the bench lacks: its effect, resonance and probability."""
+    """An elastic part that the bench lacks: its effect, resonance, probability and values.
+
+    ``frequency_hz``: of what swings behind it against the rest of its inertia; of a base against
+    ground. ``probability``: against no such part and the others.
+    """
 
     name: str
     frequency_hz: float
     probability: float
+    values: tuple[ChangedParameter, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +180,7 @@ class JointFindings:
 
 @dataclass(frozen=True, slots=True)
 class ElasticPart:
-    """A part that the recordings speak for and the bench lacks.
+    """A part that the recordings speak for.
 
     Attributes
     ----------
@@ -184,35 +189,11 @@ class ElasticPart:
     directions
         Its own values, to be marginalised: of what swings behind it the recordings say little, and
         that moves δ little.
-    values, sds
-        By slot.
-    probability
-        Against no such part and the others.
     """
 
     fit: SimulatedFit
     directions: tuple[Direction, ...]
-    values: Mapping[str, float]
-    sds: Mapping[str, float]
-    probability: float
-
-    @property
-    def name(self) -> str:
-        """Of its effect."""
-        return next(iter(self.values)).partition("__")[0]
-
-    @property
-    def frequency_hz(self) -> float:
-        """Of what swings behind it against the rest of its inertia; of a base against ground."""
-        effect = effect_named(self.name)
-        assert effect.resonance is not None
-        (compliance,) = effect.amplitudes
-        part = self.values[f"{self.name}__{effect.resonance.part}"]
-        inertia = part
-        if effect.resonance.is_share:
-            inertia *= (1.0 - part) * self.fit.model.bench.value(effect.resonance.inertia)
-        of_spring = self.values[f"{self.name}__{compliance.name}"]
-        return 1.0 / (2.0 * math.pi * math.sqrt(of_spring * inertia))
+    added: AddedPart
 
 
 def elastic_part(
@@ -239,15 +220,12 @@ def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> 
     """A fitted part put into the bench, its values as directions of their flat priors."""
     (part,) = found.candidates
     places, own = found.places(part), nominal.point.size
-    values = {u.name: float(found.fit.point[k]) for u, k in zip(part.unknowns, places, strict=True)}
-    sds = {
-        u.name: math.sqrt(float(found.fit.covariance[k, k]))
+    sds = np.sqrt(np.diag(found.fit.covariance))[places].tolist()
+    values = {
+        u.name.partition("__")[2]: float(found.fit.point[k])
         for u, k in zip(part.unknowns, places, strict=True)
     }
-    effect = BenchEffect(
-        part.name,
-        {name.partition("__")[2]: EffectParameterValue(value) for name, value in values.items()},
-    )
+    effect = BenchEffect(part.name, {k: EffectParameterValue(v) for k, v in values.items()})
     bench, fit = nominal.model.bench, found.fit
     stated = {own.name for own in bench.effects}
     # How the controller samples is kept: it did not stand in for the part.
@@ -263,10 +241,26 @@ def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> 
     )
     alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
     directions = tuple(
-        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0, is_fitted=True)
-        for u in part.unknowns
+        Direction(u.name, min(u.prior_sd, 3.0 * sd), 0.0, is_fitted=True)
+        for u, sd in zip(part.unknowns, sds, strict=True)
     )
-    return ElasticPart(alone, directions, values, sds, probability)
+    fitted = tuple(
+        ChangedParameter(u.name, None, 0.0, value, sd)
+        for u, value, sd in zip(part.unknowns, values.values(), sds, strict=True)
+    )
+    added = AddedPart(part.name, _frequency_hz(bench, part.name, values), probability, fitted)
+    return ElasticPart(alone, directions, added)
+
+
+def _frequency_hz(bench: Bench, name: str, values: Mapping[str, float]) -> float:
+    """See :class:`AddedPart`; ``values``: of its effect's parameters."""
+    effect = effect_named(name)
+    assert effect.resonance is not None
+    (compliance,) = effect.amplitudes
+    inertia = part = values[effect.resonance.part]
+    if effect.resonance.is_share:
+        inertia *= (1.0 - part) * bench.value(effect.resonance.inertia)
+    return 1.0 / (2.0 * math.pi * math.sqrt(values[compliance.name] * inertia))
 
 
 def find_changes(
@@ -306,7 +300,7 @@ def find_changes(
 
 
 def changed_beside(
-    fit: SimulatedFit, among: Sequence[Direction], part: ElasticPart | None = None
+    fit: SimulatedFit, among: Sequence[Direction], part: AddedPart | None = None
 ) -> JointFindings:
     """What of the joint changed where laws, drift and changes beside a fit explain everything.
 
@@ -316,14 +310,7 @@ def changed_beside(
     names = tuple(seen.name for seen in fit.model.recordings)
     by_slot = {direction.slot: direction for direction in among}
     changed: list[ChangedParameter] = []
-    allowed = (
-        []
-        if part is None
-        else [
-            ChangedParameter(slot, None, 0.0, value, part.sds[slot])
-            for slot, value in part.values.items()
-        ]
-    )
+    allowed = [] if part is None else [*part.values]
     for unknown in fit.model.unknowns:
         direction = by_slot.get(unknown.name)
         # A tolerance of the bench, or what the user lets drift, is flat.
@@ -342,7 +329,7 @@ def changed_beside(
         tuple(dict.fromkeys(c.name for c in changed)),
         tuple(blind_spots(fit, among)),
         tuple(allowed),
-        None if part is None else AddedPart(part.name, part.frequency_hz, part.probability),
+        part,
     )
 
 

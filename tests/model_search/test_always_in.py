@@ -369,8 +369,8 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
     part = elastic_part(nominal, nominal, directions(BENCH, {}))
     assert part is not None
-    assert part.name == "belt"
-    assert part.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
+    assert part.added.name == "belt"
+    assert part.added.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
     place = part.fit.model.index(GAP, "one")
     z = (part.fit.point[place] - math.log(GAP_RAD)) / math.sqrt(part.fit.covariance[place, place])
     assert abs(z) < 3.0
