@@ -37,11 +37,11 @@ from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import TAILS
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.predictive_check import agrees
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
 from bayesbl.measurement.direct_route import NO_DRIFT, direct_unknowns
-from bayesbl.model_search.always_in import beside, directions, is_useful, settled
-from bayesbl.model_search.joint_change import FALSE_ALARM, find_changes
+from bayesbl.model_search.always_in import beside, directions, settled
+from bayesbl.model_search.joint_change import find_changes
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import FloatArray
 
@@ -158,13 +158,14 @@ def _answered(
     model = SimulatedSignals(bench, seen, unknowns, [noise_of(s, s.signals) for s in seen])
     nominal = refitted(model, fit_simulated(model, np.array(point)))
     among = directions(bench, NO_DRIFT)
-    fit, rest = settled(nominal, among)
-    withheld, told = False, any(u.added for u in fit.model.unknowns)
-    if not agrees(disagreements(rest.explained(fit)), FALSE_ALARM):
-        naming, joint_findings = find_changes(fit, among=among)
-        fit, rest = naming.final.fit, naming.rest or beside(naming.final.fit, among)
+    rest = settled(nominal, among)
+    withheld, told = False, any(u.added for u in rest.fit.model.unknowns)
+    if not agrees(rest.check):
+        naming, joint_findings = find_changes(rest.fit, among=among)
+        rest = naming.rest or beside(naming.final.fit, among)
         told = bool(joint_findings.changed)
-        withheld = not (joint_findings.explained or is_useful(fit, rest))
+        withheld = not (joint_findings.explained or rest.is_useful)
+    fit = rest.fit
     root = np.linalg.cholesky(fit.covariance)
     draws = fit.point + rng.standard_normal((DRAWS, fit.point.size)) @ root.T
     draws += rest.posterior.draw(rng, DRAWS).shift

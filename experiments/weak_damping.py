@@ -73,7 +73,8 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
     unknowns = [gap_unknown(1e-4, 4e-3), *(start_angle_unknown(s.name) for s in seen)]
     alone = fit_aligned(bench, seen, unknowns)
-    fit, rest = settled(alone, laws(bench))
+    rest = settled(alone, laws(bench))
+    fit = rest.fit
     place, rng, truth = fit.model.index(GAP), np.random.default_rng(1), math.log(GAP_RAD)
     draws = fit.point[place] + fit.sd(GAP) * rng.standard_normal(DRAWS)
     draws += rest.posterior.draw(rng, DRAWS).shift[:, place]

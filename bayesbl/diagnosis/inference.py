@@ -43,7 +43,7 @@ from bayesbl.diagnosis.disagreement import (
 )
 from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
-from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Priors, Term, search
+from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Term, search
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.units import unit_of
@@ -600,7 +600,7 @@ class Inference:
         sds = [self.model.nuisance_sds.get(n, math.inf) for n in self.model.names]
         prior = np.diag(np.asarray(sds, dtype=float) ** -2.0)
         linearised = Linearised(residual, jacobian, prior, np.zeros(d), terms, discrepancy, groups)
-        self.posterior = search(linearised, Priors(), MOST_TERMS)
+        self.posterior = search(linearised, MOST_TERMS)
         generator = np.random.default_rng(0)
         draws = self.posterior.draw(generator, DRAWS)
         scale = np.sqrt((jacobian**2).sum(axis=0))

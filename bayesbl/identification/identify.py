@@ -36,7 +36,7 @@ from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, is_explained
+from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
 from bayesbl.matching.signals import (
     GAP,
     SimulatedSignals,
@@ -48,7 +48,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.matching.standstill import believed, in_motion
-from bayesbl.model_search.always_in import Beside, is_useful, laws, marginalised, settled
+from bayesbl.model_search.always_in import Beside, laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import LEAVES_MOST, NAMED_AT, SLACK
@@ -195,30 +195,27 @@ def identify(
         If the bench cannot be simulated or a recording is too short.
     """
     match, unnamed = _match(problem, progress)
-    fit, rest = settled(match.final.fit, laws(match.final.fit.model.bench))
-    check = tuple(disagreements(rest.explained(fit)))
-    explained = agrees(check) and rest.is_possible
-    if not explained and unnamed is not None and fit is match.final.fit:
+    rest = settled(match.final.fit, laws(match.final.fit.model.bench))
+    if not rest.explains and unnamed is not None and rest.fit is match.final.fit:
         rest = unnamed
-    allows = not (explained or agrees(check)) and is_useful(fit, rest)
-    match = replace(match, final=replace(match.final, fit=fit))
-    verdict: Verdict = "agrees" if explained else "unexplained"
+    match = replace(match, final=replace(match.final, fit=rest.fit))
+    verdict: Verdict = "agrees" if rest.explains else "unexplained"
     if match.missing:
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
     posterior = sample_direct(match.final.fit, sampler, seed, drawing, simulating)
     for_impacts, for_laws = seed.spawn(2)
     # As wide as impacts that are not alike ask for, and laws that nothing shows.
-    posterior = marginalised(widened(posterior, for_impacts), rest, for_laws)
+    posterior = marginalised(widened(posterior, for_impacts), rest.posterior, for_laws)
     return Identification(
         match.nominal,
         match.final,
         match.beyond,
         match.missing,
         verdict=verdict,
-        check=check,
+        check=rest.check,
         posterior=posterior,
-        allows_for_misfit=allows,
+        allows_for_misfit=not agrees(rest.check) and rest.is_useful,
     )
 
 
@@ -236,8 +233,7 @@ def _match(problem: Problem, progress: StageProgress | None) -> tuple[Match, Bes
     if nominal is None:
         nominal = _nominal(problem, progress)
     problem = replace(problem, used=tuple(nominal.fit.model.recordings))
-    fit, _ = settled(nominal.fit, laws(nominal.fit.model.bench))
-    nominal = replace(nominal, fit=fit)
+    nominal = replace(nominal, fit=settled(nominal.fit, laws(nominal.fit.model.bench)).fit)
     naming = name_missing(
         nominal.fit,
         partial(_hypotheses, problem, nominal),
@@ -354,6 +350,9 @@ REACH = STEP**2
 """Factor, up or down, that a fit may go: to the next place but one. Without an end, fits of what is
 not wrong ran off to where a joint takes minutes to simulate."""
 
+SD_DRAWS = 4000
+"""A standard deviation is then good to 1 %."""
+
 FASTEST_PER_S = 5e3
 """Rate of a speed loop or shaft (800 Hz) beyond which a place is not scanned: those of joints reach
 some hundred Hz, and what is faster takes as much longer to simulate. A data sheet beyond it is
@@ -400,7 +399,7 @@ def _beyond(
     (place,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
     ends = [math.log(end) for end in (value - half, value + half) if end > 0.0]
-    sd = math.sqrt(float(weighed(final).covariance[place, place]))
+    sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, place].std())
     at = float(fit.point[place])
     deviations = min(abs(at - end) for end in ends) / sd
     return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)

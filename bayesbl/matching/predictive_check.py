@@ -25,7 +25,7 @@ BANDS = (0, 8, 32, 128, 512)
 0 is the mean alone, which is in no other band: motor friction and offsets show there."""
 
 
-FALSE_ALARM = 0.01
+FALSE_ALARM = 0.005
 """Of the check, over all that it tests."""
 
 CHANCE_EDGES = np.geomspace(1.0, 1e-8, 400)
@@ -153,22 +153,20 @@ def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[i
     return _repeating(row, seen.lag, scatters=scatters)
 
 
-def standing_out(
-    entries: Sequence[RepeatingPower], false_alarm: float = FALSE_ALARM
-) -> list[RepeatingPower]:
+def standing_out(entries: Sequence[RepeatingPower]) -> list[RepeatingPower]:
     """Entries that noise does not explain, at a family-wise false-alarm rate (Bonferroni)."""
     # What has no probability stands out too.
-    return [entry for entry in entries if not entry.probability * len(entries) > false_alarm]
+    return [entry for entry in entries if not entry.probability * len(entries) > FALSE_ALARM]
 
 
-def agrees(entries: Sequence[RepeatingPower], false_alarm: float = FALSE_ALARM) -> bool:
+def agrees(entries: Sequence[RepeatingPower]) -> bool:
     """Whether noise explains all entries."""
-    return not standing_out(entries, false_alarm)
+    return not standing_out(entries)
 
 
-def is_explained(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> bool:
+def is_explained(fit: SimulatedFit) -> bool:
     """Whether nothing repeats that is not noise."""
-    return agrees(disagreements(fit), false_alarm)
+    return agrees(disagreements(fit))
 
 
 def _spectrum(turns: FloatArray) -> ComplexArray:

@@ -10,20 +10,20 @@ from bayesbl.errors import RecordingError
 from bayesbl.matching.alignment import refitted
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, with_held_reference, without_standstill
-from bayesbl.matching.predictive_check import FALSE_ALARM, is_explained
+from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import REFERENCE_DELAY
 
 
-def believed(fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> SimulatedFit:
+def believed(fit: SimulatedFit) -> SimulatedFit:
     """The fit, or the first of three others of its motions that the check passes where it does not.
 
     A digital drive holds its reference from sample to sample; and what friction does at a
     standstill is not what it does in motion.
     """
-    if is_explained(fit, false_alarm) or not _moves(fit):
+    if is_explained(fit) or not _moves(fit):
         return fit
     for other in _others(fit):
-        if is_explained(other, false_alarm):
+        if is_explained(other):
             return other
     return fit
 

@@ -27,7 +27,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
 from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
-from bayesbl.matching.predictive_check import RepeatingPower, agrees, disagreements, standing_out
+from bayesbl.matching.predictive_check import RepeatingPower, standing_out
 from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
@@ -69,17 +69,15 @@ from bayesbl.model_search.always_in import (
     beside,
     directions,
     edge_variances,
-    elastic_part,
-    is_useful,
     marginalised,
     settled,
     with_friction,
 )
 from bayesbl.model_search.closed_loop import Naming, averaged
 from bayesbl.model_search.joint_change import (
-    FALSE_ALARM,
     JointFindings,
     changed_beside,
+    elastic_part,
     find_changes,
 )
 from bayesbl.noise.outside_lines import without_outside_lines
@@ -128,7 +126,7 @@ class DirectMatch:
         Through shared unknowns a misfit in one recording moves the gap of all.
         """
         shared_by_all = any(u.recording is None for u in self.posterior.fit.model.unknowns)
-        found = standing_out(self.check, FALSE_ALARM)
+        found = standing_out(self.check)
         return [entry for entry in found if shared_by_all or entry.recording == recording]
 
     def model_check(self, recording: str, level: float) -> JointCheck:
@@ -339,30 +337,26 @@ class JointFit:
     Attributes
     ----------
     rest
-        What stands beside the fit.
+        The fit, and what stands beside it.
     joint
         Whether one joint, as its bench describes it, made the recordings.
-    check
-        What repeats beside all that.
     naming
         What the bench lacks; ``None`` where laws and drift explain everything.
     """
 
-    fit: SimulatedFit
     rest: Beside
     joint: JointFindings
-    check: tuple[RepeatingPower, ...]
     naming: Naming | None = None
 
     @property
     def allows_for_misfit(self) -> bool:
         """Whether δ includes what a law that nothing names may do to it."""
-        return not self.joint.explained and is_useful(self.fit, self.rest)
+        return not self.joint.explained and self.rest.is_useful
 
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
         """Its draws with impacts that differ, laws, drift, and all that the bench may lack."""
         scattering, drifting, others = seed.spawn(3)
-        whole = marginalised(widened(posterior, scattering), self.rest, drifting)
+        whole = marginalised(widened(posterior, scattering), self.rest.posterior, drifting)
         if self.naming is None or not self.naming.effects:
             # Sets that explain too little to be named know less of the misfit than the bench does.
             return whole
@@ -390,30 +384,26 @@ def fit_jointly(
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
-    nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning), FALSE_ALARM)
+    nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
     among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
-    fit, rest = settled(nominal, among)
-    check = tuple(disagreements(rest.explained(fit)))
-    if agrees(check, FALSE_ALARM) and rest.is_possible:
-        part = None if moving else elastic_part(nominal, fit, among)
+    rest = settled(nominal, among)
+    if rest.explains:
+        part = None if moving else elastic_part(nominal, rest.fit, among)
         if part is not None:
             wider = [*among, *part.directions]
-            own, beside_own = settled(part.fit, wider)
-            own_check = tuple(disagreements(beside_own.explained(own)))
-            if agrees(own_check, FALSE_ALARM) and beside_own.is_possible:
-                joint = changed_beside(own, wider, part)
-                return JointFit(own, beside_own, joint, own_check)
-        return JointFit(fit, rest, changed_beside(fit, among), check)
+            own = settled(part.fit, wider)
+            if own.explains:
+                return JointFit(own, changed_beside(own.fit, wider, part.added))
+        return JointFit(rest, changed_beside(rest.fit, among))
     seeking = of_stage(progress, f"Seeking changes in {name}")
-    naming, joint = find_changes(fit, among=among, progress=seeking)
-    fit, rest = naming.final.fit, naming.rest or beside(naming.final.fit, among)
+    naming, joint = find_changes(rest.fit, among=among, progress=seeking)
+    rest = naming.rest or beside(naming.final.fit, among)
     if not rest.has_discrepancy:
         # Lags that stood in for what is named need not stand in for anything any more.
-        free = settled(fit, among)
-        if all(u.recording is None for u in free[0].model.unknowns[len(fit.model.unknowns) :]):
-            fit, rest = free
-    check = tuple(disagreements(rest.explained(fit)))
-    return JointFit(fit, rest, joint, check, naming)
+        free, known = settled(rest.fit, among), len(rest.fit.model.unknowns)
+        if all(u.recording is None for u in free.fit.model.unknowns[known:]):
+            rest = free
+    return JointFit(rest, joint, naming)
 
 
 def fit_directly(
@@ -437,10 +427,10 @@ def fit_directly(
     simulating = of_stage(progress, f"Simulating draws of {name}")
     allows = whole.allows_for_misfit
     withheld = not (whole.joint.explained or allows)
-    posterior = sample_direct(whole.fit, sampler, seed, report, simulating, withheld=withheld)
+    posterior = sample_direct(whole.rest.fit, sampler, seed, report, simulating, withheld=withheld)
     if not withheld:
         posterior = whole.averaged(posterior, seed)
-    return DirectMatch(posterior, whole.check, whole.joint, allows)
+    return DirectMatch(posterior, whole.rest.check, whole.joint, allows)
 
 
 def direct_verdict(

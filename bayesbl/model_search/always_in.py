@@ -11,11 +11,6 @@ by people, other parameters by damage; a cable may pull. These are hypotheses wi
 probability and a wide size, averaged over. One cause may change several parameters: where gravity's
 torque is another, so is the inertia, though what shows of it may look like drift.
 
-An elastic part of the joint, a belt, an arm or a base, is no direction: what it does is far from
-linear in its compliance, and the tolerances of a bench take up most of it, with δ off by much more
-than its interval. So each is tried at its full size over its frequencies, fitted where that
-promises anything, and weighed.
-
 All is linear at a fit (:mod:`bayesbl.model_search.linear`). What is far from where the fit has it
 is made one of its unknowns, fitted and sampled as any other; linear is the rest. Laws that act
 alike may be far together and none of them alone: then the one that explains most by itself is.
@@ -25,9 +20,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -45,12 +41,10 @@ from bayesbl.errors import BenchError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, prior_pull
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior
-from bayesbl.matching.predictive_check import FALSE_ALARM, agrees, disagreements
+from bayesbl.matching.predictive_check import FALSE_ALARM, RepeatingPower, agrees, disagreements
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
-from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.constants import FORM_SHARE
-from bayesbl.model_search.linear import Linearised, ModelPosterior, Priors, Term, search
-from bayesbl.model_search.refit import Explanation, columns_of, polished, refit
+from bayesbl.model_search.linear import Linearised, ModelPosterior, Term, search
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 
@@ -100,20 +94,6 @@ and another question is asked of the recordings."""
 
 LEAST_LEFT = 0.01
 """Share of a positive parameter that no drift or change takes."""
-
-PART = 1.0 / 6.0
-"""Probability that a joint has one elastic part that its bench lacks. A judgement: half of all
-joints have one, any of three."""
-
-TRIED_IN_VAIN = 0.05
-"""Share of joints without such a part in which one is fitted all the same; that only takes time."""
-
-PLACES_FITTED = 2
-"""Of each part, the most promising of its grid."""
-
-CLOSE = 30.0
-"""χ² by which a rough fit of one part may be behind that of another and still be fitted to the end:
-odds of e¹⁵."""
 
 SAMPLED = "sampled_control"
 DEAD_TIME = Slot.sampled_control__delay_periods.name
@@ -372,14 +352,14 @@ class Label:
         return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Beside:
-    """What stands beside a fit.
+    """A fit, and what stands beside it.
 
     Attributes
     ----------
     labels
-        Of each term.
+        Of each term beside the fit.
     posterior
         Of sizes and changes, in standard deviations.
     sizes
@@ -390,6 +370,7 @@ class Beside:
         By which the loop is late in the fit itself.
     """
 
+    fit: SimulatedFit
     labels: tuple[Label, ...]
     posterior: ModelPosterior
     sizes: FloatArray
@@ -455,17 +436,41 @@ class Beside:
             sizes[kind].mean() < -max(FAR * sizes[kind].std(), own) for kind, own in least.items()
         )
 
-    def explains(self, fit: SimulatedFit, false_alarm: float = FALSE_ALARM) -> bool:
+    @cached_property
+    def check(self) -> tuple[RepeatingPower, ...]:
+        """What repeats beside the fit with all this."""
+        return tuple(disagreements(replace(self.fit, residual=self.residual)))
+
+    @property
+    def explains(self) -> bool:
         """Whether the fit with all this agrees with the recordings, and can be."""
-        return self.is_possible and agrees(disagreements(self.explained(fit)), false_alarm)
+        return self.is_possible and agrees(self.check)
+
+    @property
+    def is_useful(self) -> bool:
+        """Whether a fit beside which something repeats that nothing explains has gaps of use.
+
+        A fit that leaves as much again as noise does is no place to be linear at, and without the
+        discrepancy beside it the draws know nothing of what repeats.
+        """
+        fit = self.fit
+        if not self.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
+            return False
+        drawn = self.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
+        for place, unknown in enumerate(fit.model.unknowns):
+            if unknown.name != GAP:
+                continue
+            moved = float(np.mean(drawn[:, place] ** 2))
+            sd = math.sqrt(float(fit.covariance[place, place]) + moved)
+            reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
+            low, high = unknown.value(fit.point[place] + np.array([-reach, reach]))
+            if not 0.0 < high < USEFUL_RATIO * low:
+                return False
+        return True
 
     def by_label(self) -> list[FloatArray]:
         """Draws of the sizes of each label, shape (n, directions)."""
         return np.split(self.sizes, np.cumsum([len(own.directions) for own in self.labels])[:-1], 1)
-
-    def explained(self, fit: SimulatedFit) -> SimulatedFit:
-        """The fit with the residuals that are left beside all this."""
-        return replace(fit, residual=self.residual)
 
 
 def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
@@ -496,15 +501,15 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
         [label.term(own) for label, own in zip(labels, by_label, strict=bool(labels))],
         np.zeros((len(every), 0)),
     )
-    priors = Priors(probability={label.hypothesis: CHANGED for label in labels if label.cause})
-    posterior = search(linearised, priors, MOST_CHANGED)
+    changed = {label.hypothesis: CHANGED for label in labels if label.cause}
+    posterior = search(linearised, MOST_CHANGED, changed)
     drawn = posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
     size, shift = drawn.sizes.mean(axis=0), drawn.shift.mean(axis=0)
     left = [
         residual - jacobian @ shift - by @ size[own]
         for residual, jacobian, own, by in zip(residuals, jacobians, acting, columns, strict=True)
     ]
-    return Beside(labels, posterior, drawn.sizes, np.concatenate(left), _lag_s(fit))
+    return Beside(fit, labels, posterior, drawn.sizes, np.concatenate(left), _lag_s(fit))
 
 
 def _lag_s(fit: SimulatedFit) -> float:
@@ -662,7 +667,7 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
     return bench.with_effects(*bench.effects, *added) if added else bench
 
 
-def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit, Beside]:
+def settled(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
     One after another: what is far for a lack of another is so no more when that is there.
@@ -670,20 +675,19 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[SimulatedFit
     Where all that does not explain the recordings, nothing is freed: a misfit has put it there, and
     takes the gaps along.
     """
-    nominal = fit, (rest := beside(fit, among))
+    nominal = rest = beside(fit, among)
     for _ in range(MOST_ROUNDS):
-        nearer = _nearer(fit.with_derivatives(), rest, among)
+        nearer = _nearer(rest, among)
         if nearer is None:
             break
         fit = fit_simulated(nearer.model, nearer.point, nearer.steps, one_sided=True)
         rest = beside(fit, among)
-    if fit is nominal[0] or not rest.explains(fit):
+    if rest is nominal or not rest.explains:
         return nominal
-    fit = fit_simulated(fit.model, fit.point, fit.steps)
-    return fit, beside(fit, among)
+    return beside(fit_simulated(fit.model, fit.point, fit.steps), among)
 
 
-def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
+def _nearer(rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
     """With one more of what is far among the unknowns; ``None`` where that leads nowhere.
 
     Lags of the loop are much alike where all is linear. So where one of them promises most, or the
@@ -691,7 +695,7 @@ def _nearer(fit: SimulatedFit, rest: Beside, among: Sequence[Direction]) -> Simu
     time of a controller that the bench states. No other law is freed where even all together leave
     too much.
     """
-    far = rest.far()
+    fit, far = rest.fit.with_derivatives(), rest.far()
     lags = [own for own in far if own[0].is_lag]
     if lags and (far[0][0].is_lag or fit.chi_square > _goal(fit)):
         tried: list[SimulatedFit | None] = [*_sampled_loops(fit, among)]
@@ -740,7 +744,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     else:
         is_known = DEAD_TIME in taken or "delay_periods" in stated.parameters
         periods_s = () if is_known else (stated.complete()["period_s"],)
-    known, models, promises = _Known.of(fit, among), {}, []
+    left_beside, models, promises = _left_beside(fit, among), {}, []
     for period_s in periods_s:
         bench = fit.model.bench
         if stated is None:
@@ -753,7 +757,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
             point = np.concatenate([fit.point, loop[: len(own)]])
             residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
-                left, shift = known.left(residual)
+                left, shift = left_beside(residual)
                 point[: shift.size] += shift
                 promises.append((left, period_s, point))
     fits: list[SimulatedFit] = []
@@ -795,9 +799,11 @@ def _fitted_from(
 
 
 def marginalised(
-    posterior: DirectPosterior, rest: Beside, seed: np.random.SeedSequence
+    posterior: DirectPosterior, rest: ModelPosterior, seed: np.random.SeedSequence
 ) -> DirectPosterior:
     """Draws that no longer take laws and parameters of the bench to be as it has them.
+
+    ``rest``: of what stands beside the fit.
 
     Where the recordings show that the gap's edges are soft, nor is δ known more sharply than these
     edges are: where teeth begin to touch depends on how, which no recording tells. All snapshots
@@ -806,20 +812,18 @@ def marginalised(
     Within the ranges of the unknowns: a draw that would leave them is made anew, and stays where it
     was where none is within.
     """
-    if not rest.labels:
-        return posterior
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
     lean = None
-    if rest.has_discrepancy:
+    if rest.linearised.groups:
         # What nothing explains is in no catalogue, so neither is the side to which it moves δ.
-        drawn = rest.posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
+        drawn = rest.draw(np.random.default_rng(0), SIZES_DRAWN)
         lean = drawn.shift[:, gaps].mean(axis=0)
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
-        tried = flat[outside] + rest.posterior.draw(rng, outside.size).shift
+        tried = flat[outside] + rest.draw(rng, outside.size).shift
         if lean is not None:
             tried[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
@@ -834,27 +838,6 @@ def marginalised(
     return posterior.with_model(moved)
 
 
-def is_useful(fit: SimulatedFit, rest: Beside) -> bool:
-    """Whether a fit beside which something repeats that nothing explains has gaps of use.
-
-    A fit that leaves as much again as noise does is no place to be linear at, and without the
-    discrepancy beside it the draws know nothing of what repeats.
-    """
-    if not rest.has_discrepancy or fit.chi_square > MOST_AGREEING * fit.residual.size:
-        return False
-    drawn = rest.posterior.draw(np.random.default_rng(0), WIDTH_DRAWS).shift
-    for place, unknown in enumerate(fit.model.unknowns):
-        if unknown.name != GAP:
-            continue
-        moved = float(np.mean(drawn[:, place] ** 2))
-        sd = math.sqrt(float(fit.covariance[place, place]) + moved)
-        reach = normal_isf(0.5 * (1.0 - USEFUL_LEVEL)) * sd
-        low, high = unknown.value(fit.point[place] + np.array([-reach, reach]))
-        if not 0.0 < high < USEFUL_RATIO * low:
-            return False
-    return True
-
-
 def edge_variances(posterior: DirectPosterior) -> FloatArray:
     """Draws of the variance of the gap's edges, rad², shape (chain, draw).
 
@@ -866,184 +849,21 @@ def edge_variances(posterior: DirectPosterior) -> FloatArray:
     return posterior.draws[..., names.index(EDGE_VARIANCE)]
 
 
-@dataclass(frozen=True, slots=True)
-class ElasticPart:
-    """A part that the recordings speak for and the bench lacks.
+def _left_beside(
+    fit: SimulatedFit, among: Sequence[Direction]
+) -> Callable[[FloatArray], tuple[float, FloatArray]]:
+    """χ² that is left of a residual (N,), and the shift of the fit's unknowns with it, (d,), where
+    they, laws and drift may move within their priors."""
+    _, columns = always_terms(fit, among)
+    own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
+    laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])
+    known = np.vstack([np.hstack([own, laws]), block_diag(prior, np.eye(laws.shape[1]))])
+    orthogonal, triangle = np.linalg.qr(known)
 
-    Attributes
-    ----------
-    fit
-        With it in the bench at its most probable values, and the unknowns of the nominal fit.
-    directions
-        Its own values, to be marginalised: of what swings behind it the recordings say little, and
-        that moves δ little.
-    values, sds
-        By slot.
-    probability
-        Against no such part and the others.
-    """
-
-    fit: SimulatedFit
-    directions: tuple[Direction, ...]
-    values: Mapping[str, float]
-    sds: Mapping[str, float]
-    probability: float
-
-    @property
-    def name(self) -> str:
-        """Of its effect."""
-        return next(iter(self.values)).partition("__")[0]
-
-    @property
-    def frequency_hz(self) -> float:
-        """Of what swings behind it against the rest of its inertia; of a base against ground."""
-        effect = effect_named(self.name)
-        assert effect.resonance is not None
-        (compliance,) = effect.amplitudes
-        part = self.values[f"{self.name}__{effect.resonance.part}"]
-        inertia = part
-        if effect.resonance.is_share:
-            inertia *= (1.0 - part) * self.fit.model.bench.value(effect.resonance.inertia)
-        of_spring = self.values[f"{self.name}__{compliance.name}"]
-        return 1.0 / (2.0 * math.pi * math.sqrt(of_spring * inertia))
-
-
-def elastic_part(
-    nominal: SimulatedFit, fit: SimulatedFit, among: Sequence[Direction]
-) -> ElasticPart | None:
-    """The part that is more likely than none, laws and drift beside either; ``None`` where none is.
-
-    ``fit``: ``nominal`` with laws and drift freed that stood in for the part. They are linear again
-    beside it, as they are next to nothing then: a lag of microseconds is what the simulator is
-    slowest with.
-    """
-    bench, recordings = fit.model.bench, fit.model.recordings
-    names = [e.name for e in EFFECTS if e.resonance is not None]
-    parts = [c for c in candidates(bench, recordings, names) if c.name in names]
-    tried = sum(len(c.starts) for c in parts)
-    known = _Known.of(fit, among)
-    rough = [e for e in (_fitted_part(known, part, tried) for part in parts) if e is not None]
-    rough = [e for e in rough if e.fit.chi_square < _goal(fit)]
-    least = min((e.fit.chi_square for e in rough), default=0.0)
-    fitted = []
-    for close in (e for e in rough if e.fit.chi_square < least + CLOSE):
-        with suppress(BenchError):
-            fitted.append(polished(close))
-    if not fitted:
-        return None
-    weights = [_log_evidence(Explanation((), fit), among)]
-    for found in fitted:
-        weights.append(_log_evidence(found, among) + math.log(PART / (1.0 - len(parts) * PART)))
-    probability = np.exp(np.array(weights) - max(weights))
-    probability /= probability.sum()
-    best = int(np.argmax(probability))
-    return None if best == 0 else _in_bench(nominal, fitted[best - 1], float(probability[best]))
-
-
-def _log_evidence(explanation: Explanation, among: Sequence[Direction]) -> float:
-    """Laplace's, of what is added to a fit, all that stands beside it marginalised."""
-    added = sum(len(c.unknowns) for c in explanation.candidates)
-    volume = 0.5 * added * math.log(2.0 * math.pi)
-    posterior = beside(explanation.fit, among).posterior
-    return posterior.log_evidence + explanation.log_prior + volume
-
-
-def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
-    """A fitted part put into the bench, its values as directions of their flat priors."""
-    (part,) = found.candidates
-    places, own = found.places(part), nominal.point.size
-    values = {u.name: float(found.fit.point[k]) for u, k in zip(part.unknowns, places, strict=True)}
-    sds = {
-        u.name: math.sqrt(float(found.fit.covariance[k, k]))
-        for u, k in zip(part.unknowns, places, strict=True)
-    }
-    effect = BenchEffect(
-        part.name,
-        {name.partition("__")[2]: EffectParameterValue(value) for name, value in values.items()},
-    )
-    bench, fit = nominal.model.bench, found.fit
-    stated = {own.name for own in bench.effects}
-    # How the controller samples is kept: it did not stand in for the part.
-    ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
-    of_ticks = {DEAD_TIME, INSTANT_SHARE}
-    kept = [
-        *range(own),
-        *(k for k, u in enumerate(fit.model.unknowns) if k >= own and u.name in of_ticks),
-    ]
-    model = nominal.model.beside(
-        bench.with_effects(*bench.effects, *ticks, effect),
-        [fit.model.unknowns[k] for k in kept[own:]],
-    )
-    alone = fit_simulated(model, fit.point[kept], fit.steps[kept])
-    directions = tuple(
-        Direction(u.name, min(u.prior_sd, 3.0 * sds[u.name]), 0.0, is_fitted=True)
-        for u in part.unknowns
-    )
-    return ElasticPart(alone, directions, values, sds, probability)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Known:
-    """What may move beside a fit: its unknowns, laws and drift, within their priors.
-
-    Attributes
-    ----------
-    orthogonal, triangle
-        Of its derivatives and priors, d unknowns and k sizes, shapes (N + d + k, d + k) and
-        (d + k, d + k).
-    residual
-        What is orthogonal to all of it, shape (N + d + k,).
-    """
-
-    fit: SimulatedFit
-    orthogonal: FloatArray
-    triangle: FloatArray
-    residual: FloatArray
-
-    @classmethod
-    def of(cls, fit: SimulatedFit, among: Sequence[Direction]) -> _Known:
-        """Of a fit, with laws and drift among these."""
-        _, columns = always_terms(fit, among)
-        own, prior = fit.derivatives(), np.linalg.cholesky(fit.model.prior_precision()).T
-        laws = np.hstack([np.zeros((own.shape[0], 0)), *columns])
-        known = np.vstack([np.hstack([own, laws]), block_diag(prior, np.eye(laws.shape[1]))])
-        orthogonal, triangle = np.linalg.qr(known)
-        residual = np.concatenate([fit.residual, np.zeros(known.shape[1])])
-        return cls(fit, orthogonal, triangle, residual - orthogonal @ (orthogonal.T @ residual))
-
-    def left(self, residual: FloatArray) -> tuple[float, FloatArray]:
-        """χ² that is left of a residual (N,), and the shift of the fit's unknowns with it, (d,)."""
-        residual = np.concatenate([residual, np.zeros(len(self.triangle))])
-        along = self.orthogonal.T @ residual
-        shift = np.linalg.solve(self.triangle, along)[: self.fit.point.size]
+    def left(residual: FloatArray) -> tuple[float, FloatArray]:
+        residual = np.concatenate([residual, np.zeros(len(triangle))])
+        along = orthogonal.T @ residual
+        shift = np.linalg.solve(triangle, along)[: fit.point.size]
         return float(residual @ residual - along @ along), np.asarray(shift)
 
-    def promise(self, column: FloatArray) -> tuple[float, FloatArray]:
-        """Fall of χ² by a column (N,), none where it is the other way, and the shift of the fit's
-        unknowns that goes with its full size, shape (d,)."""
-        column = np.concatenate([column, np.zeros(len(self.triangle))])
-        shared = self.orthogonal.T @ column
-        column = column - self.orthogonal @ shared
-        along = max(float(column @ self.residual), 0.0)
-        shift = -np.linalg.solve(self.triangle, shared)
-        return along**2 / float(column @ column), np.asarray(shift[: self.fit.point.size])
-
-
-def _fitted_part(known: _Known, part: Candidate, tried: int) -> Explanation | None:
-    """A part fitted from the best places of its grid; ``None`` where none of them promises more
-    than noise would in ``tried`` places."""
-    fit = known.fit
-    promises = [
-        (*known.promise(columns[0] * start[0]), start)
-        for start, columns in zip(part.starts, columns_of(fit, part)[1:], strict=True)
-        if columns
-    ]
-    promises.sort(key=lambda promise: -promise[0])
-    limit = chi2_isf(TRIED_IN_VAIN / tried, 1.0)
-    best: Explanation | None = None
-    for promise, shift, start in promises[:PLACES_FITTED]:
-        if promise > limit:
-            found = refit(Explanation((), fit), [(part, start)], shift, _goal(fit))
-            if found and (best is None or found.fit.chi_square < best.fit.chi_square):
-                best = found
-    return best
+    return left

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesbl.bench.effects import effect_named
 from bayesbl.matching.least_squares import SimulatedFit, prior_pull
@@ -46,9 +45,10 @@ from bayesbl.model_search.linear import (
     Linearised,
     MisfitBand,
     ModelPosterior,
-    Priors,
     Term,
     confounded,
+    even_probability,
+    log_odds,
     search,
 )
 from bayesbl.model_search.refit import (
@@ -109,15 +109,11 @@ class FittedSet:
         """Of everything unknown."""
         return self.explanation.fit
 
-    @cached_property
-    def covariance(self) -> FloatArray:
-        """Of everything unknown but for what is always beside it, with the misfit, (d, d)."""
-        return self.posterior.covariance()
-
     def draws(self, generator: np.random.Generator, n: int) -> FloatArray:
-        """Of everything unknown, with what is always beside it, (n, d), normal at the fit."""
-        sd = np.sqrt(np.diag(self.covariance))
-        correlation = self.covariance / np.outer(sd, sd)
+        """Of everything unknown, with misfit and what is always beside it, (n, d), normal at the
+        fit."""
+        sd = np.sqrt(np.diag(self.fit.covariance))
+        correlation = self.fit.covariance / np.outer(sd, sd)
         around = generator.multivariate_normal(np.zeros(sd.size), correlation, n, method="eigh")
         return np.asarray(self.fit.peak() + sd * around + self.posterior.draw(generator, n).shift)
 
@@ -183,37 +179,28 @@ class Naming:
         return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
 
 
-def log_gap_of(own: FittedSet, generator: np.random.Generator, n: int) -> FloatArray:
-    """Draws of ln δ beside one set, (n,)."""
-    place = own.fit.model.index(GAP)
-    spread = math.sqrt(float(own.covariance[place, place]))
-    return np.asarray(own.fit.peak()[place] + spread * generator.standard_normal(n))
-
-
 def averaged(
-    posterior: DirectPosterior, naming: Naming, seed: np.random.SeedSequence
+    posterior: DirectPosterior,
+    naming: Naming,
+    seed: np.random.SeedSequence,
+    among: Sequence[Direction] = (),
 ) -> DirectPosterior:
     """Draws of all sets: each other one than that of ``posterior`` has its share, normal at its
-    fit; of what it lacks the draws stay."""
+    fit; of what it lacks the draws stay.
+
+    ``among``: what is always beside each set, where the search had nothing there.
+    """
     common, model = naming.nominal.fit.point.size, posterior.fit.model
     rng, draws = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
-    draws = draws.copy()
-    for other, rows in shares_of_others(naming, naming.final.keys, len(draws), rng):
-        own = other.draws(rng, rows.size)[:, :common]
-        draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
-    return posterior.with_model(draws)
-
-
-def shares_of_others(
-    naming: Naming, keys: frozenset[tuple[str, float | None]], n: int, rng: np.random.Generator
-) -> Iterator[tuple[FittedSet, NDArray[np.int64]]]:
-    """Each set but that of ``keys``, with the places that it has among n draws, in random order."""
-    order = rng.permutation(n)
+    draws, order = draws.copy(), rng.permutation(len(draws))
     for other, weight in naming.sets:
-        count = round(weight * n)
-        if other.explanation.keys != keys and count:
-            yield other, order[:count]
-            order = order[count:]
+        count = round(weight * len(draws))
+        if other.explanation.keys != naming.final.keys and count:
+            rows, order = order[:count], order[count:]
+            whole = weighed(other.explanation, among) if among else other
+            own = whole.draws(rng, count)[:, :common]
+            draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
+    return posterior.with_model(draws)
 
 
 def name_missing(
@@ -241,22 +228,24 @@ def name_missing(
     progress
         Called with (fits made, fits expected).
     """
-    posterior = _Search(Explanation((), nominal_fit), candidates, max_effects, among, progress)
-    posterior.climb()
+    posterior = SetSearch(Explanation((), nominal_fit), candidates, max_effects, among, progress)
     naming = posterior.answer()
     return replace(naming, rest=posterior.beside(naming.final)) if among else naming
 
 
-class _Search:
-    """Sets that were fitted, and what they promise."""
+class SetSearch:
+    """Sets that were fitted, from the nominal one on, and what they promise.
+
+    Parameters as :func:`name_missing` takes them.
+    """
 
     def __init__(
         self,
         nominal: Explanation,
         candidates: Callable[[Sequence[float]], Sequence[Candidate]],
         most: int,
-        among: Sequence[Direction],
-        progress: Progress,
+        among: Sequence[Direction] = (),
+        progress: Progress = silent,
     ) -> None:
         self._catalogue, self._most, self._among = candidates, most, among
         self._progress = progress
@@ -267,15 +256,16 @@ class _Search:
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
         # As many hypotheses as there are at the start: those found later raise no odds.
         labels = {c.label for c in self._candidates.values()}
-        self._log_odds = next(iter(Priors().log_odds(labels).values()), 0.0)
+        self._probability = even_probability(len(labels))
         self.nominal = self._add(nominal)
+        self._climb()
 
     @property
     def best(self) -> FittedSet:
         """The most probable set."""
         return max(self._sets.values(), key=lambda own: own.log_evidence)
 
-    def climb(self) -> None:
+    def _climb(self) -> None:
         """Fit what is promised, from the best set on, until nothing promises more."""
         for _ in range(MOST_ROUNDS):
             best = self.best
@@ -322,16 +312,22 @@ class _Search:
             # Where another law is missing too, alone it is drawn away again.
             self._explore(weighed(explanation, self._among, self._noise))
 
+    @property
+    def sets(self) -> tuple[tuple[FittedSet, float], ...]:
+        """All that were fitted, each with its probability, the most probable first."""
+        fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
+        weights = np.exp([own.log_evidence - fitted[0].log_evidence for own in fitted])
+        return tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+
     def answer(self) -> Naming:
         """Names by the one rule."""
-        fitted = sorted(self._sets.values(), key=lambda own: -own.log_evidence)
-        nominal, best = self.nominal.explanation, fitted[0].explanation
-        weights = np.exp([own.log_evidence - fitted[0].log_evidence for own in fitted])
-        sets = tuple(zip(fitted, (weights / weights.sum()).tolist(), strict=True))
+        sets = self.sets
+        first, _ = sets[0]
+        nominal, best = self.nominal.explanation, first.explanation
         naming = Naming(nominal, nominal, (), sets, repeats=True)
         if not best.candidates:
-            return replace(naming, repeats=not fitted[0].explains_all)
-        if self._is_unexplained(fitted[0]):
+            return replace(naming, repeats=not first.explains_all)
+        if self._is_unexplained(first):
             return replace(naming, nearest=with_own_noise(best))
         labels = [(frozenset(own.explanation.names), p) for own, p in sets]
         inclusion = {name: sum(p for own, p in labels if name in own) for name in best.names}
@@ -342,8 +338,8 @@ class _Search:
             if place is None:
                 continue
             idle.discard(place)
-            name, rest = best.names[place], self._without(fitted[0], place)
-            gain = math.inf if rest is None else rest.fit.chi_square - fitted[0].fit.chi_square
+            name, rest = best.names[place], self._without(first, place)
+            gain = math.inf if rest is None else rest.fit.chi_square - first.fit.chi_square
             rivals = tuple(
                 (c, own.explanation)
                 for own, p in sets
@@ -364,7 +360,7 @@ class _Search:
     def beside(self, explanation: Explanation) -> Beside:
         """Laws and drift beside a fit; where something remains, all other laws at once too."""
         rest = beside(explanation.fit, self._among)
-        if rest.explains(explanation.fit):
+        if rest.explains:
             return rest
         explanation = explanation.with_derivatives()
         view, _ = self._linearised(explanation, tuple(self._open(explanation)))
@@ -373,7 +369,7 @@ class _Search:
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
         always = [t for t in view.terms if t.always]
         whole = replace(view, terms=always, discrepancy=columns, groups=[group])
-        return replace(rest, posterior=search(whole, None, 0))
+        return replace(rest, posterior=search(whole, 0))
 
     def _is_unexplained(self, own: FittedSet) -> bool:
         """What no hypothesis holds is more than a share of the disagreement."""
@@ -429,9 +425,8 @@ class _Search:
         explanation = base.explanation.with_derivatives()
         view, shapes = self._linearised(explanation, tuple(self._open(explanation)))
         offset = base.log_evidence - base.posterior.log_evidence
-        odds = 1.0 / (1.0 + math.exp(-self._log_odds))
-        priors = Priors(probability={c.label: odds for c in self._candidates.values()})
-        posterior = search(view, priors, min(2, room))
+        labels = {c.label for c in self._candidates.values()}
+        posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
         gains = posterior.single_gains()
         left = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
         least = max(min(left.values(), default=0.0), 0.0)
@@ -499,7 +494,7 @@ class _Search:
 
     def _weighed(self, explanation: Explanation) -> FittedSet:
         own = weighed(explanation, self._among, self._noise)
-        own.log_evidence += self._log_odds * len(explanation.candidates)
+        own.log_evidence += log_odds(self._probability) * len(explanation.candidates)
         return own
 
     def _linearised(
@@ -575,7 +570,7 @@ def weighed(
     fit has it.
     """
     view = linearised(explanation, (), among, noise)
-    alone = search(view, None, 0)
+    alone = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
     scales = alone.models[0].scales
     misfit = sum(max(b, 0.0) for b, scale in zip(beyond, scales, strict=True) if scale > 0.0)
@@ -642,10 +637,10 @@ def _banded(
     """
     model, d = fit.model, fit.point.size
     widths = [term.columns.shape[1] for term in terms]
-    derivatives, pull = fit.derivatives(), prior_pull(model, fit.point)
     # What the end of its range has stopped goes no further, whatever would explain more there.
     stopped = (fit.point <= model.low) | (fit.point >= model.high)
-    derivatives[:, stopped], pull[stopped] = 0.0, 0.0
+    derivatives = np.where(stopped, 0.0, fit.derivatives())
+    pull = np.where(stopped, 0.0, prior_pull(model, fit.point))
     everything = np.hstack(
         [
             derivatives,

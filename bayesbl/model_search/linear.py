@@ -21,11 +21,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr, ndtri
+from scipy.special import log_ndtr
 
 from bayesbl.model_search.constants import (
     BEAM,
@@ -42,9 +43,12 @@ from bayesbl.model_search.constants import (
     WEIGHED_SHARE,
 )
 from bayesbl.recording.types import FloatArray
+from bayesbl.sampling.importance import normal_between
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 GIBBS_SWEEPS = 25
+EVEN: Mapping[str, float] = MappingProxyType({})
+"""Prior probabilities of hypotheses, even over all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,20 +172,14 @@ class Linearised:
         return (*self.groups, *self.bands)
 
 
-@dataclass(frozen=True, slots=True)
-class Priors:
-    """``expected``: hypotheses in a joint nobody has looked at, even over all, but for those whose
-    own prior ``probability`` is stated."""
+def even_probability(hypotheses: int) -> float:
+    """Of each of so many in a joint nobody has looked at."""
+    return min(EXPECTED_HYPOTHESES / max(1, hypotheses), 0.5)
 
-    expected: float = EXPECTED_HYPOTHESES
-    probability: Mapping[str, float] = field(default_factory=dict)
 
-    def log_odds(self, hypotheses: Iterable[str]) -> dict[str, float]:
-        """Of each hypothesis to be there."""
-        labels = list(hypotheses)
-        even = min(self.expected / max(1, len(labels)), 0.5)
-        every = {name: self.probability.get(name, even) for name in labels}
-        return {name: math.log(p) - math.log1p(-p) for name, p in every.items()}
+def log_odds(probability: float) -> float:
+    """ln of the odds of a probability."""
+    return math.log(probability) - math.log1p(-probability)
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,7 +339,7 @@ class _Base:
 class _Grams:
     """Everything that depends on the view alone: the Gram matrices with u marginalised."""
 
-    def __init__(self, view: Linearised, priors: Priors) -> None:
+    def __init__(self, view: Linearised, probability: Mapping[str, float]) -> None:
         self.view = view
         terms = view.terms
         self.selected = [i for i, t in enumerate(terms) if not t.always]
@@ -385,10 +383,11 @@ class _Grams:
         self.is_positive = np.zeros(self.k, dtype=bool)
         for i in own:
             self.is_positive[starts[i]] = terms[i].positive
-        odds = priors.log_odds(dict.fromkeys(terms[i].hypothesis for i in self.selected))
+        even = even_probability(len({terms[i].hypothesis for i in self.selected}))
         self.log_prior = np.zeros(len(terms))
         for i in self.selected:
-            self.log_prior[i] = odds[terms[i].hypothesis] + math.log(terms[i].prior_weight)
+            odds = log_odds(probability.get(terms[i].hypothesis, even))
+            self.log_prior[i] = odds + math.log(terms[i].prior_weight)
         self.apart = self._apart()
         there = {term.hypothesis for term in terms}
         self.requires = [term.requires & there for term in terms]
@@ -542,14 +541,16 @@ class _Grams:
 
 
 def search(
-    linearised: Linearised, priors: Priors | None = None, max_terms: int = 3
+    linearised: Linearised, max_terms: int = 3, probability: Mapping[str, float] = EVEN
 ) -> ModelPosterior:
     """The posterior over sets of hypotheses, their sizes and what they move.
+
+    ``probability``: of hypotheses that have one of their own beforehand.
 
     Scales of the discrepancy are taken on a lattice: those that suit the best sets and their
     neighbours. All pairs are tried, larger sets continued from the best.
     """
-    grams = _Grams(linearised, priors or Priors())
+    grams = _Grams(linearised, probability)
     nowhere = (0,) * len(linearised.scaled)
     levels = list(dict.fromkeys([nowhere, _climb(grams, (), nowhere)]))
     pool: dict[tuple[int, ...], float] = {}
@@ -724,16 +725,6 @@ class ModelPosterior:
         added = grams.extensions((), (0,) * len(self.linearised.scaled))
         return dict(zip(grams.selected, added.tolist(), strict=True))
 
-    def covariance(self) -> FloatArray:
-        """(d, d) of u beside what the terms and the discrepancy move it by, of the average."""
-        total = np.zeros((self._grams.d, self._grams.d))
-        for model in self.models:
-            gram = self._grams.base(model._level).nuisance_gram
-            total += (
-                math.exp(model.log_posterior) * _factor(gram[: self._grams.d, : self._grams.d])[0]
-            )
-        return total
-
     @cached_property
     def sizes(self) -> dict[int, tuple[FloatArray, FloatArray, FloatArray]]:
         """Of each selected term that a likely model has: the probability of each such model, (m,),
@@ -905,7 +896,8 @@ def _truncated(
                 others = [j for j in range(bounded.size) if j != i]
                 sd = 1.0 / math.sqrt(own[i, i])
                 centre = middle[i] - (x[:, others] - middle[others]) @ own[others, i] / own[i, i]
-                x[:, i] = _above_zero(centre, sd, generator)
+                z = normal_between(-centre / sd, np.full(n, np.inf), generator.uniform(size=n))
+                x[:, i] = np.maximum(centre + sd * z, 0.0)
         result[:, bounded] = x
     if free.size:
         centre = np.broadcast_to(mean[free], (n, free.size))
@@ -915,16 +907,3 @@ def _truncated(
         root = _root(np.linalg.inv(precision[np.ix_(free, free)]))
         result[:, free] = centre + generator.standard_normal((n, free.size)) @ root.T
     return result
-
-
-def _above_zero(centre: FloatArray, sd: float, generator: np.random.Generator) -> FloatArray:
-    """A draw above zero of each normal."""
-    z = centre / sd
-    uniform = generator.uniform(size=z.size)
-    near = z > -6.0
-    tail = ndtr(np.where(near, z, 0.0)) * uniform
-    x = -ndtri(np.clip(tail, 1e-300, 1.0 - 1e-16)) + z
-    # Far below zero the part above it falls off exponentially (Robert 1995).
-    far = np.where(near, 1.0, -z)
-    x = np.where(near, x, -np.log(uniform) / far)
-    return np.asarray(np.maximum(x, 0.0) * sd)

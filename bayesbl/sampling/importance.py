@@ -190,7 +190,7 @@ def _mixed(
         mean = away[:, i] - away @ precision[i] * own**2
         share = generator.random(len(away))
         ends = (begin[cut][i] - mean) / own, (end[cut][i] - mean) / own
-        away[:, i] = mean + own * _between(*ends, share)
+        away[:, i] = mean + own * normal_between(*ends, share)
     slope = correlation[np.ix_(~cut, cut)] @ precision
     # Rounding may leave less than no variance of what the others nearly tell.
     values, vectors = np.linalg.eigh(
@@ -229,7 +229,7 @@ def normal_in_box(
     for k, i in enumerate(order):
         before = peak[i] + white[:, :k] @ root[k, :k]
         begin, end = (low[i] - before) / root[k, k], (high[i] - before) / root[k, k]
-        white[:, k] = _between(begin, end, generator.random(count))
+        white[:, k] = normal_between(begin, end, generator.random(count))
         points[:, i] = np.clip(before + root[k, k] * white[:, k], low[i], high[i])
         mirrored = begin > -end
         above = log_ndtr(np.where(mirrored, -begin, end))
@@ -238,7 +238,7 @@ def normal_in_box(
     return points, -0.5 * np.sum(white**2, axis=1) - log_mass
 
 
-def _between(low: FloatArray, high: FloatArray, share: FloatArray) -> FloatArray:
+def normal_between(low: FloatArray, high: FloatArray, share: FloatArray) -> FloatArray:
     """Quantiles of the standard normal distribution between two ends, all (m,)."""
     from scipy.special import log_ndtr, ndtri_exp
 

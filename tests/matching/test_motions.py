@@ -19,7 +19,7 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import changes_of, flank_changes
 from bayesbl.matching.observed import observed
 from bayesbl.matching.planning import Strokes, ranked_motions
-from bayesbl.matching.predictive_check import agrees, disagreements
+from bayesbl.matching.predictive_check import disagreements
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
 from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fit_directly
 from bayesbl.measurement.motion_verdict import unknown_start
@@ -113,7 +113,8 @@ def test_a_little_less_than_two_rotations_is_checked() -> None:
     fit = fit_aligned(
         BENCH, [observed(short, BENCH)], direct_unknowns(BENCH, [short.name], RANGE_RAD)
     )
-    assert agrees(disagreements(fit), 1e-3)
+    entries = disagreements(fit)
+    assert all(entry.probability * len(entries) > 1e-3 for entry in entries)
 
 
 def test_a_cycle_is_found_where_two_are_recorded() -> None:
@@ -150,7 +151,8 @@ def test_the_gap_is_recovered_and_the_check_passes(name: str) -> None:
     fit = fitted(*RECORDINGS[name])
     assert abs(z_of(fit)) < 4.0
     assert fit.sd(GAP, "r") == pytest.approx(fit.bound[fit.model.index(GAP, "r")], rel=0.01)
-    assert agrees(disagreements(fit), 1e-3)
+    entries = disagreements(fit)
+    assert all(entry.probability * len(entries) > 1e-3 for entry in entries)
     assert flank_changes(fit, 0)
 
 

@@ -69,7 +69,7 @@ def test_a_motion_is_believed_as_it_was_made(held: bool, creep_a: float) -> None
     """The check passes, and the gap is within 3.5 standard deviations: by chance 1 in 2000."""
     fit = fitted(recording(held=held, creep_a=creep_a))
     assert agrees(disagreements(fit)) == (not held and creep_a == 0.0)
-    found = believed(fit, 0.01)
+    found = believed(fit)
     assert agrees(disagreements(found))
     assert (REFERENCE_DELAY in [u.name for u in found.model.unknowns]) == (not held)
     assert abs(found.value(GAP) / GAP_RAD - 1.0) < 3.5 * found.sd(GAP)

@@ -44,7 +44,8 @@ def test_the_expected_width_is_that_of_an_answer() -> None:
     before = expected(seen)
     bench = with_friction(BENCH, seen)
     nominal = fit_aligned(bench, seen, direct_unknowns(bench, ["before", "after"], (0.0, 5e-3)))
-    fit, rest = settled(nominal, directions(bench, {}))
+    rest = settled(nominal, directions(bench, {}))
+    fit = rest.fit
     shift = rest.posterior.draw(np.random.default_rng(0), 2000).shift
     places = [fit.model.index(GAP, name) for name in ("before", "after")]
     covariance = (fit.covariance + np.cov(shift.T))[np.ix_(places, places)]

@@ -26,13 +26,14 @@ from bayesbl.model_search.always_in import (
     beside,
     directions,
     edge_variances,
-    elastic_part,
-    is_useful,
     laws,
     settled,
     with_friction,
     with_neutral,
 )
+from bayesbl.model_search.closed_loop import weighed
+from bayesbl.model_search.joint_change import elastic_part
+from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -161,7 +162,8 @@ def test_dry_friction_at_one_speed_is_told_from_viscous_by_the_crossing() -> Non
         for name, gap in gaps_rad.items()
     ]
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
-    fit, rest, joint = whole.fit, whole.rest, whole.joint
+    rest, joint = whole.rest, whole.joint
+    fit = rest.fit
     assert joint.explained
     shift = rest.posterior.draw(np.random.default_rng(0), 1000).shift
     for name, gap in gaps_rad.items():
@@ -200,9 +202,9 @@ def test_a_period_that_nobody_states_is_found_beside_dry_friction(
     seen = by_ticks(independent, BENCH, truth | {"start_angle_rad": 0.4}, True)
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
     assert_holds_the_gaps(whole)
-    (ticks,) = [e for e in whole.fit.model.bench.effects if e.name == "sampled_control"]
+    (ticks,) = [e for e in whole.rest.fit.model.bench.effects if e.name == "sampled_control"]
     assert ticks.complete()["period_s"] == period_s
-    assert whole.fit.value("sampled_control__delay_periods") == pytest.approx(delay, abs=0.1)
+    assert whole.rest.fit.value("sampled_control__delay_periods") == pytest.approx(delay, abs=0.1)
 
 
 GAPS_RAD = {"before": 7e-4, "after": 9e-4}
@@ -226,7 +228,7 @@ def by_ticks(
 
 def assert_holds_the_gaps(whole: JointFit) -> None:
     assert whole.joint.explained
-    fit, shift = whole.fit, whole.rest.posterior.draw(np.random.default_rng(0), 1000).shift
+    fit, shift = whole.rest.fit, whole.rest.posterior.draw(np.random.default_rng(0), 1000).shift
     for name, gap in GAPS_RAD.items():
         place = fit.model.index(GAP, name)
         sd = math.hypot(math.sqrt(fit.covariance[place, place]), float(shift[:, place].std()))
@@ -285,7 +287,8 @@ def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:
     nominal = pair(scaled(**{INERTIA: 1.03, STIFFNESS: 0.99}))
     before, sd = change(nominal, np.zeros((2, nominal.point.size)))
     assert abs(before) > 5.0 * sd
-    fit, rest = settled(nominal, directions(BENCH, {}))
+    rest = settled(nominal, directions(BENCH, {}))
+    fit = rest.fit
     after, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
     assert abs(after) < 2.6 * wider  # one false alarm in a hundred
 
@@ -302,7 +305,7 @@ def test_what_a_setting_or_a_weight_does_to_one_recording_is_not_taken_for_wear(
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
     assert whole.joint.explained
     shift = whole.rest.posterior.draw(np.random.default_rng(0), 2000).shift
-    found, wider = change(whole.fit, shift)
+    found, wider = change(whole.rest.fit, shift)
     assert abs(found) < 2.6 * wider  # one false alarm in a hundred
     assert wider < 0.03
 
@@ -311,7 +314,8 @@ def test_what_a_setting_or_a_weight_does_to_one_recording_is_not_taken_for_wear(
 def test_a_payload_changes_inertia_and_gravity_at_once() -> None:
     """Gravity is seen at once; the inertia looked like drift of damping and stiffness."""
     nominal = pair(scaled(**{INERTIA: 0.97, GRAVITY: 1.03}), seed=3)
-    fit, rest = settled(nominal, directions(BENCH, {}))
+    rest = settled(nominal, directions(BENCH, {}))
+    fit = rest.fit
     assert {INERTIA, GRAVITY} <= {u.name for u in fit.model.unknowns if u.added}
     found, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
     assert abs(found) < 2.6 * wider  # one false alarm in a hundred
@@ -320,7 +324,8 @@ def test_a_payload_changes_inertia_and_gravity_at_once() -> None:
 @pytest.mark.long
 def test_an_unchanged_joint_stays_sharp_and_nothing_is_made_an_unknown() -> None:
     nominal = pair(BENCH, seed=2)
-    fit, rest = settled(nominal, directions(BENCH, {}))
+    rest = settled(nominal, directions(BENCH, {}))
+    fit = rest.fit
     assert fit is nominal
     _, sd = change(nominal, np.zeros((2, nominal.point.size)))
     found, wider = change(fit, rest.posterior.draw(np.random.default_rng(0), 2000).shift)
@@ -384,8 +389,8 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
     part = elastic_part(nominal, nominal, directions(BENCH, {}))
     assert part is not None
-    assert part.name == "belt"
-    assert part.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
+    assert part.added.name == "belt"
+    assert part.added.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
     place = part.fit.model.index(GAP, "one")
     z = (part.fit.point[place] - math.log(GAP_RAD)) / math.sqrt(part.fit.covariance[place, place])
     assert abs(z) < 3.0
@@ -395,7 +400,16 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
 def test_a_fit_without_its_discrepancy_gives_no_gap_where_something_repeats() -> None:
     """However narrow: its draws know nothing of what nothing explains."""
     fit = pair(BENCH)
-    assert not is_useful(fit, beside(fit, directions(BENCH, {})))
+    assert not beside(fit, directions(BENCH, {})).is_useful
+
+
+def test_what_stands_beside_a_fit_leaves_its_derivatives_as_they_are() -> None:
+    """Of an unknown at the end of its range they were lost."""
+    fit = pair(BENCH).with_derivatives()
+    fit.point[0] = fit.model.high[0]
+    before = fit.derivatives().copy()
+    weighed(Explanation((), fit))
+    assert np.array_equal(fit.derivatives(), before)
 
 
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
@@ -418,7 +432,7 @@ def test_friction_that_the_bench_lacks_moves_no_gap() -> None:
         for name, gap in gaps_rad.items()
     ]
     whole = fit_jointly(BENCH, seen, (1e-4, 1e-2), {})
-    fit, joint = whole.fit, whole.joint
+    fit, joint = whole.rest.fit, whole.joint
     assert joint.explained
     assert not joint.changed
     for name, gap in gaps_rad.items():

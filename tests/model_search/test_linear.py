@@ -15,7 +15,6 @@ from bayesbl.model_search.linear import (
     DiscrepancyGroup,
     Linearised,
     MisfitBand,
-    Priors,
     Term,
     orthant,
     search,
@@ -50,7 +49,7 @@ def test_odds_of_sets_of_normal_sizes_are_those_of_the_covariance():
     terms = [Term(f"h{i}", rng.standard_normal((30, 1 + i % 2))) for i in range(4)]
     residual = rng.standard_normal(30) + terms[1].columns @ [0.7, -0.2]
     lin = view(residual, terms, jacobian=rng.standard_normal((30, 2)))
-    posterior = search(lin, Priors(expected=1.0))
+    posterior = search(lin, probability={term.hypothesis: 0.25 for term in terms})
     odds = math.log(0.25 / 0.75)
     expected = {}
     for size in range(4):
@@ -69,7 +68,7 @@ def test_odds_of_half_normal_sizes_are_those_of_numerical_integration(signs):
     c[:, 1] += 0.6 * c[:, 0]
     residual = c @ (np.array(signs) * 0.6) + rng.standard_normal(12)
     terms = [Term("a", c[:, :1], positive=True), Term("b", c[:, 1:], positive=True)]
-    posterior = search(view(residual, terms), Priors(expected=0.8))
+    posterior = search(view(residual, terms), probability={"a": 0.4, "b": 0.4})
 
     def likelihood(a, b):
         e = residual - c @ [a, b]
@@ -119,7 +118,7 @@ def test_probabilities_hold_where_the_truth_is_drawn_from_the_prior():
         u = rng.standard_normal(2)
         residual = jacobian @ u + np.hstack([t.columns for t in terms]) @ size
         lin = view(residual + rng.standard_normal(n), terms, jacobian=jacobian)
-        posterior = search(lin, Priors(expected=1.2), max_terms=6)
+        posterior = search(lin, 6, {term.hypothesis: 0.2 for term in terms})
         probabilities += [posterior.inclusion[f"h{i}"] for i in range(6)]
         truths += there.tolist()
         shift = posterior.draw(rng, 300).shift[:, 0]
@@ -347,7 +346,7 @@ def test_where_a_band_may_be_off_its_rows_name_nothing():
     columns = np.zeros((60, 1))
     columns[:40, 0] = some
     lin = replace(lin, terms=[Term("chance", columns)])
-    with_band, without = search(lin, None, 1), search(replace(lin, bands=[]), None, 1)
+    with_band, without = search(lin, 1), search(replace(lin, bands=[]), 1)
     assert without.inclusion["chance"] > NAMED_AT
     assert with_band.inclusion["chance"] < NAMED_AT
 
@@ -370,6 +369,6 @@ def test_noise_of_next_to_nothing_leaves_an_answer() -> None:
         misfit,
         [DiscrepancyGroup("laws", slice(0, 150))],
     )
-    drawn = search(view, None, 0).draw(np.random.default_rng(1), 200)
+    drawn = search(view, 0).draw(np.random.default_rng(1), 200)
     assert np.all(np.isfinite(drawn.shift))
     assert np.all(drawn.sizes[:, 1] >= 0.0)

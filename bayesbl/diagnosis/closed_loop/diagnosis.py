@@ -48,7 +48,7 @@ from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import ROUNDING, Observed, observed
-from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
+from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import (
     GAP,
@@ -59,15 +59,14 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.model_search.always_in import beside, laws
+from bayesbl.model_search.always_in import laws, marginalised
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import (
     FittedSet,
     Naming,
+    averaged,
     laws_of_shaft,
-    log_gap_of,
     name_missing,
-    shares_of_others,
     weighed,
 )
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
@@ -87,11 +86,6 @@ from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
 
-SHIFTS_DRAWN = 4000
-
-AVERAGED_DRAWS = 4000
-"""Of δ over several explanations, where the chosen one was not sampled."""
-
 
 @dataclass(frozen=True, slots=True)
 class Findings:
@@ -103,15 +97,13 @@ class Findings:
         The bench as its file says.
     chosen
         The set of everything that is named, its noise estimated without what was missing; with what
-        was learned, if anything was.
+        was learned, if anything was, and with laws that nothing shows.
     pairs
         Recordings, those that were held out too, beside both simulations.
     before, after
         Without and with what is named.
     learned
         What was learned from what naming left; ``chosen`` has it.
-    law_shifts
-        Draws of what laws that nothing shows add to ln δ; ``None`` where no gap is sought.
     """
 
     believed: Bench
@@ -121,12 +113,20 @@ class Findings:
     before: ResidualAnalysis
     after: ResidualAnalysis
     learned: Learned | None = None
-    law_shifts: FloatArray | None = None
 
     @property
     def final(self) -> Explanation:
         """The fit of what is named."""
         return self.chosen.explanation
+
+    def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
+        """Draws around the fit of what is named, with misfit, noise in the loop, laws that nothing
+        shows, and all other sets."""
+        for_misfit, for_others = seed.spawn(2)
+        whole = marginalised(posterior, self.chosen.posterior, for_misfit)
+        if self.learned is not None:
+            return whole
+        return averaged(whole, self.naming, for_others, laws(self.final.fit.model.bench))
 
 
 def search(
@@ -193,23 +193,12 @@ def search(
     return Findings(
         bench,
         naming,
-        weighed(final),
+        weighed(final, laws(final.fit.model.bench)),
         tuple(simulated_pairs(naming.nominal, final, held_out)),
         before,
         compared(final),
         learned,
-        _law_shifts(final.fit),
     )
-
-
-def _law_shifts(fit: SimulatedFit) -> FloatArray | None:
-    """See :mod:`bayesbl.model_search.always_in`."""
-    place = _place_of_gap(fit)
-    if place is None:
-        return None
-    rest = beside(fit, laws(fit.model.bench))
-    drawn = rest.posterior.draw(np.random.default_rng(0), SHIFTS_DRAWN)
-    return np.asarray(drawn.shift[:, place])
 
 
 def _place_of_gap(fit: SimulatedFit) -> int | None:
@@ -272,20 +261,20 @@ def diagnosis_of(
         Of the intervals.
     """
     naming, final = found.naming, found.final
+    kinds = {candidate.kind for candidate in final.candidates}
+    withheld = _why_no_gap(found, posterior, level)
     sampled = posterior
     if posterior is not None and posterior.diagnostics.outcome == "withheld":
         sampled = None
+    after, doubts = None, list[str]()
+    if not withheld and _place_of_gap(final.fit) is not None:
+        seed = np.random.SeedSequence(0)
+        around = sampled or sample_direct(final.fit, SamplerSettings(), seed, withheld=True)
+        whole = found.averaged(around, seed)
+        after, doubts = _averaged_gap(whole), [*_doubts_in_words(found, whole)]
+        if sampled is not None:
+            posterior = sampled = whole
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
-    kinds = {candidate.kind for candidate in final.candidates}
-    withheld = _why_no_gap(found, posterior, level)
-    gap_is_given = not withheld and _place_of_gap(final.fit) is not None
-    doubts = _doubts_in_words(found) if gap_is_given else ()
-    after = None if withheld else _delta_after(found, sampled)
-    if sampled is not None and after is not None and after.draws is not None:
-        # What is stored is what is told.
-        draws = sampled.draws.copy()
-        draws[..., final.fit.model.index(GAP)] = np.log(after.draws)
-        posterior = replace(sampled, draws=draws)
     shown = [pair for pair in found.pairs if pair.use == "held_out"] or found.pairs
     pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
@@ -362,9 +351,15 @@ def _estimate(explanation: Explanation, i: int, posterior: DirectPosterior | Non
     return Estimate(float(fit.point[i]), sd, draws, unknown.logarithmic)
 
 
-def _delta(explanation: Explanation, posterior: DirectPosterior | None = None) -> Estimate | None:
+def _delta(explanation: Explanation) -> Estimate | None:
     place = _place_of_gap(explanation.fit)
-    return None if place is None else _estimate(explanation, place, posterior)
+    return None if place is None else _estimate(explanation, place, None)
+
+
+def _averaged_gap(posterior: DirectPosterior) -> Estimate:
+    values = posterior.values(GAP)
+    logs = np.log(values)
+    return Estimate(float(logs.mean()), float(logs.std()), values, logarithmic=True)
 
 
 def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> dict[str, Estimate]:
@@ -375,53 +370,18 @@ def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> 
     }
 
 
-def _doubts_in_words(found: Findings) -> Iterator[str]:
+def _doubts_in_words(found: Findings, whole: DirectPosterior) -> Iterator[str]:
     """What the form of a law that is named, and what is left, do to δ."""
-    wider = _misfit_factor(found)
-    if wider > 1.05:
-        laws = [in_words(c.name) for c in laws_of_shaft(found.naming.final)]
+    wider = float(whole.model_widening[whole.fit.model.index(GAP)])
+    of_shaft = [in_words(c.name) for c in laws_of_shaft(found.naming.final)]
+    if wider > 1.05 and (of_shaft or found.chosen.misfit > 0.0):
         why = "Something repeats that no name explains."
-        if laws:
-            why = f"No real shaft follows the law of {' and '.join(laws)} exactly."
-        yield f"{why} The gap's interval is {wider:.2g} times as wide for it."
-
-
-def _misfit_factor(found: Findings) -> float:
-    """Standard deviation of ln δ with the misfit over that by noise alone."""
-    own, place = found.chosen, found.final.fit.model.index(GAP)
-    by_noise = float(own.fit.covariance[place, place])
-    return max(1.0, math.sqrt(float(own.covariance[place, place]) / by_noise))
-
-
-def _delta_after(found: Findings, sampled: DirectPosterior | None) -> Estimate | None:
-    """δ of the average over all sets, with laws that nothing shows; ``None`` where it is known."""
-    chosen = _delta(found.final, sampled)
-    if chosen is None or found.law_shifts is None:
-        return chosen
-    rng, naming = np.random.default_rng(0), found.naming
-    shape = (AVERAGED_DRAWS,) if chosen.draws is None else chosen.draws.shape
-    size = math.prod(shape)
-    own = log_gap_of(found.chosen, rng, size)
-    if chosen.draws is not None:
-        logs = np.log(chosen.draws.ravel())
-        own = logs.mean() + _misfit_factor(found) * (logs - logs.mean())
-    averaged = own if found.learned else _averaged(naming, own, found.final.keys, rng)
-    averaged = averaged + rng.permutation(np.resize(found.law_shifts, size))
-    draws = None if chosen.draws is None else np.exp(averaged).reshape(shape)
-    return Estimate(float(averaged.mean()), float(averaged.std()), draws, logarithmic=True)
-
-
-def _averaged(
-    naming: Naming,
-    own: FloatArray,
-    keys: frozenset[tuple[str, float | None]],
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Draws of ln δ of the chosen set, with each other one in its share of them, (n,)."""
-    averaged = own.copy()
-    for other, rows in shares_of_others(naming, keys, own.size, rng):
-        averaged[rows] = log_gap_of(other, rng, rows.size)
-    return averaged
+        if of_shaft:
+            why = f"No real shaft follows the law of {' and '.join(of_shaft)} exactly."
+        yield (
+            f"{why} For this, and for laws that no recording shows, the gap's interval is "
+            f"{wider:.2g} times as wide."
+        )
 
 
 def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
@@ -489,7 +449,6 @@ def comparison(task: Task) -> Comparison:
         seed = np.random.SeedSequence(config.run.seed)
         level = config.interval.level
         posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
-        posterior = widened(posterior, *seed.spawn(1))
         return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)), level)
 
     free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))

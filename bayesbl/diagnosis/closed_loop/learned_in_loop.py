@@ -28,7 +28,7 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.closed_loop import CONTENDERS, linearised, noise_in_loop, weighed
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT, UNEXPLAINED_SHARE
-from bayesbl.model_search.linear import Priors, Term, search
+from bayesbl.model_search.linear import Term, search
 from bayesbl.model_search.refit import Explanation, with_own_noise
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
@@ -295,7 +295,7 @@ def _promise(
         kept = [place[k if k <= one.orders else k - one.orders + most] for k in one.free]
         rows = np.concatenate([np.array(kept) + i * steps.size for i in range(len(owners))])
         terms.append(Term("learned", columns[rows].T, prior_weight=1.0 / len(variants)))
-    posterior = search(linearised(near, terms, noise=noise), Priors(), 1)
+    posterior = search(linearised(near, terms, noise=noise), 1)
     found = next((terms for terms in posterior.sets if terms), None)
     if found is None:
         return None

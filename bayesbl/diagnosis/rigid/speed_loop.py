@@ -60,14 +60,7 @@ from bayesbl.diagnosis.task import (
     wanted,
 )
 from bayesbl.errors import ConfigError, RecordingError
-from bayesbl.model_search.linear import (
-    DiscrepancyGroup,
-    Linearised,
-    MisfitBand,
-    Priors,
-    Term,
-    search,
-)
+from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, MisfitBand, Term, search
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import is_one_speed, require_channels
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, BoolArray, ComplexArray, FloatArray
@@ -565,7 +558,7 @@ class LoopSearch:
         )
         laws = {h.label: LINE_LAW for h in self.hypotheses if h.place is not None}
         most = len(fit.lines.orders) + MOST_BESIDE
-        self.posterior = search(linearised, Priors(probability=laws), most)
+        self.posterior = search(linearised, most, laws)
 
     def _rows(self, power: FloatArray) -> FloatArray:
         """Powers (r, m) in units of their noise, order by order, those that show, (n,)."""
