@@ -22,7 +22,7 @@ from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
-from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.alignment import believed, fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
@@ -40,7 +40,6 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
 from bayesbl.measurement.expected_width import expected_sds
