@@ -248,40 +248,23 @@ def _aligned(
 
 
 def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
-    """Best start angle of a steady rotation at each point and χ² left there, shape (m, 2)."""
+    """Best start angle of a steady rotation at each point and χ² left there, shape (m, 2).
+
+    Means are subtracted: an offset of a channel says nothing about the phase.
+    """
     seen = model.recordings[recording]
-    folded = _folded(seen)
-    weight = 1.0 / model.noise[recording].sd ** 2
+    folded, weight = _folded(seen), 1.0 / model.noise[recording].sd ** 2
+    channels, size = folded.shape
+    rate = size / seen.rotation_period_s
     matrix = model.vectors(points, seen, **{START_ANGLE: 0.0})
     matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
     # Points often differ only in the unknowns of other recordings, and candidates only in whose.
     matrix, place = np.unique(matrix, axis=0, return_inverse=True)
-    aligned = model.recent.signals(
-        matrix,
-        ("alignment", seen.name, hash(folded.tobytes()), tuple(weight)),
-        partial(_correlated, model, seen, folded, weight),
-    )
-    return aligned[place.ravel()]
-
-
-def _correlated(
-    model: SimulatedSignals,
-    seen: Observed,
-    folded: FloatArray,
-    weight: FloatArray,
-    matrix: FloatArray,
-) -> FloatArray:
-    """Start angle of each bench (m, SLOTS) and χ² left there, shape (m, 2).
-
-    Means are subtracted: an offset of a channel says nothing about the phase.
-    """
-    channels, size = folded.shape
-    rate = size / seen.rotation_period_s
     simulated = model.recent.signals(
         matrix,
         ("a rotation", channels, size, rate),
         partial(_rotations, model, channels, size, rate),
-    )
+    )[place.ravel()]
     folded = folded - folded.mean(axis=1, keepdims=True)
     simulated = simulated - simulated.mean(axis=2, keepdims=True)
     product = np.fft.irfft(
@@ -291,7 +274,7 @@ def _correlated(
     power = np.einsum("c,mcj->m", weight, simulated**2)
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
     own = float(weight @ (folded**2).sum(axis=1))
-    chi_square = own + power - 2.0 * gain[np.arange(len(matrix)), best]
+    chi_square = own + power - 2.0 * gain[np.arange(len(points)), best]
     rotations = seen.samples / seen.lag
     direction = math.copysign(1.0, seen.reference_speed_rpm)
     angle = direction * 2.0 * math.pi * best / size
