@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import after, effect_named
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import FURTHEST, PARAMETER_INFO, JointNormal, simulated_range
+from bayesbl.bench.parameters import FURTHEST, JointNormal, simulated_range
 from bayesbl.matching.as_observed import (
     RecentSimulations,
     accuracy_rpm,
@@ -171,26 +171,6 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
         middle, reach = math.log(value), FURTHEST * sd
         low, high = middle - reach, middle + reach
         unknowns.append(Unknown(name, low, high, middle, sd, logarithmic=True))
-    return unknowns
-
-
-def drift_unknowns(
-    bench: Bench, may_drift: Mapping[str, float], recordings: Sequence[str]
-) -> list[Unknown]:
-    """How far each parameter may have moved since the first recording, uniform.
-
-    Parameters
-    ----------
-    may_drift
-        Half-width by the name of a bench parameter or ``effect.parameter``, in its unit.
-    """
-    unknowns = []
-    for name, half in may_drift.items():
-        value = bench.value(name)
-        signed = name in PARAMETER_INFO and PARAMETER_INFO[name].signed
-        low = -half if signed or value < 0.0 else max(-half, -value)
-        slot = name.replace(".", "__")
-        unknowns += [Unknown(slot, low, half, recording=r, added=True) for r in recordings[1:]]
     return unknowns
 
 
