@@ -309,10 +309,6 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "what `bayesbl diagnose` finds missing."
     ),
     # Of a change.
-    "change_without_drift": (
-        "The change by the amplitude does not include what [joint] may_drift allows, so it is "
-        "withheld."
-    ),
     "routes_disagree": routes_disagree,
     # What limits an answer.
     "by_amplitude_instead": by_amplitude_instead,

@@ -19,8 +19,6 @@ from bayesbl.errors import ConfigError
 from bayesbl.recording import formats
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from bayesbl.runs.workflow import Plan
 
 
@@ -612,7 +610,7 @@ def figures_command(
     ] = None,
 ) -> None:
     """Draw the figures of a result again, as PDF and PNG."""
-    from bayesbl.library import require_study_file
+    from bayesbl.library import draw, require_study_file
     from bayesbl.presentation.terminal import say
     from bayesbl.results.folder import FIGURES
     from bayesbl.runs.kinds import read_result
@@ -620,7 +618,7 @@ def figures_command(
     tree = read_result(result)
     require_study_file(tree, study, result)
     folder = (result if os.path.isdir(result) else result.parent) / FIGURES
-    for path in _draw_in_place(tree, folder, study):
+    for path in draw(tree, folder, ("pdf", "png"), study):
         say(str(path))
 
 
@@ -653,20 +651,6 @@ def cite_command() -> None:
     from bayesbl.presentation.terminal import say
 
     say(all_bibtex())
-
-
-def _draw_in_place(tree: xr.DataTree, folder: Path, study: Path | None) -> list[Path]:
-    """Draw beside and move: an interrupted command leaves the figures that were there."""
-    import tempfile
-
-    from bayesbl.library import draw
-
-    with tempfile.TemporaryDirectory(prefix=".figures.", dir=folder.parent) as beside:
-        drawn = draw(tree, Path(beside), ("pdf", "png"), study)
-        folder.mkdir(exist_ok=True)
-        for path in drawn:
-            os.replace(path, folder / path.name)
-    return [folder / path.name for path in drawn]
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (

@@ -21,7 +21,6 @@ from bayesbl.config.sections import (
     ResultFile,
     Section,
     SnapshotRecording,
-    Tolerance,
     differently_named,
     refuse,
 )
@@ -179,36 +178,12 @@ LimitRad = Annotated[Positive, AfterValidator(_a_gap)]
 StatedLimit = Annotated[Limit, AfterValidator(_of_a_gap)]
 
 
-class Drift(Section):
-    """An entry of ``[joint.may_drift]``: half-width of a uniform prior."""
-
-    tolerance: Tolerance = Field(default=None, gt=0.0)
-    relative_tolerance: Tolerance = Field(default=None, gt=0.0)
-
-    @model_validator(mode="after")
-    def _one_of_the_two(self) -> Self:
-        if (self.tolerance is None) == (self.relative_tolerance is None):
-            refuse(
-                "A drift is given by one tolerance.",
-                found="both" if self.tolerance is not None else "none",
-                expected="tolerance = 0.5, in the parameter's unit, or relative_tolerance = 0.02",
-            )
-        return self
-
-    def half_width(self, value: float) -> float:
-        """In the parameter's unit, of a parameter of this value."""
-        if self.relative_tolerance is not None:
-            return self.relative_tolerance * abs(value)
-        return self.tolerance or 0.0
-
-
 class Joint(Section):
     """``[joint]``: what is known of the joint itself.
 
-    ``may_drift``: how far a bench parameter or ``"effect.parameter"`` may move between the first
-    snapshot and each later one; the interval of the change then includes it. ``drift``: relative
-    standard deviation of what moves by itself between the first snapshot and each later one, by
-    the name of a bench parameter or effect, in place of the default; 0 for none.
+    ``drift``: relative standard deviation of what may move between the first snapshot and each
+    later one, by the name of a bench parameter or effect, in place of the default; 0 for none. The
+    interval of the change includes it.
     ``rated_torque_nm``, at the output: lost motion is stated at 3 % of it. ``limit_rad`` is a limit
     of δ in rad, ``limit`` one of δ, play or lost motion in the unit of a data sheet.
     """
@@ -218,7 +193,6 @@ class Joint(Section):
     limit_rad: LimitRad | None = None
     limit: StatedLimit | None = None
     decide_before: Date | None = None
-    may_drift: dict[str, Drift] = Field(default_factory=dict)
     drift: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -410,11 +384,6 @@ class SnapshotConfig(RecordedConfig):
             not by_amplitude and self.posterior.check_sampler,
             "The second sampler samples the amplitude route's posterior only.",
             *("posterior", "check_sampler"),
-        )
-        unused(
-            self.joint.may_drift and (by_amplitude or not by_bench),
-            "What may drift is part of the direct route, which needs a bench.",
-            *("joint", "may_drift"),
         )
         for n, recording in enumerate(self.recordings):
             several, speed = len(recording.every_file) > 1, recording.reference_speed_rpm

@@ -31,7 +31,13 @@ from bayesbl.bench.parameters import JointNormal
 from bayesbl.bench.steady import contact_rates
 from bayesbl.diagnosis.closed_loop.prediction import augmented_bench
 from bayesbl.errors import SimulationError
-from bayesbl.matching.alignment import aligned_starts, fit_aligned, remaining_noise
+from bayesbl.matching.alignment import (
+    aligned_starts,
+    believed,
+    fit_aligned,
+    in_motion,
+    remaining_noise,
+)
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
@@ -47,7 +53,6 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.model_search.always_in import Beside, laws, marginalised, settled
 from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import name_missing, weighed

@@ -1,10 +1,14 @@
-"""Where a recording starts and roughly how large the gap is, from the recording alone."""
+"""Where a recording starts and roughly how large the gap is, from the recording alone.
+
+Motions are matched where the bench can be believed: without standstills, or with a reference held.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -14,10 +18,17 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
+from bayesbl.errors import RecordingError
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
 from bayesbl.matching.motions import motion_starts, noise_of, remembered_start, start_angles
-from bayesbl.matching.observed import Observed, without_start
-from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals, Unknown
+from bayesbl.matching.observed import (
+    Observed,
+    with_held_reference,
+    without_standstill,
+    without_start,
+)
+from bayesbl.matching.predictive_check import is_explained
+from bayesbl.matching.signals import GAP, REFERENCE_DELAY, START_ANGLE, SimulatedSignals, Unknown
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
@@ -237,40 +248,23 @@ def _aligned(
 
 
 def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
-    """Best start angle of a steady rotation at each point and χ² left there, shape (m, 2)."""
+    """Best start angle of a steady rotation at each point and χ² left there, shape (m, 2).
+
+    Means are subtracted: an offset of a channel says nothing about the phase.
+    """
     seen = model.recordings[recording]
-    folded = _folded(seen)
-    weight = 1.0 / model.noise[recording].sd ** 2
+    folded, weight = _folded(seen), 1.0 / model.noise[recording].sd ** 2
+    channels, size = folded.shape
+    rate = size / seen.rotation_period_s
     matrix = model.vectors(points, seen, **{START_ANGLE: 0.0})
     matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
     # Points often differ only in the unknowns of other recordings, and candidates only in whose.
     matrix, place = np.unique(matrix, axis=0, return_inverse=True)
-    aligned = model.recent.signals(
-        matrix,
-        ("alignment", seen.name, hash(folded.tobytes()), tuple(weight)),
-        partial(_correlated, model, seen, folded, weight),
-    )
-    return aligned[place.ravel()]
-
-
-def _correlated(
-    model: SimulatedSignals,
-    seen: Observed,
-    folded: FloatArray,
-    weight: FloatArray,
-    matrix: FloatArray,
-) -> FloatArray:
-    """Start angle of each bench (m, SLOTS) and χ² left there, shape (m, 2).
-
-    Means are subtracted: an offset of a channel says nothing about the phase.
-    """
-    channels, size = folded.shape
-    rate = size / seen.rotation_period_s
     simulated = model.recent.signals(
         matrix,
         ("a rotation", channels, size, rate),
         partial(_rotations, model, channels, size, rate),
-    )
+    )[place.ravel()]
     folded = folded - folded.mean(axis=1, keepdims=True)
     simulated = simulated - simulated.mean(axis=2, keepdims=True)
     product = np.fft.irfft(
@@ -280,7 +274,7 @@ def _correlated(
     power = np.einsum("c,mcj->m", weight, simulated**2)
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
     own = float(weight @ (folded**2).sum(axis=1))
-    chi_square = own + power - 2.0 * gain[np.arange(len(matrix)), best]
+    chi_square = own + power - 2.0 * gain[np.arange(len(points)), best]
     rotations = seen.samples / seen.lag
     direction = math.copysign(1.0, seen.reference_speed_rpm)
     angle = direction * 2.0 * math.pi * best / size
@@ -305,3 +299,58 @@ def _folded(seen: Observed) -> FloatArray:
     at = phase * seen.sampling_hz
     grid = np.arange(seen.samples)
     return np.stack([np.interp(at, grid, row).mean(axis=0) for row in seen.signals])
+
+
+def believed(fit: SimulatedFit) -> SimulatedFit:
+    """The fit, or the first of three others of its motions that the check passes where it does not.
+
+    A digital drive holds its reference from sample to sample; and what friction does at a
+    standstill is not what it does in motion.
+    """
+    if is_explained(fit) or not _moves(fit):
+        return fit
+    for other in _others(fit):
+        if is_explained(other):
+            return other
+    return fit
+
+
+def _others(fit: SimulatedFit) -> Iterator[SimulatedFit]:
+    """Without standstills, with a held reference, and both."""
+    moving = in_motion(fit)
+    if moving is not None:
+        yield moving
+    yield _held(fit)
+    if moving is not None:
+        yield _held(moving)
+
+
+def in_motion(fit: SimulatedFit) -> SimulatedFit | None:
+    """The fit without its motions' standstills; ``None`` where that leaves too little or all."""
+    moving = [without_standstill(seen, fit.model.bench) for seen in fit.model.recordings]
+    if _compared(moving) == _compared(fit.model.recordings):
+        return None
+    with suppress(RecordingError):
+        return refitted(replace(fit.model, recordings=moving), fit)
+    return None
+
+
+def _held(fit: SimulatedFit) -> SimulatedFit:
+    model = fit.model
+    # The steps of a held reference fall on samples: nothing is late there.
+    kept = [k for k, u in enumerate(model.unknowns) if u.name != REFERENCE_DELAY]
+    held = replace(
+        model,
+        recordings=[with_held_reference(seen) for seen in model.recordings],
+        unknowns=[model.unknowns[k] for k in kept],
+    )
+    return refitted(held, replace(fit, point=fit.point[kept], steps=fit.steps[kept]))
+
+
+def _moves(fit: SimulatedFit) -> bool:
+    return any(seen.motion is not None for seen in fit.model.recordings)
+
+
+def _compared(recordings: Sequence[Observed]) -> int:
+    """Samples that are compared, of all recordings."""
+    return sum(int(seen.compared.sum()) for seen in recordings)

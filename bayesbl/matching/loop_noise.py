@@ -22,10 +22,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayesbl.bench.kernel import Slot
 from bayesbl.bench.motion import Motion, held_motion, through
 from bayesbl.bench.steady import noise_through_loop
+from bayesbl.matching.as_observed import RecentSimulations
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import ROUNDING, Observed, whole_rotations
 from bayesbl.matching.signals import REFERENCE_DELAY
-from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.probabilities import f_sf, normal_isf
 from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S

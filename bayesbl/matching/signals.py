@@ -20,11 +20,16 @@ from numpy.typing import NDArray
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import after, effect_named
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.bench.parameters import FURTHEST, PARAMETER_INFO, simulated_range
-from bayesbl.matching.as_observed import accuracy_rpm, continued, in_whole_ticks, repeats, simulated
-from bayesbl.matching.normal_prior import NormalPrior
+from bayesbl.bench.parameters import FURTHEST, JointNormal, simulated_range
+from bayesbl.matching.as_observed import (
+    RecentSimulations,
+    accuracy_rpm,
+    continued,
+    in_whole_ticks,
+    repeats,
+    simulated,
+)
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.processes import in_threads
 from bayesbl.recording.types import BoolArray, FloatArray
@@ -169,26 +174,6 @@ def tolerance_unknowns(bench: Bench) -> list[Unknown]:
     return unknowns
 
 
-def drift_unknowns(
-    bench: Bench, may_drift: Mapping[str, float], recordings: Sequence[str]
-) -> list[Unknown]:
-    """How far each parameter may have moved since the first recording, uniform.
-
-    Parameters
-    ----------
-    may_drift
-        Half-width by the name of a bench parameter or ``effect.parameter``, in its unit.
-    """
-    unknowns = []
-    for name, half in may_drift.items():
-        value = bench.value(name)
-        signed = name in PARAMETER_INFO and PARAMETER_INFO[name].signed
-        low = -half if signed or value < 0.0 else max(-half, -value)
-        slot = name.replace(".", "__")
-        unknowns += [Unknown(slot, low, half, recording=r, added=True) for r in recordings[1:]]
-    return unknowns
-
-
 def effect_unknowns(bench: Bench, recordings: Sequence[str]) -> list[Unknown]:
     """Effect parameters of the bench that carry a standard deviation, Gaussian; phases, flat.
 
@@ -218,6 +203,70 @@ def shift_unknowns(learned: LearnedTerm, recordings: Sequence[str]) -> list[Unkn
     # Twice around: the best place is never at the end of the range.
     reach = learned.period
     return [Unknown(learned.shift_slot, -reach, reach, recording=name) for name in recordings]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalPrior:
+    """The density exp(−½ Σ ((x − c)/s)² − ½|W (x − c)|²).
+
+    Attributes
+    ----------
+    centre
+        c, shape (d,).
+    sd
+        s of each unknown alone, shape (d,); infinite where it has none, or one with others.
+    together
+        W, shape (k, d), of those that have one together.
+    """
+
+    centre: FloatArray
+    sd: FloatArray
+    together: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        centre: FloatArray,
+        sd: FloatArray,
+        shared: Sequence[str | None],
+        joint: JointNormal | None,
+    ) -> NormalPrior:
+        """Made of what each unknown states of itself, and of the bench's joint prior.
+
+        ``shared``: names of those that all recordings share, ``None`` for others.
+        """
+        joined = [] if joint is None else [i for i, n in enumerate(shared) if n in joint.names]
+        together = np.zeros((len(joined), centre.size))
+        if joint is not None and joined:
+            together[:, joined] = joint.whitening([str(shared[i]) for i in joined])
+        alone = sd.copy()
+        alone[joined] = np.inf
+        return cls(centre, alone, together)
+
+    @property
+    def precision(self) -> FloatArray:
+        """Inverse covariance, 0 for what has no normal prior, shape (d, d)."""
+        return np.asarray(np.diag(self.sd**-2.0) + self.together.T @ self.together)
+
+    def deviations(self, point: FloatArray) -> FloatArray:
+        """Centre minus coordinate, whitened, shape (k,)."""
+        alone = (self.centre - point) / self.sd
+        return np.concatenate([alone[np.isfinite(self.sd)], self.together @ (self.centre - point)])
+
+    def log_density(self, points: FloatArray) -> FloatArray:
+        """Up to a constant, shape (m, d) to (m,)."""
+        away = points - self.centre
+        density = -0.5 * ((away / self.sd) ** 2).sum(axis=1)
+        return np.asarray(density - 0.5 * ((away @ self.together.T) ** 2).sum(axis=1))
+
+    def log_densities(self, points: FloatArray) -> FloatArray:
+        """Of each coordinate given those before it, up to constants, shape (m, d) to (m, d)."""
+        away = points - self.centre
+        densities = -0.5 * (away / self.sd) ** 2
+        # W is the inverse of a lower triangular root: a row for each coordinate, given the former.
+        joined = np.flatnonzero(np.any(self.together != 0.0, axis=0))
+        densities[:, joined] -= 0.5 * (away @ self.together.T) ** 2
+        return np.asarray(densities)
 
 
 @dataclass(eq=False)

@@ -114,9 +114,7 @@ class AutoMeasurer(Measurer):
             why=Reason(why),
             beside=(amplitude,),
         )
-        # A drift moves the amplitude's gaps, and its curve does not know of it.
-        comparable = self.amplitude.source.is_of_bench and not self.config.joint.may_drift
-        if comparable and found.change_reason is None:
+        if self.amplitude.source.is_of_bench and found.change_reason is None:
             found = replace(found, change_reason=disagreement(direct, amplitude))
         return found
 
@@ -125,10 +123,7 @@ class AutoMeasurer(Measurer):
         told = [reason.stored for reason in because]
         note = Reason("by_amplitude_instead", {"because": told})
         answers = [replace(a, verdict=_noted(a.verdict, note)) for a in amplitude.answers]
-        found = replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
-        if self.config.joint.may_drift and found.change_reason is None:
-            return replace(found, change_reason=Reason("change_without_drift"))
-        return found
+        return replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
 
 
 def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | UserError:

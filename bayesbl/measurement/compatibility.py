@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import effect_named
+from bayesbl.bench.effects import EFFECT_BY_NAME, effect_named
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.curve.gap_curve import GapCurve
@@ -56,7 +56,9 @@ def bench_of(config: SnapshotConfig) -> Bench:
             found=f"{stated:g}, and {known:g} in {file}",
             expected="the same in both",
         )
-    drifts_of(config, bench)
+    for name in config.joint.drift:
+        if name not in EFFECT_BY_NAME:
+            _require_changeable(bench, name, "[joint] drift")
     for entry in config.recordings:
         where = f"[[recordings]] bench of {entry.name}"
         for name in entry.bench:
@@ -100,22 +102,6 @@ def bench_with(bench: Bench, known: Mapping[str, float]) -> Bench:
     ]
     own = {name: value for name, value in known.items() if "." not in name}
     return bench.with_effects(*effects).with_parameters(**own)
-
-
-def drifts_of(config: SnapshotConfig, bench: Bench) -> dict[str, float]:
-    """Half-width of what may drift between snapshots, by name, in each parameter's unit."""
-    found = {}
-    for name, drift in config.joint.may_drift.items():
-        _require_changeable(bench, name, "[joint] may_drift")
-        found[name] = drift.half_width(bench.value(name))
-        if found[name] == 0.0:
-            raise ConfigError(
-                "A share of zero is no drift.",
-                where=f"[joint] may_drift, {name}",
-                found="relative_tolerance, and a value of 0 in the bench",
-                expected="tolerance, in the parameter's unit",
-            )
-    return found
 
 
 def _require_changeable(bench: Bench, name: str, where: str) -> None:

@@ -22,7 +22,7 @@ from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
-from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.alignment import believed, fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
 from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
@@ -33,16 +33,14 @@ from bayesbl.matching.signals import (
     REFERENCE_DELAY,
     SMALLEST_GAP_RAD,
     Unknown,
-    drift_unknowns,
     effect_unknowns,
     gap_unknown,
     reference_delay_unknown,
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.matching.standstill import believed
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.compatibility import bench_of, bench_with, drifts_of
+from bayesbl.measurement.compatibility import bench_of, bench_with
 from bayesbl.measurement.expected_width import expected_sds
 from bayesbl.measurement.joint_check import JointCheck
 from bayesbl.measurement.measurement import (
@@ -169,13 +167,13 @@ class DirectMeasurer(Measurer):
         if not recordings or any(map(moves, recordings)):
             return ()
         seen = [observed_of(self.config, self.bench, recording) for recording in recordings]
-        bench, drift = with_friction(self.bench, seen), drifts_of(self.config, self.bench)
+        bench = with_friction(self.bench, seen)
         low, high = self.gap_range_rad
         return expected_sds(
             bench,
             seen,
-            direct_unknowns(bench, [one.name for one in seen], (low, high), drift),
-            directions(bench, {**dict.fromkeys(drift, 0.0), **self.config.joint.drift}),
+            direct_unknowns(bench, [one.name for one in seen], (low, high)),
+            directions(bench, self.config.joint.drift),
             [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high],
         )
 
@@ -185,15 +183,14 @@ class DirectMeasurer(Measurer):
             self.bench,
             [observed_of(self.config, self.bench, recording) for recording in task.recordings],
             self.config.estimator.gap_rad,
-            drifts_of(self.config, self.bench),
+            self.config.joint.drift,
             sampler_of(self.config),
             task.seeds.direct,
         )
-        drift = self.config.joint.drift
         found = task.work.get(
             "direct match",
-            (*problem, drift),
-            lambda: fit_directly(*problem, self.config.run.workers, task.progress, drift),
+            problem,
+            lambda: fit_directly(*problem, self.config.run.workers, task.progress),
             DirectMatch,
         )
         level = self.config.interval.level
@@ -312,13 +309,11 @@ def direct_unknowns(
     bench: Bench,
     names: Sequence[str],
     gap_rad: tuple[float, float],
-    may_drift: Mapping[str, float] = NO_DRIFT,
     moving: Sequence[str] = (),
 ) -> list[Unknown]:
     """A gap and a start angle for each recording, and what is not known of their bench.
 
-    ``may_drift`` as :func:`bayesbl.matching.signals.drift_unknowns` takes it; ``moving``: names of
-    those that are of motions.
+    ``moving``: names of those that are of motions.
     """
     return [
         *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
@@ -326,7 +321,6 @@ def direct_unknowns(
         *(reference_delay_unknown(name) for name in moving),
         *effect_unknowns(bench, names),
         *tolerance_unknowns(bench),
-        *drift_unknowns(bench, may_drift, names),
     ]
 
 
@@ -367,25 +361,24 @@ def fit_jointly(
     bench: Bench,
     recordings: Sequence[Observed],
     gap_rad: tuple[float, float],
-    may_drift: Mapping[str, float],
+    drift: Mapping[str, float],
     workers: int = 1,
     progress: StageProgress | None = None,
-    drift: Mapping[str, float] = NO_DRIFT,
 ) -> JointFit:
     """The optimum of all recordings together.
 
     Friction, laws that bias the gap before they show, and what drifts between the recordings, are
     always allowed for. What the bench lacks beside that, or changed in the joint, is freed where it
-    is named.
+    is named. ``drift``: relative standard deviations by name, in place of the defaults.
     """
     recordings = [marginalising_motor_lines(seen, bench) for seen in recordings]
     bench = with_friction(bench, recordings)
     moving = [r.name for r in recordings if r.motion is not None]
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, may_drift, moving)
+    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, moving)
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
-    among = directions(bench, {**dict.fromkeys(may_drift, 0.0), **drift})
+    among = directions(bench, drift)
     rest = settled(nominal, among)
     if rest.explains:
         part = None if moving else elastic_part(nominal, rest.fit, among)
@@ -410,18 +403,14 @@ def fit_directly(
     bench: Bench,
     recordings: Sequence[Observed],
     gap_rad: tuple[float, float],
-    may_drift: Mapping[str, float],
+    drift: Mapping[str, float],
     sampler: SamplerSettings,
     seed: np.random.SeedSequence,
     workers: int = 1,
     progress: StageProgress | None = None,
-    drift: Mapping[str, float] = NO_DRIFT,
 ) -> DirectMatch:
-    """Optimum and posterior of all recordings together.
-
-    ``drift``: relative standard deviations in place of the defaults.
-    """
-    whole = fit_jointly(bench, recordings, gap_rad, may_drift, workers, progress, drift)
+    """Optimum and posterior of all recordings together, ``drift`` as of :func:`fit_jointly`."""
+    whole = fit_jointly(bench, recordings, gap_rad, drift, workers, progress)
     name = " and ".join(r.name for r in recordings)
     report = of_stage(progress, f"Sampling {name}")
     simulating = of_stage(progress, f"Simulating draws of {name}")

@@ -191,9 +191,9 @@ def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str,
     return stacked
 
 
-def padded(rows: Sequence[object], width: int, text: bool = False) -> NDArray[np.generic]:
-    """Rows of different lengths as (row, width), NaN or empty text behind."""
-    table = np.full((len(rows), width), "" if text else np.nan, dtype="U16" if text else float)
+def padded(rows: Sequence[object], width: int) -> NDArray[np.float64]:
+    """Rows of different lengths as (row, width), NaN behind."""
+    table = np.full((len(rows), width), np.nan)
     for place, row in zip(table, map(np.asarray, rows), strict=True):
         place[: row.size] = row
     return table

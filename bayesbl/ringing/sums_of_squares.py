@@ -4,17 +4,14 @@ Everything here is in samples and complex numbers. With z = e^{(−τ + iω)Δt}
 impact is Im(w zʲ), w = e^{(−τ + iω)uΔt}, u ∈ [0, 1) the distance from the impact to the first
 sample after it. One table of powers zʲ therefore serves every pulse:
 
-* the inner product with the signal is two dot products per pulse, the only work that touches
-  samples;
-* inner products among pulses, with a constant and with the load-angle harmonics are geometric
-  series in closed form;
+* the train of pulses is written into its windows, and summed there by itself, by the signal and by
+  the load-angle harmonics; where pulses overlap each sample counts once, and samples that a fit
+  leaves out are zero;
 * the signal's inner products with the harmonics depend on T_w alone and are interpolated from a
   table made once per recording.
 
 A, v_t and the baseline are then solved from the normal equations. Work per evaluation does not
-grow with the samples outside the pulse windows. Samples that a fit leaves out have the speed zero,
-so every sum with the speed is right already; what they add to the inner products among the columns
-[1, cos, sin, …, pulses] is subtracted, for those inside pulse windows one by one.
+grow with the samples outside the pulse windows.
 
 Everything that numba compiles together is in this one file: its cache looks only at the file of
 the outermost function, so a part kept elsewhere could go stale unnoticed.
@@ -88,13 +85,31 @@ def _fill_powers(z: complex, cosine: FloatArray, sine: FloatArray, count: int) -
 
 
 @compiled(fastmath={"reassoc", "contract"})
-def _dots(y: FloatArray, cosine: FloatArray, sine: FloatArray) -> tuple[float, float]:
-    """(y·cosine, y·sine); summation order is free so that the loop vectorises."""
-    c = 0.0
-    s = 0.0
-    for j in range(y.size):
-        c += y[j] * cosine[j]
-        s += y[j] * sine[j]
+def _add_wave(train, start, cosine, sine):  # type: ignore[no-untyped-def]
+    """Add Im(start · zʲ) to samples in a row."""
+    for j in range(train.size):
+        train[j] += start.real * sine[j] + start.imag * cosine[j]
+
+
+# The order of summation is free, so that these loops vectorise.
+@compiled(fastmath={"reassoc", "contract"})
+def _sums(part, y):  # type: ignore[no-untyped-def]
+    """Σ q, Σ q² and Σ q y."""
+    total, square, product = 0.0, 0.0, 0.0
+    for j in range(part.size):
+        total += part[j]
+        square += part[j] * part[j]
+        product += part[j] * y[j]
+    return total, square, product
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def _dots(part, cosine, sine):  # type: ignore[no-untyped-def]
+    """Σ q cos and Σ q sin."""
+    c, s = 0.0, 0.0
+    for j in range(part.size):
+        c += part[j] * cosine[j]
+        s += part[j] * sine[j]
     return c, s
 
 
@@ -120,95 +135,6 @@ def _interpolate(table: FloatArray, position: float) -> complex:
         im += share * table[row, 1]
         weight *= -(INTERPOLATION_POINTS - 1.0 - i) / (i + 1.0)
     return complex(re / total, im / total)
-
-
-@compiled()
-def _overlap(a, b, n0, w, begin, end, extra_at, extra, z, cosine, sine):  # type: ignore[no-untyped-def]
-    """Inner product of two unit pulses that share samples.
-
-    Each is a run of whole samples and three single ones: the two at its corner and the one on the
-    ramp at its end.
-    """
-    product = 0.0
-    low, high = max(begin[a], begin[b]), min(end[a], end[b])
-    if low < high:
-        ja, jb, count = low - n0[a], low - n0[b], high - low
-        za, zb = complex(cosine[ja], sine[ja]), complex(cosine[jb], sine[jb])
-        zc = complex(cosine[count], sine[count])
-        square = z.real * z.real + z.imag * z.imag
-        even = (1.0 - (zc.real * zc.real + zc.imag * zc.imag)) / (1.0 - square)
-        odd = (1.0 - zc * zc) / (1.0 - z * z)
-        product += 0.5 * (w[a] * za * (w[b] * zb).conjugate()).real * even
-        product -= 0.5 * (w[a] * za * w[b] * zb * odd).real
-    for p, q in ((a, b), (b, a)):
-        for i in range(3):
-            if begin[q] <= extra_at[p, i] < end[q]:
-                j = extra_at[p, i] - n0[q]
-                product += extra[p, i] * (w[q].real * sine[j] + w[q].imag * cosine[j])
-    for i in range(3):
-        for j in range(3):
-            if extra_at[a, i] == extra_at[b, j]:
-                product += extra[a, i] * extra[b, j]
-    return product
-
-
-@compiled()
-def _pulses_at(  # type: ignore[no-untyped-def]
-    left_out, count, sign, w, n0, begin, end, extra_at, extra, cosine, sine, train
-):
-    """The unit pulse train at the samples ``left_out`` (sorted), into ``train``, shape (m,)."""
-    train[:] = 0.0
-    for a in range(count):
-        i = np.searchsorted(left_out, min(extra_at[a, 0], begin[a]))
-        last = max(extra_at[a, 2], end[a])
-        while i < left_out.size and left_out[i] <= last:
-            sample = left_out[i]
-            if begin[a] <= sample < end[a]:
-                j = sample - n0[a]
-                train[i] += sign[a] * (w[a].real * sine[j] + w[a].imag * cosine[j])
-            for part in range(3):
-                if extra_at[a, part] == sample:
-                    train[i] += sign[a] * extra[a, part]
-            i += 1
-
-
-@compiled()
-def _subtract(gram, left_out, train, sums, kappa, centre):  # type: ignore[no-untyped-def]
-    """Subtract the left-out samples from the lower triangle of XᵀX.
-
-    Parameters
-    ----------
-    train
-        Of :func:`_pulses_at`, shape (m,).
-    sums
-        Σ e^{iκkt} over the samples left out, t from the middle of the grid, k = 0 … 2·harmonics.
-    kappa
-        Angle of the load per sample, rad.
-    centre
-        Sample number of the middle of the grid.
-    """
-    last = gram.shape[0] - 1
-    harmonics = (last - 1) // 2
-    gram[0, 0] -= sums[0].real
-    for j in range(1, harmonics + 1):
-        gram[2 * j - 1, 0] -= sums[j].real
-        gram[2 * j, 0] = -sums[j].imag
-        for k in range(1, j + 1):
-            less, more = sums[j - k], sums[j + k]
-            gram[2 * j - 1, 2 * k - 1] -= 0.5 * (less.real + more.real)
-            gram[2 * j, 2 * k] -= 0.5 * (less.real - more.real)
-            gram[2 * j, 2 * k - 1] = -0.5 * (more.imag + less.imag)
-            if k < j:
-                gram[2 * j - 1, 2 * k] = -0.5 * (more.imag - less.imag)
-    for i in range(left_out.size):
-        value = train[i]
-        if value != 0.0:
-            gram[last, 0] -= value
-            gram[last, last] -= value * value
-            for k in range(1, harmonics + 1):
-                turned = value * np.exp(1j * kappa * k * (left_out[i] - centre))
-                gram[last, 2 * k - 1] -= turned.real
-                gram[last, 2 * k] -= turned.imag
 
 
 @compiled()
@@ -313,27 +239,22 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
     keep = coefficients.shape[0] > 0
     centre = 0.5 * (n - 1)
 
-    longest = 0.0
-    shortest = np.inf
+    longest, shortest = 0.0, np.inf
     for row in range(parameters.shape[0]):
         longest = max(longest, parameters[row, WINDOW] / period_s)
         if parameters[row, ROTATION] > 0.0:
             shortest = min(shortest, parameters[row, ROTATION] / period_s)
-    shortest = max(shortest, 1.0)
     room = int(min(longest, n)) + 4
-    most = 2 * (int((n + room) / shortest) + 4)
+    most = 2 * (int((n + room) / max(shortest, 1.0)) + 4)
+    first, last = np.empty(most, np.int64), np.empty(most, np.int64)
     cosine, sine = np.empty(room), np.empty(room)
-    n0, begin, end = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
-    extra_at, extra = np.empty((most, 3), np.int64), np.empty((most, 3))
-    sign = np.empty(most)
-    w = np.empty(most, np.complex128)
+    turning_c, turning_s = np.empty((harmonics, room)), np.empty((harmonics, room))
+    train = np.zeros(n)
     gram, rhs, solution = np.zeros((c, c)), np.zeros(c), np.zeros(c)
     factor = np.zeros((c, c))
-    q_harmonic = np.zeros(harmonics + 1, np.complex128)
-    rho = np.ones(harmonics + 1, np.complex128)
-    dirichlet = np.zeros(2 * harmonics + 1)
-    left_out_train = np.empty(left_out.size)
-    left_out_sums = np.zeros(2 * harmonics + 1, np.complex128)
+    # Σ e^{iκkt} over the samples used, t from the middle, k = 0 … 2·harmonics.
+    waves = np.zeros(2 * harmonics + 1, np.complex128)
+    waves[0] = gram[0, 0] = n - left_out.size
 
     for row in range(parameters.shape[0]):
         p = parameters[row]
@@ -350,152 +271,72 @@ def sums_of_squares(  # type: ignore[no-untyped-def]
             continue
 
         exponent = complex(-p[DECAY], p[FREQUENCY]) * period_s
-        z = np.exp(exponent)
-        shortest_run = int(math.floor(window - 0.5))
-        _fill_powers(z, cosine, sine, shortest_run + 3)
-        whole_turn = math.floor(rotation)
-        fraction = rotation - whole_turn
-        step_back = np.exp(-exponent * fraction)
-        step_on = step_back * z
-
-        rho[1:] = np.exp(1j * kappa)
-        for k in range(2, harmonics + 1):
-            rho[k] = rho[k - 1] * rho[1]
-        rho_run = np.exp(1j * kappa * shortest_run)
-        turn_back = np.exp(-1j * kappa * fraction)
-        turn_on = turn_back * rho[1] if harmonics > 0 else turn_back
+        length = int(window) + 3
+        _fill_powers(np.exp(exponent), cosine, sine, length)
+        for k in range(harmonics):
+            _fill_powers(np.exp(1j * kappa * (k + 1)), turning_c[k], turning_s[k], length)
 
         count = 0
-        q_y = 0.0
-        q_one = 0.0
-        q_q = 0.0
-        q_harmonic[:] = 0.0
         corner = p[FREQUENCY] * period_s / 6.0
-        square = z.real * z.real + z.imag * z.imag
-        series = 1.0 / (1.0 - z)
-        series_square = 1.0 / (1.0 - z * z)
-        series_norm = 1.0 / (1.0 - square)
-        for pulse_sign in (1.0, -1.0):
+        for sign in (1.0, -1.0):
             x = (p[FIRST_IMPACT] - first_time_s) / period_s
-            if pulse_sign < 0.0:
+            if sign < 0.0:
                 x -= p[SEPARATION] / period_s
             x += math.ceil((-window - 1.0 - x) / rotation) * rotation
-            index = int(math.ceil(x))
-            current = np.exp(exponent * (index - x))
-            turn = np.exp(1j * kappa * (index - centre))
-            number = 0
-            while index <= n:
-                u = index - (x + number * rotation)
-                run = int(math.floor(window - 0.5 - u)) + 1
-                run = max(run, 0)
-                j0, j1 = max(0, -index), min(run, n - index)
+            while x <= n:
+                # Of the first sample after the impact, and of the one on the ramp at the end.
+                begin = int(math.ceil(x))
+                u = begin - x
+                run = max(int(math.floor(window - 0.5 - u)) + 1, 0)
+                start = sign * np.exp(exponent * u)
+                j0 = max(0, -begin)
+                j1 = max(j0, min(run, n - begin))
+                _add_wave(train[begin + j0 : begin + j1], start, cosine[j0:j1], sine[j0:j1])
                 weight = window + 0.5 - u - run
-                if not (0 <= index + run < n and weight > 0.0):
-                    weight = 0.0
-                before = corner * u * u * u if index >= 1 else 0.0
-                after = corner * (1.0 - u) ** 3 if 0 <= index < n else 0.0
-                if j1 > j0 or weight > 0.0 or index >= 0:
-                    j1 = max(j1, j0)
-                    if j1 > j0:
-                        dot_c, dot_s = _dots(y[index + j0 : index + j1], cosine[j0:j1], sine[j0:j1])
-                        q_y += pulse_sign * (current.real * dot_s + current.imag * dot_c)
-                        z0, z1 = complex(cosine[j0], sine[j0]), complex(cosine[j1], sine[j1])
-                        q_one += pulse_sign * (current * (z0 - z1) * series).imag
-                        norm0 = z0.real * z0.real + z0.imag * z0.imag
-                        norm1 = z1.real * z1.real + z1.imag * z1.imag
-                        norm = current.real * current.real + current.imag * current.imag
-                        q_q += 0.5 * norm * (norm0 - norm1) * series_norm
-                        q_q -= 0.5 * (current * current * (z0 * z0 - z1 * z1) * series_square).real
-                    value = current.real * sine[run] + current.imag * cosine[run]
-                    if weight > 0.0:
-                        q_y += pulse_sign * weight * value * y[index + run]
-                        q_one += pulse_sign * weight * value
-                        q_q += (weight * value) ** 2
-                    if before > 0.0:
-                        q_y += pulse_sign * before * y[index - 1]
-                        q_q += before * before
-                    if after > 0.0:
-                        first = current.imag if run > 0 else weight * value
-                        q_y += pulse_sign * after * y[index]
-                        q_q += after * (after + 2.0 * first)
-                    q_one += pulse_sign * (before + after)
-                    if harmonics > 0:
-                        rho_0 = 1.0 + 0.0j if j0 == 0 else np.exp(1j * kappa * j0)
-                        if j1 == shortest_run:
-                            rho_1 = rho_run
-                        elif j1 == shortest_run + 1:
-                            rho_1 = rho_run * rho[1]
-                        else:
-                            rho_1 = np.exp(1j * kappa * j1)
-                        rho_e = rho_1
-                        if weight > 0.0 and j1 != run:
-                            rho_e = np.exp(1j * kappa * run)
-                        r0, r1, re, turn_k, rc = rho_0, rho_1, rho_e, turn, rho[1].conjugate()
-                        z0, z1 = complex(cosine[j0], sine[j0]), complex(cosine[j1], sine[j1])
-                        for k in range(1, harmonics + 1):
-                            up = current * (z0 * r0 - z1 * r1) / (1.0 - z * rho[k])
-                            down = (
-                                current.conjugate()
-                                * (z0.conjugate() * r0 - z1.conjugate() * r1)
-                                / (1.0 - z.conjugate() * rho[k])
-                            )
-                            total = -0.5j * (up - down) + weight * value * re
-                            total += after + before * rc
-                            q_harmonic[k] += pulse_sign * turn_k * total
-                            r0, r1, re, turn_k = r0 * rho_0, r1 * rho_1, re * rho_e, turn_k * turn
-                            rc *= rho[1].conjugate()
-                    n0[count], begin[count], end[count] = index, index + j0, index + j1
-                    extra_at[count, 0], extra[count, 0] = index - 1, before
-                    extra_at[count, 1], extra[count, 1] = index, after
-                    extra_at[count, 2], extra[count, 2] = index + run, weight * value
-                    sign[count], w[count] = pulse_sign, current
-                    count += 1
-                number += 1
-                following = int(math.ceil(x + number * rotation))
-                step = following - index
-                if step == whole_turn:
-                    current *= step_back
-                    turn *= turn_back
-                elif step == whole_turn + 1:
-                    current *= step_on
-                    turn *= turn_on
-                else:  # rounding, where pulses start on samples
-                    current *= np.exp(exponent * (step - rotation))
-                    turn *= np.exp(1j * kappa * (step - rotation))
-                index = following
+                if 0 <= begin + run < n and weight > 0.0:
+                    value = start.real * sine[run] + start.imag * cosine[run]
+                    train[begin + run] += weight * value
+                if 1 <= begin <= n:
+                    train[begin - 1] += sign * corner * u**3
+                if 0 <= begin < n:
+                    train[begin] += sign * corner * (1.0 - u) ** 3
+                first[count], last[count] = max(begin - 1, 0), min(begin + run + 1, n)
+                count += last[count] > first[count]
+                x += rotation
 
-        nearest = p[SEPARATION] / period_s - math.floor(p[SEPARATION] / p[ROTATION]) * rotation
-        if min(nearest, rotation - nearest) < window + 3.0 or rotation < window + 3.0:
-            for a in range(count):
-                for b in range(a):
-                    if extra_at[a, 0] <= extra_at[b, 2] and extra_at[b, 0] <= extra_at[a, 2]:
-                        shared = _overlap(a, b, n0, w, begin, end, extra_at, extra, z, cosine, sine)
-                        q_q += 2.0 * sign[a] * sign[b] * shared
+        for i in range(left_out.size):
+            train[left_out[i]] = 0.0
+        rhs[c - 1] = gram[c - 1, 0] = gram[c - 1, c - 1] = 0.0
+        gram[c - 1, 1 : c - 1] = 0.0
+        for pulse in range(count):
+            part, own = train[first[pulse] : last[pulse]], y[first[pulse] : last[pulse]]
+            total, square, product = _sums(part, own)
+            gram[c - 1, 0] += total
+            gram[c - 1, c - 1] += square
+            rhs[c - 1] += product
+            for k in range(harmonics):
+                even, odd = _dots(part, turning_c[k], turning_s[k])
+                turned = complex(even, odd) * np.exp(1j * kappa * (k + 1) * (first[pulse] - centre))
+                gram[c - 1, 2 * k + 1] += turned.real
+                gram[c - 1, 2 * k + 2] += turned.imag
+            part[:] = 0.0  # where pulses overlap, each sample counts once
 
-        dirichlet[0] = n
         for k in range(1, 2 * harmonics + 1):
-            dirichlet[k] = math.sin(0.5 * n * k * kappa) / math.sin(0.5 * k * kappa)
-        gram[0, 0] = n
+            waves[k] = math.sin(0.5 * n * k * kappa) / math.sin(0.5 * k * kappa)
+            if left_out.size > 0:
+                place = k * kappa / (2.0 * math.pi) * table_length
+                waves[k] -= _interpolate(left_out_table, place)
         rhs[0] = 0.0
         for j in range(1, harmonics + 1):
+            gram[2 * j - 1, 0], gram[2 * j, 0] = waves[j].real, waves[j].imag
             for k in range(1, j + 1):
-                gram[2 * j - 1, 2 * k - 1] = 0.5 * (dirichlet[j - k] + dirichlet[j + k])
-                gram[2 * j, 2 * k] = 0.5 * (dirichlet[j - k] - dirichlet[j + k])
-            gram[2 * j - 1, 0] = dirichlet[j]
+                less, more = waves[j - k], waves[j + k]
+                gram[2 * j - 1, 2 * k - 1] = 0.5 * (less.real + more.real)
+                gram[2 * j - 1, 2 * k] = 0.5 * (more.imag - less.imag)
+                gram[2 * j, 2 * k - 1] = 0.5 * (more.imag + less.imag)
+                gram[2 * j, 2 * k] = 0.5 * (less.real - more.real)
             at = _interpolate(table, j * kappa / (2.0 * math.pi) * table_length)
             rhs[2 * j - 1], rhs[2 * j] = at.real, at.imag
-            gram[c - 1, 2 * j - 1], gram[c - 1, 2 * j] = q_harmonic[j].real, q_harmonic[j].imag
-        gram[c - 1, 0], gram[c - 1, c - 1], rhs[c - 1] = q_one, q_q, q_y
-        if left_out.size > 0:
-            train = left_out_train
-            _pulses_at(
-                left_out, count, sign, w, n0, begin, end, extra_at, extra, cosine, sine, train
-            )
-            left_out_sums[0] = left_out.size
-            for k in range(1, 2 * harmonics + 1):
-                place = k * kappa / (2.0 * math.pi) * table_length
-                left_out_sums[k] = _interpolate(left_out_table, place)
-            _subtract(gram, left_out, left_out_train, left_out_sums, kappa, centre)
 
         sse[row], log_determinant[row] = solve(
             gram, rhs, y_square, p[MEAN], solve_mean, solution, factor

@@ -56,6 +56,7 @@ from pydantic import BaseModel, ValidationError
 from bayesbl.config.kinds import StudyConfig
 from bayesbl.config.loading import config_error, problems_of
 from bayesbl.errors import ConfigError, UserError, WorkerError
+from bayesbl.results.atomic import replacing
 from bayesbl.results.folder import figure_title
 from bayesbl.results.provenance import git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, Head, head
@@ -569,8 +570,8 @@ def draw_study(study: Study, tree: xr.DataTree, folder: Path, formats: Sequence[
     if not hasattr(study.module, "figure") or not formats:
         return []
     figure = study.figure(*stored_rows(tree))
-    folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{study.name}.{ending}" for ending in formats]
     for path in paths:
-        figure.savefig(path, metadata={"Title": figure_title(study.name)})
+        with replacing(path) as new:
+            figure.savefig(new, metadata={"Title": figure_title(study.name)})
     return paths

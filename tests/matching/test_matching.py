@@ -14,11 +14,10 @@ from bayesbl.bench.motion import strokes
 from bayesbl.bench.simulation import Measurement, simulate_channels
 from bayesbl.config.bench import reference_bench
 from bayesbl.errors import BenchError, RecordingError
-from bayesbl.matching.as_observed import in_whole_ticks, simulated
+from bayesbl.matching.as_observed import RecentSimulations, in_whole_ticks, simulated
 from bayesbl.matching.least_squares import fit_simulated
 from bayesbl.matching.observed import observed, whole_rotations
 from bayesbl.matching.signals import SimulatedSignals, Unknown, gap_unknown, start_angle_unknown
-from bayesbl.matching.simulation_cache import RecentSimulations
 from bayesbl.noise.channel_noise import estimate_channel_noise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.checks import ready_for_fit

@@ -10,7 +10,7 @@ import pytest
 from bayesbl.bench.motion import held_motion, strokes
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import reference_bench
-from bayesbl.matching.alignment import fit_aligned
+from bayesbl.matching.alignment import believed, fit_aligned, in_motion
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed, standstills
 from bayesbl.matching.predictive_check import agrees, disagreements
@@ -21,7 +21,6 @@ from bayesbl.matching.signals import (
     reference_delay_unknown,
     start_angle_unknown,
 )
-from bayesbl.matching.standstill import believed, in_motion
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, REFERENCE_SPEED, Recording
 

@@ -12,10 +12,9 @@ import pytest
 
 from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
-from bayesbl.matching.normal_prior import NormalPrior
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct
-from bayesbl.matching.signals import Unknown, gap_unknown, start_angle_unknown
+from bayesbl.matching.signals import NormalPrior, Unknown, gap_unknown, start_angle_unknown
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
 

@@ -22,10 +22,10 @@ from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from bayesbl.recording.types import FloatArray
+from bayesbl.results.atomic import replacing
 from bayesbl.results.folder import figure_title
 from bayesbl.results.intervals import Interval
 
@@ -143,31 +143,20 @@ def legend_over(figure: Figure, panel: Axes, columns: int = 4) -> None:
     figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.01, 1.0), ncols=columns)
 
 
-def legend_of(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
-    """Above all panels, a legend of lines by what they show, in one row."""
-    handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
-    figure.legend(handles=handles, loc="upper center", ncols=len(handles))
-
-
 def save(figure: Figure, folder: Path, name: str, formats: Sequence[str]) -> list[Path]:
-    """Write ``name.pdf``, ``name.png`` or both; the same figure gives the same bytes at any time.
+    """Write ``name.pdf``, ``name.png`` or both, each whole or not at all.
 
-    Where one of them cannot be written, none is left. Each has a title by which
-    :mod:`bayesbl.results.folder` knows it from a user's file.
+    The same figure gives the same bytes at any time. Each file has a title by which
+    :mod:`bayesbl.results.folder` knows it from a user's.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}.{ending}" for ending in formats]
     timeless = {"pdf": {"CreationDate": None}}
     # A tenth larger than at PNG's default, in two thirds of the time.
     quick: dict[str, Any] = {"png": {"pil_kwargs": {"compress_level": 3}}}
-    try:
-        for file, ending in zip(files, formats, strict=True):
-            titled = {**timeless.get(ending, {}), "Title": figure_title(name)}
-            figure.savefig(file, metadata=titled, **quick.get(ending, {}))
-    except BaseException:
-        for file in filter(Path.is_file, files):
-            file.unlink()  # half a figure would pass for a file of the user's
-        raise
+    for file, ending in zip(files, formats, strict=True):
+        titled = {**timeless.get(ending, {}), "Title": figure_title(name)}
+        with replacing(file) as new:
+            figure.savefig(new, metadata=titled, **quick.get(ending, {}))
     return files
 
 
