@@ -233,7 +233,8 @@ def orthant(
         moved = 0.0
         for i in bounded:
             on = positive[:, i]
-            s = sigma[:, i, i]
+            # Rounding must not take a variance below none where the matrix is nearly singular.
+            s = np.maximum(sigma[:, i, i], 1e-12 * np.abs(covariance[:, i, i]))
             cavity = 1.0 / np.maximum(1.0 / s - t[:, i], 1e-12 / s)
             middle = cavity * (mu[:, i] / s - v[:, i])
             z = middle / np.sqrt(cavity)
