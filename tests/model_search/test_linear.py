@@ -317,7 +317,7 @@ def banded(triangle):
 def test_a_misfit_band_is_more_variance_of_its_rows():
     """ln N(r; 0, D + J P⁻¹ Jᵀ) with D the rows' variances: an independent way to the evidence."""
     lin = banded(triangle=False)
-    posterior = search(replace(lin, terms=[]), None, 0)
+    posterior = search(replace(lin, terms=[]), 0)
     expected = []
     for model in posterior.models:
         variance = np.where(np.arange(60) < 40, 1.0 + model.scales[0] ** 2, 1.0)
@@ -333,7 +333,7 @@ def test_a_misfit_band_is_more_variance_of_its_rows():
 
 
 def test_a_triangle_of_a_band_says_what_its_rows_say():
-    rows, triangle = (search(banded(t), None, 2) for t in (False, True))
+    rows, triangle = (search(banded(t), 2) for t in (False, True))
     # The lattice of scales begins at the number of rows: the same to its spacing.
     for some, probability in rows.sets.items():
         assert triangle.sets.get(some, 0.0) == pytest.approx(probability, abs=0.02)
