@@ -214,7 +214,9 @@ class RampMeasurer(Measurer):
         """All files of the snapshot one after another, position and torque as in the files."""
         parts = [
             # Between ramps nothing may have been recorded: time does not matter here.
-            read_recording(file, name=entry.name, columns=self.config.column_specs, even=False)
+            read_recording(
+                file, name=entry.name, columns=self.config.column_specs, even=False, timed=False
+            )
             for file in entry.every_file
         ]
         for part in parts:

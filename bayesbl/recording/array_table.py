@@ -270,6 +270,13 @@ class ArrayTable:
         """Names in the order of the file."""
         return tuple(self.arrays)
 
+    def numbered(self) -> ArrayTable:
+        """With the rows' numbers for a time, in a file without a clock."""
+        if TIME in self.arrays or self.clocks or not self.arrays:
+            return self
+        rows = max(values.size for values in self.arrays.values())
+        return replace(self, arrays={TIME: np.arange(rows, dtype=np.float64), **self.arrays})
+
     def place(self, row: int, column: str) -> str:
         """Where a value is, in words."""
         which = f"sample {row + 1}" if self.lines is None else f"line {self.lines[row]}"

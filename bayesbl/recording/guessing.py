@@ -222,6 +222,10 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     if TIME not in chosen:
         rest = [column for column in named if column not in chosen.values()]
         found = next((column for column in rest if column.increases), None)
+        if found is None and _is_of_ramps(chosen) and (numbered := table.numbered()) is not table:
+            # Torque over twist needs no time, but the order.
+            guess = guess_columns(numbered, joint)
+            return replace(guess, columns=tuple(c for c in guess.columns if c.channel != TIME))
         if found is None:
             raise RecordingError(
                 "No column looks like time.",

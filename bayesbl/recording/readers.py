@@ -25,6 +25,7 @@ from bayesbl.recording.channels import (
     MOTOR_SPEED,
     REFERENCE_POSITION,
     REFERENCE_SPEED,
+    TIME,
     ColumnSpec,
 )
 from bayesbl.recording.columns import Column, choose_columns, stamps_and_values
@@ -64,6 +65,7 @@ def read_recording(
     name: str | None = None,
     columns: Mapping[str, ColumnSpec] | None = None,
     even: bool = True,
+    timed: bool = True,
 ) -> Recording:
     """Read and check one recording.
 
@@ -79,6 +81,8 @@ def read_recording(
     even
         Whether the samples are to be even in time: then lost ones are bridged, and too long a loss
         refused. Otherwise rows that lack a value are left out, and holes stay.
+    timed
+        Whether the file has to say when each sample was taken; otherwise their order may do.
 
     Raises
     ------
@@ -89,6 +93,8 @@ def read_recording(
     """
     path = Path(path)
     table, sha256 = _parsed(path)
+    if not timed and TIME not in (columns or {}):
+        table = table.numbered()
     time_column, *others = choose_columns(table, columns or {})
     repairs = Counter(table.repairs)
     stamps, values = _values(table, time_column, others)

@@ -13,7 +13,7 @@ from recording_files import write_csv
 
 from bayesbl.cli import status
 from bayesbl.config.loading import dump_config, load_config
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.guessing import guess_columns
 from bayesbl.recording.readers import read_recording, read_table
@@ -96,6 +96,21 @@ def test_one_repeated_stamp_is_still_an_error(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "a.csv", {"time_s": time, "motor_torque_nm": torque})
     with pytest.raises(Exception, match="does not advance"):
         read_recording(path)
+
+
+def test_ramps_need_no_clock_but_recordings_do(tmp_path: Path) -> None:
+    _, torque, position = ramps()
+    columns = {"motor_position_rad": position, "motor_torque_nm": torque}
+    timed = write_csv(tmp_path / "a.csv", {"time_s": np.arange(torque.size) * 0.0025, **columns})
+    bare = write_csv(tmp_path / "a_bare.csv", columns)
+    found = []
+    for file in (timed, bare):
+        code, summary = run(tmp_path, "fit", str(file), "--route", "torque_ramp")
+        assert code == 0
+        found.append(summary["snapshots"][0]["delta_rad"])
+    assert found[0] == found[1]
+    with pytest.raises(RecordingError, match="time_s"):
+        read_recording(bare)
 
 
 def test_pauses_and_lost_samples_between_ramps_do_no_harm(tmp_path: Path) -> None:
