@@ -262,6 +262,7 @@ class Bench:
         rotations: float = 5.0,
         sampling_hz: float = 1000.0,
         start_angle_rad: float | FloatArray = 0.0,
+        reference_speed_rpm: float | None = None,
         overrides: Mapping[str, float | FloatArray] | None = None,
         channels: Literal["speed", "all"] = "speed",
         accuracy_rpm: float | None = None,
@@ -269,7 +270,7 @@ class Bench:
     ) -> FloatArray:
         """Noise-free signals for arrays of gaps, start angles and parameter values of length m.
 
-        The number of samples is that of the bench's reference speed.
+        The number of samples is that of the nominal reference speed.
 
         Returns
         -------
@@ -284,10 +285,11 @@ class Bench:
         matrix = self.vector(
             gap_rad=gap_rad,
             start_angle_rad=start_angle_rad,
+            reference_speed_rpm=reference_speed_rpm,
             **dict(overrides or {}),
         )
         matrix = self.measurement.seen_by(matrix, sampling_hz)
-        samples = self.samples(rotations, sampling_hz)
+        samples = self.samples(rotations, sampling_hz, reference_speed_rpm)
         signals = simulate_channels(
             matrix,
             samples,

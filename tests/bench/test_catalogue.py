@@ -98,7 +98,9 @@ def test_every_amplitude_shows_at_its_typical_strength(
 ) -> None:
     change = simulated(bench(**settings(effect, (amplitude,)))) - simulated(bench())
     largest = np.max(np.abs(change), axis=1)
-    assert largest[SPEED] > 0.1 or largest[CURRENT] > 0.02 or largest[POSITION] > 0.1
+    # Laws that move a gap before they show are those that every fit has in.
+    least_rpm = 0.03 if effect.always_in else 0.1
+    assert largest[SPEED] > least_rpm or largest[CURRENT] > 0.02 or largest[POSITION] > 0.1
 
 
 def refused(effect: Effect, item: EffectParameter, value: float) -> bool:

@@ -116,7 +116,6 @@ CONTACT_RELEASE = Effect(
             high=1.0,
             typical=0.58,
             not_negative=True,
-            bounded=True,
         ),
     ),
     enters="shaft",
