@@ -72,7 +72,10 @@ def independent_draws(
         share = effective_size(log_weights) / proposed
         if tail < LARGEST_TAIL and share > LEAST_SHARE:
             return points[resampled(log_weights[None], count, generator)[0]], share
-        peak, covariance = _quadratic(points, density, np.exp(log_weights - log_weights.max()))
+        try:
+            peak, covariance = _quadratic(points, density, np.exp(log_weights - log_weights.max()))
+        except np.linalg.LinAlgError:  # nothing that varies is left in some direction
+            return None
     return None
 
 
