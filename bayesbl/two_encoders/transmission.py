@@ -717,8 +717,7 @@ def fit_transmission(
         free, best = max(fits, key=lambda fit: fit[1].log_evidence)
         tried = [best.course]
         if placed is not None:
-            drives = model.courses[best.course].drives
-            free, best = _placed(model, free, best, [placed], 0.1 * (1.0 - STAYS), drives)
+            free, best = _placed(model, free, best, [placed], 0.1 * (1.0 - STAYS))
         if made == 0 or settled:
             free, best = _coasting(model, free, best)
         if settled:
@@ -806,12 +805,7 @@ def _searched(model: Model, noise: Noise, course: int) -> tuple[int, float, Nois
 
 
 def _placed(
-    model: Model,
-    noise: Noise,
-    best: Cell,
-    tried: Sequence[FloatArray],
-    prior: float,
-    drives: bool = False,
+    model: Model, noise: Noise, best: Cell, tried: Sequence[FloatArray], prior: float
 ) -> tuple[Noise, Cell]:
     """With one more course, where its evidence is the largest.
 
@@ -823,7 +817,7 @@ def _placed(
 
     def at(point: FloatArray) -> Cell:
         drag, weight = float(np.exp(point[1])), complex(*point[2:])
-        model.courses[trial:] = [Course(drag, prior, False, weight, drives)]
+        model.courses[trial:] = [Course(drag, prior, False, weight)]
         return model.cell(trial, float(np.exp(point[0])), noise)
 
     order = np.argsort([-at(point).log_evidence for point in tried])
@@ -842,12 +836,11 @@ def _placed(
 
 
 def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
-    """With a load that coasts by a deceleration of its own, or a motor that a load drives."""
+    """With a load that coasts by a deceleration of its own."""
     drags = np.array(COASTING[:-1]) * model.paths.typical_acceleration
     halves = _halves(model, 1e-4, PER_DECADE)
     tried = [np.log([half, drag]) for drag in drags for half in halves]
-    drives = model.courses[best.course].drives
-    return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS), drives)
+    return _placed(model, noise, best, tried, 0.1 * (1.0 - STAYS))
 
 
 def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
