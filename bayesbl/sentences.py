@@ -391,10 +391,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "70 % of the gap."
     ),
     # Of two encoders.
-    "play_not_told": (
-        "There may be no play (probability of play {probability:.0f %}): both directions are "
-        "{lost_mrad:.2g} mrad apart, which skew, wind-up or noise can cause. δ is below "
-        "{upper_mrad:.2g} mrad with 95 % probability."
+    "play_not_told": lambda probability, upper_mrad, lost_mrad: (
+        f"{'Play is likely but not sure' if probability > 0.5 else 'There may be no play'} "
+        f"(probability of play {100.0 * probability:.0f} %): both directions are "
+        f"{lost_mrad:.2g} mrad apart, which skew, wind-up or noise can cause. δ is below "
+        f"{upper_mrad:.2g} mrad with 95 % probability."
     ),
     "held_by_weight": (
         "The load's weight is above its friction {share:.0f %} of the time, so it rests on one "

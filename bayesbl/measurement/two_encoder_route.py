@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.special import ndtri
 
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.config.sections import SnapshotRecording
@@ -40,7 +39,7 @@ from bayesbl.results.intervals import interval
 from bayesbl.results.variables import Group, dataset, table
 from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
-from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission
+from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission, hidden_rad
 
 NAME = "two_encoders"
 
@@ -53,9 +52,6 @@ LIKELY = 0.5
 
 LASTING = 0.1
 """Misfit that lasts for a stroke over half the lost motion, from which it is told."""
-
-ENDS = (0.005, 0.995)
-"""Quantiles of a misfit between which a hidden play would show."""
 
 FOLLOWS = 0.1
 """Share of the load's variance that the motor's position explains, from which they are of one
@@ -289,10 +285,7 @@ def upper_bound_rad(found: Transmission) -> float:
     its play in the range of the misfit, beyond that of white noise. What the prior takes for
     wind-up is within it.
     """
-    low, high = np.quantile(found.lag_rad, ENDS)
-    noise = float(ndtri(ENDS[1])) * found.noise.white_rad
-    hidden = np.sqrt(max((0.5 * (high - low)) ** 2 - noise**2, 0.0))
-    return max(upper_bound(found.draws["delta_rad"]), float(hidden))
+    return max(upper_bound(found.draws["delta_rad"]), hidden_rad(found.lag_rad, found.noise))
 
 
 def channels_of(recording: Recording) -> Channels:

@@ -121,7 +121,8 @@ def _encoder_cells(part: SnapshotSummary) -> Iterator[str]:
     yield words.bounds(part["channel_skew_s"], 1e3)
     yield words.middle(part["gear_ratio"])
     bounded = part["delta_upper_bound_rad"] is not None
-    yield "no play found" if bounded else part["diagnostics"]["outcome"]
+    unsure = "play likely" if part["probability_of_play"] > 0.5 else "no play found"
+    yield unsure if bounded else part["diagnostics"]["outcome"]
 
 
 def encoder_blocks(part: RouteSummary) -> Iterator[Block]:

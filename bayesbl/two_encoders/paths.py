@@ -107,14 +107,15 @@ class Paths:
         of_counts = (steps**2 / 12.0 / means).sum(axis=0)
         return np.asarray(of_counts + self.binned(self.between_rad) ** 2)
 
-    def scatter_variance(self) -> float:
-        """Of a bin in the middle, rad², by what samples differ from their neighbours.
-
-        What a model leaves beyond that is no noise.
-        """
+    @property
+    def scatter_rad(self) -> float:
+        """Standard deviation of a sample, by what samples differ from their neighbours."""
         bends = np.diff(self.motor_rad - self.load_rad, 2)
-        sample = float(np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0
-        return sample / float(np.median(np.diff(self.bins)))
+        return float(np.median(np.abs(bends)) / (0.6745 * np.sqrt(6.0)))
+
+    def scatter_variance(self) -> float:
+        """Of a bin in the middle, rad². What a model leaves beyond that is no noise."""
+        return self.scatter_rad**2 / float(np.median(np.diff(self.bins)))
 
     @property
     def period_s(self) -> float:

@@ -126,6 +126,9 @@ MOST_CURVE_RAD, STEEPEST = 8e-3, 0.02
 more is another motion.
 """
 
+ENDS = (0.005, 0.995)
+"""Quantiles of a misfit between which a hidden play would show."""
+
 LOGITS = np.linspace(-14.0, 10.0, 241)
 PARTS = 1.0 / (1.0 + np.exp(-LOGITS))
 """Parts of h that are wind-up, w/2h: fine where either is a small part of the other."""
@@ -417,6 +420,8 @@ class Model:
         self.paths, self.design, self.courses = paths, design, list(courses)
         self.step_s = np.diff(design.time_s)
         self.reading = paths.reading_variance()
+        # Of a lag that follows the load's own readings: it follows their noise too.
+        self.visible = VISIBLE * float(paths.scatter_rad + paths.load_step_rad)
         self.seen = design.motor_rad - design.load_rad
         self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
         self.counted = 1.0
@@ -479,8 +484,7 @@ class Model:
         square = float(products[-1, -1]) - float(towards @ beta)
         diagonal = np.diag(factor[0])
         beta = beta + design.centre
-        # A lag that follows the load's own readings follows their noise too.
-        log -= 1e9 * float(self.courses[course].drives and like < VISIBLE * spread)
+        log -= 1e9 * float(self.courses[course].drives and like < self.visible)
         log += -0.5 * square - float(np.log(diagonal).sum()) + 0.5 * float(np.log(precision).sum())
         return Cell(course, half_rad, log, beta, np.asarray(factor[0]), lag)
 
@@ -1038,6 +1042,11 @@ def _drawn(
     moved = (halves[1] - halves[0]) / np.sqrt(2.0) * generator.standard_normal(count)
     lost = np.maximum(lost * scale + moved, 0.0)
     delta = np.where(plays, np.clip(delta * scale + moved, 0.0, lost), 0.0)
+    # What is more than any transmission error may be the load's motion within a play.
+    if model.misfit(noise) > max(best.half_rad, MOST_CURVE_RAD):
+        share = generator.uniform(size=count) * (generator.uniform(size=count) > NO_PLAY)
+        beyond = share * np.maximum(hidden_rad(seen, noise) - lost, 0.0)
+        lost, delta = lost + beyond, np.where(beyond > 0.0, lost + beyond, delta)
     # Friction that winds the joint up may follow the speed in any way, and is then like a skew.
     goes = [how.weight != 0.0 or how.free for how in model.courses]
     usual_speed = float(np.std(paths.binned(paths.speed)))
@@ -1086,6 +1095,15 @@ def _drawn(
         has_one_speed(paths)
         and bool(np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5),
     )
+
+
+def hidden_rad(lag: FloatArray, noise: Noise) -> float:
+    """The δ that a motion may be within that the model does not follow: half of the lag's range,
+    beyond that of white noise.
+    """
+    low, high = np.quantile(lag, ENDS)
+    of_noise = float(ndtri(ENDS[1])) * noise.white_rad
+    return float(np.sqrt(max((0.5 * (high - low)) ** 2 - of_noise**2, 0.0)))
 
 
 def has_one_speed(paths: Paths) -> bool:

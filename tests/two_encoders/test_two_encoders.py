@@ -347,6 +347,28 @@ def test_at_one_speed_a_load_that_coasts_is_not_measured_too_surely(seed):
     assert low <= half <= high
 
 
+@pytest.mark.parametrize("drag", [np.inf, 8.0])
+def test_a_motor_that_a_fast_load_drags_and_that_coasts_shows_the_play(drag):
+    time = np.arange(0.0, 40.0, 1e-3)
+    load = 0.8 * np.sin(2.0 * np.pi * 0.4 * time) + 0.3 * np.sin(2.0 * np.pi * 0.7 * time)
+    motor = load - load_lag(load, np.gradient(load, time), time, 0.02, drag, 0.02)
+    step = 2.0 * np.pi / 2**14
+    channels = Channels(time[::10], RATIO * motor[::10], step * np.round(load[::10] / step))
+    low, high = bounds(fitted(channels).draws["play_rad"], 0.99)
+    assert low <= 0.04 <= high
+
+
+def test_a_wide_lag_that_no_course_follows_is_not_told_as_none():
+    generator = np.random.default_rng(5)
+    time = 0.01 * np.arange(4000)
+    path = 0.8 * np.sin(2.0 * np.pi * 0.2 * time) + 0.3 * np.sin(2.0 * np.pi * 0.33 * time)
+    window = np.hanning(60)
+    swings = np.convolve(generator.standard_normal(4059), window / np.linalg.norm(window), "valid")
+    lag = np.clip(0.03 * swings, -0.05, 0.05)
+    found = fitted(Channels(time, RATIO * path, path - lag))
+    assert np.quantile(found.draws["lost_motion_rad"], 0.95) > upper_bound_rad(found)
+
+
 @pytest.mark.parametrize("wound", [1e-3, 2e-3, 4e-3])
 def test_without_a_torque_wind_up_is_no_play_that_is_known(wound):
     """A joint that its load's friction winds up by so much each way, and that rings as it must."""
