@@ -421,6 +421,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "0.05 mrad. In one joint of sixteen it may be any part of the lost motion, and the "
         "interval includes that."
     ),
+    "positions_exchanged": (
+        "The motor turns {seen:.4g} times per turn of the load, the inverse of the stated "
+        "{stated:g}: motor_position_rad and load_position_rad are exchanged, or the units of both."
+    ),
     "ratio_differs": "The gear ratio looks like {seen:.6g}, not {stated:g} as stated.",
     "motor_at_output": (
         "The motor's position is at the output already: the gear ratio was not applied again."
@@ -429,10 +433,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         f"The load's stamps are {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}; this "
         "was corrected."
     ),
-    "free_at_one_speed": (
-        "The load bounces between the flanks, and all motion has one speed. There play looks the "
-        "same as a skew of the channels, {skew_ms:.2g} ms by this recording. Record slow and fast "
-        "motion, or with friction or a brake at the load."
+    "skew_or_play": (
+        "All motion has one speed. There play looks the same as a skew of the channels, "
+        "{skew_ms:.2g} ms by this recording, if the load bounces between the flanks or the skew is "
+        "most of what lies between both directions. Record slow and fast motion, or with friction "
+        "or a brake at the load."
     ),
     "lag_changes": (
         "The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "

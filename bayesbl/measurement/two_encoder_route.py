@@ -64,6 +64,9 @@ HELD_BY_WEIGHT = 0.2
 """Share of the moving time with the load's weight above its friction, from which the flanks do not
 turn with the direction."""
 
+SAME_RATIO = 0.1
+"""ln of what a gear ratio differs from another by, that it may be."""
+
 TOO_WIDE = 0.05
 """Upper bound of δ over the travel: above it nothing was told of the play."""
 
@@ -220,7 +223,7 @@ class TwoEncoderMeasurer(Measurer):
     def _is_at_output(self, found: Transmission) -> bool:
         """Whether the motor's position was divided by the ratio already; its torque may not be."""
         stated, seen = self.config.joint.gear_ratio, float(np.median(found.draws["gear_ratio"]))
-        return stated is not None and abs(np.log(abs(seen))) < 0.1 < abs(np.log(stated))
+        return stated is not None and abs(np.log(abs(seen))) < SAME_RATIO < abs(np.log(stated))
 
     def _findings(self, found: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
@@ -241,9 +244,9 @@ class TwoEncoderMeasurer(Measurer):
                 )
         if found.gravity_holds > HELD_BY_WEIGHT and found.probability_of_play < UPPER_BOUND_LEVEL:
             yield Reason("held_by_weight", {"share": found.gravity_holds}, withholds=True)
-        if found.free_at_one_speed:
+        if found.skew_or_play:
             skew_ms = 1e3 * float(np.median(found.draws["channel_skew_s"]))
-            yield Reason("free_at_one_speed", {"skew_ms": skew_ms}, withholds=True)
+            yield Reason("skew_or_play", {"skew_ms": skew_ms}, withholds=True)
         if found.reversals < FEW_REVERSALS:
             yield Reason("few_reversals", {"count": found.reversals})
         if found.friction_nm is None:
@@ -254,7 +257,10 @@ class TwoEncoderMeasurer(Measurer):
         if stated is not None:
             seen = np.abs(found.draws["gear_ratio"])
             middle = float(np.median(seen))
-            if self._is_at_output(found):
+            if abs(np.log(middle * stated)) < SAME_RATIO < abs(np.log(stated)):
+                values = {"stated": stated, "seen": middle}
+                yield Reason("positions_exchanged", values, withholds=True)
+            elif self._is_at_output(found):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):
                 yield Reason("ratio_differs", {"stated": stated, "seen": middle})

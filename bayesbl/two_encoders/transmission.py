@@ -256,9 +256,9 @@ class Transmission:
         Of the motor.
     friction_nm, gravity_holds
         Friction at the output by the torque, and how often the load's weight is above it.
-    free_at_one_speed
-        Between the flanks the load goes its own way, and all motion has one speed: what lies
-        between both directions may be play, or skew of the channels.
+    skew_or_play
+        All motion has one speed, and between the flanks the load goes its own way, or most of what
+        lies between both directions is taken for skew of the channels: it may be either.
     """
 
     paths: Paths
@@ -276,7 +276,7 @@ class Transmission:
     reversals: int
     friction_nm: float | None
     gravity_holds: float
-    free_at_one_speed: bool
+    skew_or_play: bool
 
 
 class Design:
@@ -1076,6 +1076,8 @@ def _drawn(
         for side, order in pairs
     }
     curve = columns[:, design.curve] @ mode.beta[design.curve]
+    skew = draws["channel_skew_s"]
+    shown_skew_s = abs(float(np.median(skew))) - 3.0 * float(skew.std())
     return Transmission(
         paths,
         {name: values.reshape(DRAWS) for name, values in draws.items()},
@@ -1093,7 +1095,10 @@ def _drawn(
         friction,
         0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else weight,
         has_one_speed(paths)
-        and bool(np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5),
+        and (
+            bool(np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5)
+            or usual_speed * shown_skew_s > float(np.median(lost))
+        ),
     )
 
 
