@@ -291,6 +291,23 @@ def test_of_a_load_without_friction_that_bounces_the_play_is_not_told_wrong(rest
     assert low <= half <= high
 
 
+@pytest.mark.parametrize(("half", "skew_s"), [(5e-3, 0.0), (0.0, 0.03)])
+def test_at_one_speed_a_skew_is_not_told_from_play_but_play_is(half, skew_s):
+    generator = np.random.default_rng(0)
+    time = np.arange(0.0, 80.0, 4e-3)
+    ends = 0.9 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * time / 4.5))
+    window = np.ones(25) / 25.0
+    path = np.convolve(np.pad(ends, 25, "edge"), window, "same")[25:-25]
+    load = np.interp(time - skew_s, time, dragged(path, half))
+    step = 2.0 * np.pi / 2**17
+    read = step * np.round((load + 2e-5 * generator.standard_normal(time.size)) / step)
+    found = fitted(Channels(time, RATIO * path, read))
+    assert found.skew_or_play == (skew_s > 0.0)
+    if not found.skew_or_play:
+        low, high = bounds(found.draws["delta_rad"], 0.9)
+        assert low <= half <= high < 1.2 * half
+
+
 def test_a_standstill_is_seen_once_however_long_it_lasts():
     time = 1e-2 * np.arange(2000)
     motor = np.interp(time, [0.0, 2.0, 12.0, 14.0, 20.0], [0.0, 1.0, 1.0, 0.0, 1.0])
