@@ -328,7 +328,7 @@ class SetSearch:
         if not best.candidates:
             return replace(naming, repeats=not first.explains_all)
         if self._is_unexplained(first):
-            return replace(naming, nearest=with_own_noise(best))
+            return replace(naming, nearest=best)
         labels = [(frozenset(own.explanation.names), p) for own, p in sets]
         inclusion = {name: sum(p for own, p in labels if name in own) for name in best.names}
         certain = [name for name, p in inclusion.items() if p >= NAMED_AT]

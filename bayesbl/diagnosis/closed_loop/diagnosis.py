@@ -70,7 +70,7 @@ from bayesbl.model_search.closed_loop import (
     weighed,
 )
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
-from bayesbl.model_search.refit import Explanation
+from bayesbl.model_search.refit import Explanation, with_own_noise
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.checks import moves, require_alive, require_channels
 from bayesbl.recording.types import (
@@ -218,7 +218,7 @@ def _with_learned(
     Where nothing explains, it is sought around the nearest explanation too: the gap of the nominal
     bench may be too far off.
     """
-    near = () if naming.nearest is None else (naming.nearest,)
+    near = () if naming.nearest is None else (with_own_noise(naming.nearest),)
     around = [(explanation, compared(explanation).remaining) for explanation in (final, *near)]
     learned = learned_term(final, around, motor_angle_known)
     if learned is None:
