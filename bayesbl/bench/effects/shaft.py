@@ -145,6 +145,7 @@ GAP_DAMPING = Effect(
     depends_on=("twist",),
     data="teeth that meet later and more softly than gravity and friction alone let them",
     reference="Nordin & Gutman 2002, Automatica 38, 1633",
+    always_in=True,
 )
 
 # As asymmetric or unevenly worn teeth have them: stiffer by the share a where the shaft drives the
