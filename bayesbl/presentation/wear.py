@@ -49,8 +49,10 @@ def unless(summary: ComparisonSummary) -> str:
     if (unseen := unseen_without_current(summary)) is not None:
         return f", if {unseen} did not change"
     # By any size, and no ramp tells it from play.
-    softer = ", if no flank became softer at small torque"
-    return softer if "ramps" in summary["snapshots"][0] else ""
+    if "ramps" in summary["snapshots"][0]:
+        return ", if no flank became softer at small torque"
+    held = max(part["budget"].get("held_windup", 0.0) for part in summary["snapshots"])
+    return ", if the load's friction did not change" if held > 0.5 else ""
 
 
 def unseen_without_current(summary: ComparisonSummary) -> str | None:

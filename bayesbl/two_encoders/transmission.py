@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import logsumexp, ndtri
+from scipy.special import logsumexp, ndtr, ndtri
 from scipy.stats import norm, qmc
 
 from bayesbl.compiled import compiled
@@ -69,6 +69,11 @@ SOFT, SOFT_RAD, SOFT_SPREAD = 0.06, 7e-4, 1.0
 """Share of joints that are no such reducers (belts, printed gears, joints that are built elastic),
 and the same of theirs without play: one of a hundred winds up by 1.7 mrad each way or more. With
 play their size is unknown, so any part of what lies between both directions may be wind-up.
+"""
+
+FRICTION_SPREAD = 0.5
+"""Standard deviation of ln of the load's friction over the recordings of a joint: grease that is
+20 K colder has about twice of it.
 """
 
 STOPS, STOPS_SPREAD = 30.0, 1.7
@@ -946,22 +951,23 @@ def _priors(
     of_held: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Log densities over ln h at cells, without play and with it, (cells,), and the latter's
-    shares by ``PARTS`` of h that are wound up, (cells, parts). ``likely``: by the torque;
-    ``of_held``: densities of what is wound up. Where the load ``flies`` from flank to flank, it
-    does so over a part of h that is no wind-up, and all sizes of that part are alike.
+    shares by ``PARTS`` of h that are wound up, of usual and of soft joints, (2, cells, parts).
+    ``likely``: by the torque; ``of_held``: densities of what is wound up. Where the load ``flies``
+    from flank to flank, it does so over a part of h that is no wind-up, and all sizes of that part
+    are alike.
     """
     half = np.array([c.half_rad for c in cells])
     likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
     usual, _, inertia = of_held(half[:, None] * PARTS)
     # Of a soft joint all parts of h are alike, over their logits here.
-    of_gap = (usual + SOFT * PARTS * (1.0 - PARTS)) * inertia
-    of_gap *= likely * ((gap > low) & (gap < high))
+    of_gap = np.stack([usual, np.broadcast_to(SOFT * PARTS * (1.0 - PARTS), usual.shape)])
+    of_gap *= inertia * likely * ((gap > low) & (gap < high))
     of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
     usual, soft, inertia = of_held(half)
     with np.errstate(divide="ignore"):
         bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * (usual + soft) * inertia)
-        return (bare, np.log(of_gap.sum(axis=1))), np.asarray(of_gap)
+        return (bare, np.log(of_gap.sum(axis=(0, 2)))), np.asarray(of_gap)
 
 
 def _drawn(
@@ -1008,13 +1014,18 @@ def _drawn(
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
     nearest = interval + (share > 0.5)
     chosen = np.full(count, PARTS.size - 1)
-    # The same joint is as soft in all recordings: a change is not as unknown as what it is of.
-    softer = np.random.default_rng(of_joint).uniform(size=count)
+    # The same joint is as soft in all recordings, so a change is not as unknown as what it is of;
+    # its friction is not the same.
+    joint = np.random.default_rng(of_joint)
+    kind, softer = joint.uniform(size=count), joint.standard_normal(count)
+    own = generator.standard_normal(count)
     for cell in np.unique(nearest[plays]):
-        mine = plays & (nearest == cell)
-        each = of_parts[cell]
-        if each.any():
-            chosen[mine] = np.searchsorted(np.cumsum(each) / each.sum(), softer[mine])
+        usual, soft = of_parts[:, cell]
+        here = plays & (nearest == cell)
+        is_soft = kind * (usual.sum() + soft.sum()) >= usual.sum()
+        for part, those in ((usual, here & ~is_soft), (soft, here & is_soft)):
+            if part.any() and those.any():
+                chosen[those] = _parts(part, softer[those], own[those])
     step = LOGITS[1] - LOGITS[0]
     logit = LOGITS[chosen] + step * generator.uniform(-0.5, 0.5, size=count)
     delta = np.where(plays, np.clip(lost / (1.0 + np.exp(logit)), *PLAY_RAD), 0.0)
@@ -1100,6 +1111,18 @@ def _drawn(
             or usual_speed * shown_skew_s > float(np.median(lost))
         ),
     )
+
+
+def _parts(density: FloatArray, joint: FloatArray, own: FloatArray) -> NDArray[np.int64]:
+    """Indices of ``PARTS`` by a density over them, shapes (parts,) and (n,), from standard normals:
+    of the joint, and of this recording's friction, which moves ln w by ``FRICTION_SPREAD``.
+    """
+    edges = np.cumsum(density)
+    mean = float(density @ LOGITS) / edges[-1]
+    variance = float(density @ (LOGITS - mean) ** 2) / edges[-1]
+    common = variance / (variance + FRICTION_SPREAD**2)
+    levels = ndtr(np.sqrt(common) * joint + np.sqrt(1.0 - common) * own)
+    return np.asarray(np.searchsorted(edges / edges[-1], levels)).clip(max=density.size - 1)
 
 
 def hidden_rad(lag: FloatArray, noise: Noise) -> float:
