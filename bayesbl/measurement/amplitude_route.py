@@ -257,14 +257,6 @@ class AmplitudeMeasurer(Measurer):
         if self.config.posterior.check_sampler:
             yield "second sampler", _second_sampler
 
-    def notes(self) -> Iterator[str]:
-        """What the run alone will find out."""
-        if self.config.joint.gear_ratio is None:
-            yield (
-                "Without [joint] gear_ratio the load's rotations are counted only by the run, "
-                "which refuses a recording of fewer than two."
-            )
-
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""
         if moves(recording):
