@@ -55,7 +55,7 @@ from bayesbl.ringing.estimator import Estimator, Fit, PointEstimate
 from bayesbl.ringing.objective import Objective
 from bayesbl.ringing.optimum import EarlierOptimum, bounds
 from bayesbl.ringing.pointwise import likelihood_draws, log_likelihood, predicted
-from bayesbl.ringing.posterior import SamplerCheck, require_second_sampler
+from bayesbl.ringing.posterior import require_second_sampler
 from bayesbl.ringing.search import refine
 from bayesbl.ringing.symbols import AMPLITUDE, MEAN, ROTATION, SYMBOLS
 from bayesbl.ringing.table_2 import BoxSearch, same_pulses
@@ -158,16 +158,6 @@ OPTIMUM = Group(
     named=_symbol(),
 )
 
-BOX_SEARCH = Group(
-    "box_search",
-    table("""
-        rmse_rpm | rpm | root mean square error where the search in Table 2's ranges ended
-        gap_as_printed_rad | rad | eq. 4 at the amplitude found there
-        has_pulses_of_optimum | 1 | 1 where its impacts are those of the optimum
-    """),
-    named=_symbol(),
-)
-
 SEARCH_HISTORY = Group(
     "search_history",
     table("""
@@ -206,17 +196,6 @@ MISFIT = Group(
     table("phase_rad (phase_rad) | rad | load phase from the start of the recording"),
 )
 
-SAMPLER_CHECK = Group(
-    "sampler_check",
-    table("""
-        difference_sd (symbol) | 1 | mean of the nested sampler less emcee's, in standard deviations
-        width_ratio (symbol) | 1 | standard deviation of the nested sampler over emcee's
-        differs (symbol) | 1 | 1 where the samplers disagree
-        evaluations | 1 | posterior evaluations by the nested sampler
-    """),
-    (shared.SAMPLED_SYMBOLS,),
-)
-
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
@@ -224,12 +203,10 @@ GROUPS = (
     *shared.OF_EVERY_ROUTE,
     PREDICTIVE,
     OPTIMUM,
-    BOX_SEARCH,
     SEARCH_HISTORY,
     NOISE,
     MISFIT,
     CURVE,
-    SAMPLER_CHECK,
 )
 
 
@@ -256,14 +233,6 @@ class AmplitudeMeasurer(Measurer):
             yield "start from", lambda: f"{', '.join(read_earlier(start_from))} in {start_from}"
         if self.config.posterior.check_sampler:
             yield "second sampler", _second_sampler
-
-    def notes(self) -> Iterator[str]:
-        """What the run alone will find out."""
-        if self.config.joint.gear_ratio is None:
-            yield (
-                "Without [joint] gear_ratio the load's rotations are counted only by the run, "
-                "which refuses a recording of fewer than two."
-            )
 
     def require_usable(self, recording: Recording) -> None:
         """A curve means the same amplitude as a fit of this recording, or can be swept to."""
@@ -450,8 +419,13 @@ def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, A
     }
     if point.start:
         found["start"] = point.start
-    if optimum.box_search is not None:
-        found["box_search"] = _box_values(optimum.box_search, point)
+    if (box := optimum.box_search) is not None:
+        found["box_search"] = {
+            **box.symbols,
+            "rmse_rpm": box.rmse_rpm,
+            "gap_as_printed_rad": gap_as_printed_rad(box),
+            "has_pulses_of_optimum": float(has_pulses_of_optimum(box, point)),
+        }
     if fit.check is not None:
         check = fit.check
         found["sampler_check"] = {
@@ -528,18 +502,11 @@ def amplitude_groups(
     fit: Fit, gap: Gap | None, curve: GapCurve | None, level: float, seed: np.random.SeedSequence
 ) -> dict[str, xr.Dataset]:
     """All groups of one recording, without a ``snapshot`` dimension."""
-    checked = {} if fit.check is None else {"sampler_check": _sampler_check(fit.check)}
-    box = fit.point.optimum.box_search
-    searched = (
-        {} if box is None else {"box_search": dataset(BOX_SEARCH, _box_values(box, fit.point))}
-    )
     index = _index(fit, gap)
     draws = {name: v.ravel()[index] for name, v in fit.posterior.draws.items()}
     baseline = fit.posterior.baseline_rpm.reshape(index.size, -1)[index]
     rotations = fit.point.objective.duration_s / fit.point.optimum.symbols[ROTATION]
     return {
-        **checked,
-        **searched,
         "posterior": _posterior(fit, gap, draws, baseline),
         "sample_stats": dataset(
             SAMPLE_STATS,
@@ -732,29 +699,6 @@ def _optimum(fit: Fit) -> xr.Dataset:
     )
     result.attrs["method"] = optimum.method
     return result
-
-
-def _box_values(box: BoxSearch, point: PointEstimate) -> dict[str, float]:
-    return {
-        **box.symbols,
-        "rmse_rpm": box.rmse_rpm,
-        "gap_as_printed_rad": gap_as_printed_rad(box),
-        "has_pulses_of_optimum": float(has_pulses_of_optimum(box, point)),
-    }
-
-
-def _sampler_check(check: SamplerCheck) -> xr.Dataset:
-    names = list(check.width_ratio)
-    return dataset(
-        SAMPLER_CHECK,
-        {
-            "difference_sd": [check.difference_sd[n] for n in names],
-            "width_ratio": [check.width_ratio[n] for n in names],
-            "differs": [float(n in check.differing) for n in names],
-            "evaluations": check.evaluations,
-        },
-        {"symbol": names},
-    )
 
 
 # An earlier result, to start a search from.

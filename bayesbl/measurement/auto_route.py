@@ -8,7 +8,7 @@ bench too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,10 +46,6 @@ class AutoMeasurer(Measurer):
         """The bench and the curve."""
         yield from self.direct.describe()
         yield from self.amplitude.describe()
-
-    def notes(self) -> Iterable[str]:
-        """Those of the amplitude."""
-        return self.amplitude.notes()
 
     def require_usable(self, recording: Recording) -> None:
         """The amplitude can be measured; where only the direct route cannot, it is left out.

@@ -317,10 +317,6 @@ class Measurer(ABC):
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """What it needs beside recordings and curve, as label and text, which may raise."""
 
-    def notes(self) -> Iterable[str]:
-        """Sentences for a user who asks what a run would do."""
-        return ()
-
     def read(self, entry: SnapshotRecording) -> Recording:
         """The recording of a snapshot as this route takes it; raises where it cannot."""
         return recording_of(entry, self.config)

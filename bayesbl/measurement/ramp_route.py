@@ -60,7 +60,6 @@ from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
 from bayesbl.results.variables import Group, dataset, table
-from bayesbl.sampling.convergence import Diagnostics
 
 HELD = 4.0
 """Times ``held_windup_rad`` that ramps leave beyond the dead zone, at most.
@@ -273,75 +272,55 @@ class RampMeasurer(Measurer):
             widths, sampler_of(self.config), play_seed, report, round_the_turn=elsewhere
         )
         shares = np.random.default_rng(shares_seed).uniform(size=(2, *play.log_density.shape))
-        answers = [
-            self._answer(*each, play, shares)
-            for each in zip(task.names, files, flanks, seeds, strict=True)
-        ]
-        since = since_repair([entry.repaired for entry in self.config.recordings]).start
-        return Measurement(
-            "torque_ramp",
-            [
-                self._answered(recording, answer, elsewhere=elsewhere)
-                for recording, answer in zip(task.recordings, answers, strict=True)
-            ],
-            same_joint=compliance_check(answers[since], answers[-1]),
+        each = zip(task.recordings, files, flanks, seeds, strict=True)
+        answers, held = zip(
+            *(self._answer(*one, play, shares, elsewhere=elsewhere) for one in each), strict=True
         )
+        since = since_repair([entry.repaired for entry in self.config.recordings]).start
+        check = compliance_check(held[since], held[-1])
+        return Measurement("torque_ramp", answers, same_joint=check)
 
     def _answer(
         self,
-        name: str,
+        recording: Recording,
         files: tuple[Ramps, ...],
         flanks: Flanks,
         seed: np.random.SeedSequence,
         play: PlayPosterior,
         shares: FloatArray,
-    ) -> RampAnswer:
+        *,
+        elsewhere: bool,
+    ) -> tuple[Answer, HeldCompliance]:
         generator = np.random.default_rng(seed)
-        width, scatter = play.width_rad[name], play.scatter_rad[name]
-        stated_nm = LOST_MOTION_SHARE * self._rated(flanks)
+        width, stated_nm = play.width_rad[recording.name], LOST_MOTION_SHARE * self._rated(flanks)
         found = of_every_cycle(flanks, stated_nm)
         draws = {
             "width_rad": width,
-            "scatter_rad": scatter,
+            "scatter_rad": play.scatter_rad[recording.name],
             **described(found, flanks, width, generator),
         }
-        delta = gap_draws(flanks, draws, shares, generator)
-        draws["delta_rad"] = delta
+        gap = draws["delta_rad"] = gap_draws(flanks, draws, shares, generator)
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
-        return RampAnswer(
-            draws,
-            found,
-            files,
-            flanks,
-            play.log_density,
-            play.diagnostics,
-            _budget(flanks, width, scatter, delta),
-            stated_nm,
-        )
-
-    def _answered(self, recording: Recording, answer: RampAnswer, *, elsewhere: bool) -> Answer:
-        why = against(answer.flanks)
-        outcome = "withheld" if why is not None else answer.diagnostics.outcome
+        why = against(flanks)
+        outcome = "withheld" if why is not None else play.diagnostics.outcome
         withheld = outcome == "withheld"
         reasons = [why] if why else []
-        reasons += sampling_reasons(answer.diagnostics, withhold=withheld)
+        reasons += sampling_reasons(play.diagnostics, withhold=withheld)
         given = self.config.joint.gear_ratio is not None
-        reasons += notes_on(
-            answer.files, answer.flanks, answer.draws, ratio_given=given, elsewhere=elsewhere
-        )
+        reasons += notes_on(files, flanks, draws, ratio_given=given, elsewhere=elsewhere)
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
-        groups = ramp_groups(answer, recording)
-        gap = answer.draws["delta_rad"]
-        told_from_none = answer.flanks.probability_of_play >= UPPER_BOUND_LEVEL
-        return Answer(
+        groups = ramp_groups(recording, files, flanks, draws, play, stated_nm)
+        told_from_none = flanks.probability_of_play >= UPPER_BOUND_LEVEL
+        answer = Answer(
             recording.name,
             gap,
             Verdict(outcome, tuple(reasons)),
             groups,
-            _numbers(answer, groups["posterior"], self.config.interval, is_withheld=withheld),
+            _numbers(flanks, stated_nm, groups, self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if told_from_none or withheld else upper_bound(gap),
         )
+        return answer, HeldCompliance(draws, found)
 
     def _rated(self, flanks: Flanks) -> float:
         """The rated torque, or the largest that the ramps reach."""
@@ -453,14 +432,15 @@ def _on_positions(files: Sequence[Ramps], flanks: Flanks, *, elsewhere: bool) ->
 
 
 def _numbers(
-    answer: RampAnswer,
-    posterior: xr.Dataset,
+    flanks: Flanks,
+    stated_nm: float,
+    groups: Mapping[str, xr.Dataset],
     of: IntervalConfig,
     *,
     is_withheld: bool,
 ) -> dict[str, Any]:
     """The contract's keys, and beside them what the play was read from."""
-    flanks, level = answer.flanks, answer.flanks.level
+    level, posterior = flanks.level, groups["posterior"]
     assert level is not None
     found = shared.intervals(posterior, QUANTITIES, of)
     # All NaN where no flank is seen to lift.
@@ -469,7 +449,7 @@ def _numbers(
     used = [file for file in level.files if file]
     return {
         **{name: found[name] for name in QUANTITIES},
-        "lost_motion_torque_nm": answer.lost_motion_torque_nm,
+        "lost_motion_torque_nm": stated_nm,
         "preload_torque_nm": found.get(PRELOAD),
         "preloaded": flanks.probability_of_play <= 0.5 and not is_withheld,
         "probability_of_play": flanks.probability_of_play,
@@ -626,9 +606,7 @@ def _mean_draws(
     return np.exp(drawn) if positive else drawn
 
 
-def _budget(
-    flanks: Flanks, width: FloatArray, scatter: FloatArray, delta: FloatArray
-) -> dict[str, float]:
+def _budget(flanks: Flanks, width: FloatArray, delta: FloatArray) -> dict[str, float]:
     """Share of each source in the variance of ln δ."""
     level = flanks.level
     assert level is not None
@@ -724,45 +702,40 @@ GROUPS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RampAnswer(HeldCompliance):
-    """What one snapshot stores beside its recording; ``draws`` of all of :data:`POSTERIOR`."""
+def ramp_groups(
+    recording: Recording,
+    files: Sequence[Ramps],
+    flanks: Flanks,
+    draws: Mapping[str, FloatArray],
+    play: PlayPosterior,
+    stated_nm: float,
+) -> dict[str, xr.Dataset]:
+    """All groups of one snapshot, without a ``snapshot`` dimension.
 
-    files: tuple[Ramps, ...]
-    flanks: Flanks
-    log_density: FloatArray
-    diagnostics: Diagnostics
-    budget: Mapping[str, float]
-    lost_motion_torque_nm: float
-
-
-def ramp_groups(answer: RampAnswer, recording: Recording) -> dict[str, xr.Dataset]:
-    """All groups of one snapshot, without a ``snapshot`` dimension."""
-    shape = answer.log_density.shape
-    lengths = [ramps.torque_nm.size for ramps in answer.files]
-    file = np.repeat(np.arange(len(lengths), dtype=float), lengths)
+    ``draws``: of all of :data:`POSTERIOR`; ``stated_nm``: the torque of the lost motion.
+    """
+    lengths = [ramps.torque_nm.size for ramps in files]
     return {
-        "posterior": dataset(POSTERIOR, answer.draws, shared.numbered(shape)),
+        "posterior": dataset(POSTERIOR, draws, shared.numbered(play.log_density.shape)),
         "sample_stats": dataset(
             SAMPLE_STATS,
-            {"lp": answer.log_density, "acceptance_rate": answer.diagnostics.acceptance},
+            {"lp": play.log_density, "acceptance_rate": play.diagnostics.acceptance},
         ),
         **shared.common_groups(
             recording,
             (MOTOR_POSITION, MOTOR_TORQUE),
-            answer.diagnostics,
-            answer.budget,
-            file=file,
+            play.diagnostics,
+            _budget(flanks, draws["width_rad"], draws["delta_rad"]),
+            file=np.repeat(np.arange(len(lengths), dtype=float), lengths),
         ),
-        "cycles": _cycles(answer),
-        "loop": _loop(answer),
+        "cycles": _cycles(files, flanks, stated_nm),
+        "loop": _loop(flanks),
     }
 
 
-def _cycles(answer: RampAnswer) -> xr.Dataset:
-    level = answer.flanks.level
-    used = [] if level is None else level.cycles
-    each = [(n, c) for n, file in enumerate(answer.files) for c in file.cycles]
+def _cycles(files: Sequence[Ramps], flanks: Flanks, stated_nm: float) -> xr.Dataset:
+    used = [] if flanks.level is None else flanks.level.cycles
+    each = [(n, c) for n, file in enumerate(files) for c in file.cycles]
     names = ("amplitude_nm", "width_rad", "range_rad", "elastic_nm", "friction_nm")
     return dataset(
         CYCLES,
@@ -770,15 +743,15 @@ def _cycles(answer: RampAnswer) -> xr.Dataset:
             "file": np.array([n for n, _ in each], dtype=float),
             **{name: np.array([getattr(c, name) for _, c in each]) for name in names},
             "used": np.array([any(c is other for other in used) for _, c in each], dtype=float),
-            "relative_compliance": answer.flanks.relative_compliance,
-            "probability_of_play": answer.flanks.probability_of_play,
-            "lost_motion_torque_nm": answer.lost_motion_torque_nm,
+            "relative_compliance": flanks.relative_compliance,
+            "probability_of_play": flanks.probability_of_play,
+            "lost_motion_torque_nm": stated_nm,
         },
     )
 
 
-def _loop(answer: RampAnswer) -> xr.Dataset:
-    level = answer.flanks.level
+def _loop(flanks: Flanks) -> xr.Dataset:
+    level = flanks.level
     assert level is not None
     numbers = [float(n) for n, cycles in enumerate(level.files) if cycles]
     files = list(filter(None, level.files))

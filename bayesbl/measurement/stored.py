@@ -271,7 +271,7 @@ class Snapshot:
     Attributes
     ----------
     groups
-        Of the route, by name, without the dimension ``snapshot``.
+        Of the route, as of :func:`groups_of_snapshot`.
     summary
         Its part of the summary; sentences are not in it.
     """
@@ -285,16 +285,8 @@ class Snapshot:
         return float(self.groups[group][variable])
 
     def values(self, group: str, variable: str) -> FloatArray:
-        """A stored variable, any shape, with the NaN padding of shorter snapshots taken off."""
-        stored = np.asarray(self.groups[group][variable].values, dtype=float)
-        if stored.ndim == 0:
-            return stored
-        for axis in range(stored.ndim):
-            others = tuple(a for a in range(stored.ndim) if a != axis)
-            filled = np.flatnonzero(~np.isnan(stored).all(axis=others))
-            stop = filled[-1] + 1 if filled.size else 0
-            stored = np.take(stored, np.arange(stop), axis=axis)
-        return stored
+        """A stored variable, any shape."""
+        return np.asarray(self.groups[group][variable].values, dtype=float)
 
     @property
     def time_s(self) -> FloatArray:
@@ -327,20 +319,20 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot
     """What a route says of every recording of a result, in order; that which answers by default."""
     summary = summary_of(tree)
     route = route or tree.attrs["route"]
-    whole = {name: node.to_dataset() for name, node in tree[route].children.items()}
-    if summary["kind"] == "compare":
-        parts = [
-            (
-                part["name"],
-                part["routes"][route],
-                {
-                    group: data.sel({STACKED: part["name"]}) if STACKED in data.dims else data
-                    for group, data in whole.items()
-                },
-            )
-            for part in summary["snapshots"]
-        ]
-    else:
-        (name,) = np.atleast_1d(tree.attrs["recordings"])
-        parts = [(str(name), summary["routes"][route], whole)]
-    return [Snapshot(name, groups, part) for name, part, groups in parts]
+    names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
+    return [
+        Snapshot(name, groups_of_snapshot(tree.children[route], name), part["routes"][route])
+        for name, part in zip(names, summary.get("snapshots", [summary]), strict=True)
+    ]
+
+
+def groups_of_snapshot(route: xr.DataTree, name: str) -> dict[str, xr.Dataset]:
+    """Groups of one recording, without the dimension ``snapshot`` and others' greater lengths."""
+    groups = {group: node.to_dataset() for group, node in route.children.items()}
+    for group, data in groups.items():
+        if STACKED in data.dims:
+            own = data.sel({STACKED: name}, drop=True)
+            for dim in set(own.dims) - {"chain", "draw"}:
+                own = own.dropna(dim, how="all")
+            groups[group] = own
+    return groups

@@ -200,20 +200,13 @@ class RouteResult:
         """The same of one recording of a comparison, without the padding of shorter ones."""
         import xarray
 
-        groups = {}
-        for group, node in self._tree.children.items():
-            data = node.to_dataset()
-            if "snapshot" in data.dims:
-                known = [str(n) for n in data["snapshot"].values]
-                if name not in known:
-                    raise ResultError(
-                        "There is no such snapshot.", found=name, expected=", ".join(known)
-                    )
-                data = data.sel(snapshot=name, drop=True)
-            for dim in set(data.dims) - {"chain", "draw"}:
-                data = data.dropna(dim, how="all")
-            groups[group] = data
-        return RouteResult(xarray.DataTree.from_dict(groups))
+        from bayesbl.measurement.stored import groups_of_snapshot
+
+        recorded = self._tree["observed_data"].to_dataset()
+        known = recorded["snapshot"].values.tolist() if "snapshot" in recorded.dims else [name]
+        if name not in known:
+            raise ResultError("There is no such snapshot.", found=name, expected=", ".join(known))
+        return RouteResult(xarray.DataTree.from_dict(groups_of_snapshot(self._tree, name)))
 
     def __getattr__(self, name: str) -> xr.Dataset:
         if name.startswith("_") or name not in self._tree.children:

@@ -62,7 +62,7 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
 
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
-    plan.warnings += [*plan.withheld, *same_files(plan.recordings), *measurer.notes()]
+    plan.warnings += [*plan.withheld, *same_files(plan.recordings)]
     plan.add("speed", partial(measurer.require_together, plan.recordings))
     if plan.is_check:
         # It is for a run to refuse a recording, one that something shakes say.

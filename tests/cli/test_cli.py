@@ -303,14 +303,6 @@ def test_a_check_names_every_recording_that_cannot_be_used(snapshots, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
-def test_a_check_says_that_only_the_run_counts_rotations_without_a_gear_ratio(snapshots, capsys):
-    text = (snapshots / "wear.toml").read_text()
-    for lines, warned in ((text, False), (text.replace("gear_ratio = 120.0\n", ""), True)):
-        (snapshots / "check.toml").write_text(lines)
-        assert cli.status(["check", str(snapshots / "check.toml")]) == 0
-        assert ("rotations are counted only by the run" in capsys.readouterr().out) == warned
-
-
 def test_a_simulation_runs_by_either_command(tmp_path, capsys):
     (tmp_path / "simulate.toml").write_text(
         f"""schema = 1

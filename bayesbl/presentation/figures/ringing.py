@@ -50,9 +50,7 @@ class _Signal(NamedTuple):
 def _signal(snapshot: Snapshot) -> _Signal:
     time, speed = snapshot.time_s, snapshot.channel("motor_speed_rpm")
     names = ("model_rpm", "low_rpm", "high_rpm", "residual_rpm")
-    # By the time's length: a sample that was left out has no residual, like the padding.
-    curves = (snapshot.groups["predictive"][n].values[: time.size] for n in names)
-    return _Signal(time, speed, *curves)
+    return _Signal(time, speed, *(snapshot.values("predictive", name) for name in names))
 
 
 @stored_figure(
@@ -182,7 +180,8 @@ def overlay(tree: xr.DataTree) -> Figure:
 
 def _has(snapshot: Snapshot, channel: str) -> bool:
     name = f"simulated_{channel}"
-    return name in snapshot.groups["predictive"] and snapshot.values("predictive", name).size > 0
+    predictive = snapshot.groups["predictive"]
+    return name in predictive and bool(predictive[name].notnull().any())
 
 
 def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) -> None:
