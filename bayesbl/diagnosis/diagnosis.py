@@ -122,15 +122,12 @@ class LearnedAnswer:
         Values of what it depends on, and its standard deviation there, (n,) each.
     alike
         Other dependences that the recordings do not tell from it.
-    gap_share
-        Share of the information on the gap that it leaves; ``None`` where there is none.
     """
 
     term: LearnedTerm
     variable: FloatArray
     sd: FloatArray
     alike: tuple[LearnedTerm, ...] = ()
-    gap_share: float | None = None
 
     @property
     def value(self) -> FloatArray:

@@ -96,13 +96,12 @@ class LearnedSummary(LearnedDependence):
     """A torque of no known law, or an error of the encoder.
 
     ``amplitude_nm``, ``amplitude_rad`` its largest size, at its side; ``alike`` other dependences
-    that look the same here; ``gap_share`` the share of the information on the gap that remains.
+    that look the same here.
     """
 
     amplitude_nm: NotRequired[float]
     amplitude_rad: NotRequired[float]
     alike: list[LearnedDependence]
-    gap_share: float | None
 
 
 class DisagreementSummary(TypedDict):
@@ -210,10 +209,7 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
 
 def _learned(told: LearnedAnswer) -> Any:
     """The keys of :class:`LearnedSummary` but the amplitude."""
-    return _dependence(told.term) | {
-        "alike": [_dependence(other) for other in told.alike],
-        "gap_share": told.gap_share,
-    }
+    return _dependence(told.term) | {"alike": [_dependence(other) for other in told.alike]}
 
 
 def _dependence(term: LearnedTerm) -> Any:

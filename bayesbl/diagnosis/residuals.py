@@ -26,7 +26,7 @@ from scipy.stats import chi2, norm
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import BANDS
-from bayesbl.noise.rotation_noise import bic, innovations, levinson, log_variances
+from bayesbl.noise.rotation_noise import bic, levinson, log_variances
 from bayesbl.recording.types import MOTOR_SPEED, BoolArray, FloatArray
 from bayesbl.units import unit_of
 
@@ -50,12 +50,10 @@ STANDS_OUT = 4.0
 """Times the power of the load orders beside it: then a whole load order is a line by itself."""
 
 MAIN_SHARE = 0.8
-OUTLIER_SD = 6.0
-FEWEST_OUTLIERS = 3
 MOST_LINES = 6
 """Of a channel: what is beyond them is weaker, mostly side bands."""
 
-What = Literal["load angle", "motor angle", "time", "angle or time", "offset", "drift", "outliers"]
+What = Literal["load angle", "motor angle", "time", "angle or time", "offset", "drift"]
 Scale = Literal["time", "motor angle", "load angle"]
 TIME: Literal["time"] = "time"
 MOTOR: Literal["motor angle"] = "motor angle"
@@ -138,8 +136,6 @@ class ChannelResiduals:
         Of the noise.
     drift_per_s, drift_error_per_s
         Slope over the recording and its standard error.
-    outliers
-        Samples that no noise explains (six standard deviations of the whitened noise).
     """
 
     recording: str
@@ -155,7 +151,6 @@ class ChannelResiduals:
     noise_sd: float
     drift_per_s: float
     drift_error_per_s: float
-    outliers: int
 
     @property
     def unexplained(self) -> float:
@@ -170,11 +165,10 @@ class Unexplained:
     Attributes
     ----------
     dependence
-        What it repeats with, or ``offset``, ``drift`` (over a recording), ``outliers`` (samples
-        that no noise explains).
+        What it repeats with, or ``offset``, ``drift`` (over a recording).
     amplitude
         Largest over the recordings, in ``unit``: of the line; for the load angle that of a sine
-        of the same RMS; the offset; the drift per second; the number of samples.
+        of the same RMS; the offset; the drift per second.
     lowest_order, highest_order
         Of the load for the load angle, else of the motor; ``nan`` where it has none.
     frequency_hz
@@ -230,11 +224,6 @@ class NoiseFloor:
     def at_zero(self) -> float:
         """Expected periodogram at frequency zero: n times the variance of a mean over n samples."""
         return float(self.innovation_variance / (1.0 - self.coefficients.sum()) ** 2)
-
-    def outliers(self, values: FloatArray) -> int:
-        """Samples beyond six standard deviations of the innovations."""
-        white = np.abs(innovations(values, self.coefficients))
-        return int(np.count_nonzero(white > OUTLIER_SD * np.median(white) / norm.ppf(0.75)))
 
 
 def noise_floor(values: FloatArray, lines_at: BoolArray) -> NoiseFloor:
@@ -537,7 +526,6 @@ def _channel(recording: str, name: str, split: _Split, rate: float) -> ChannelRe
         noise_sd=math.sqrt(float(np.mean(floor[:-1]))),
         drift_per_s=float(split.coefficients[0]) * whole.sampling_hz,
         drift_error_per_s=split.slope_error * whole.sampling_hz,
-        outliers=split.floor.outliers(split.noise),
     )
 
 
@@ -592,11 +580,9 @@ def _numbers(seen: Sequence[ChannelResiduals], tests: int) -> Iterator[Unexplain
 
     offsets = {c.recording: c.offset for c in seen if sure(c.offset, c.offset_error)}
     drifts = {c.recording: c.drift_per_s for c in seen if sure(c.drift_per_s, c.drift_error_per_s)}
-    outliers = {c.recording: c.outliers for c in seen if c.outliers >= FEWEST_OUTLIERS}
     numbers: list[tuple[What, str, Mapping[str, float]]] = [
         ("offset", unit, offsets),
         ("drift", f"{unit}/s", drifts),
-        ("outliers", "samples", outliers),
     ]
     for what, own_unit, values in numbers:
         if values:

@@ -146,14 +146,8 @@ def learned(summary: DiagnosisSummary) -> Iterator[str]:
         others = "; ".join(dependence(other) for other in found["alike"])
         text += f" It cannot be distinguished from {others}."
     yield text
-    share = found["gap_share"]
     if withheld := summary.get("gap_withheld"):
         yield withheld
-    elif share is not None and share < 0.5:
-        yield (
-            f"It hides all but {significant(100.0 * share)} % of the information on the gap; "
-            "the gap's interval includes that."
-        )
 
 
 def dependence(found: LearnedDependence | LearnedSummary) -> str:
@@ -356,8 +350,6 @@ def _what(entry: RemainingSummary) -> str:
             return f"an offset of {size}"
         case "drift":
             return f"a drift of {size}"
-        case "outliers":
-            return f"{entry['amplitude']:g} samples that no noise explains"
         case "load angle":
             orders = (
                 f"order {order:.0f}" if order == highest else f"orders {order:.0f} to {highest:.0f}"

@@ -179,15 +179,6 @@ def test_drift_is_measured_within_its_error_and_is_no_line():
     assert "drift" in {entry.dependence for entry in found.remaining}
 
 
-def test_lost_samples_are_told_from_noise():
-    def lost(t, m, a):
-        return in_channel(0, np.where(np.isin(np.arange(t.size) % 700, (5, 6, 7)), -400.0, 0.0))
-
-    channels = analysed(recording(41, planted=lost)).channels
-    assert channels[0].outliers >= 8
-    assert channels[1].outliers == 0
-
-
 def test_the_floor_of_noise_does_not_see_lines():
     rng = np.random.default_rng(8)
     noise = ar_noise(rng, 6000)[0]

@@ -25,7 +25,7 @@ from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
+from bayesbl.matching.signals import SimulatedSignals, Unknown
 from bayesbl.model_search.closed_loop import CONTENDERS, linearised, noise_in_loop, weighed
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT, UNEXPLAINED_SHARE
 from bayesbl.model_search.linear import Term, search
@@ -117,22 +117,6 @@ class Learned:
         """As fitted, with standard deviations."""
         found = learned_terms(self.explanation.fit)
         return next(term for term in found if term.block == self.block)
-
-    @property
-    def gap_share(self) -> float:
-        """Share of the information on ln δ that it leaves; 1 where the gap is known.
-
-        With the term's coefficients free over that with them known.
-        """
-        fit = self.explanation.fit
-        names = [u.name for u in fit.model.unknowns]
-        if GAP not in names:
-            return 1.0
-        gap, coefficients = names.index(GAP), self.term.names
-        held = [i for i, name in enumerate(names) if name not in coefficients]
-        precision = np.linalg.inv(fit.covariance)
-        known = np.linalg.inv(precision[np.ix_(held, held)])[held.index(gap), held.index(gap)]
-        return float(known / fit.covariance[gap, gap])
 
     @property
     def reaches_ringing(self) -> bool:
@@ -388,7 +372,7 @@ def answer_of(learned: Learned) -> LearnedAnswer:
     lowest = 0.0 if term.belongs_to_recordings else -0.5 * term.period
     x = lowest + term.period * np.linspace(0.0, 1.0, CURVE_POINTS)
     sd = sd_over(learned.explanation.fit, term, x)
-    return LearnedAnswer(term, x, sd, learned.alike, learned.gap_share)
+    return LearnedAnswer(term, x, sd, learned.alike)
 
 
 def why_no_gap(learned: Learned, closed: float, remains: bool) -> str:
