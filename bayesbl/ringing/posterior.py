@@ -230,13 +230,10 @@ class SamplerCheck:
         By symbol, nested mean minus emcee's, in emcee's standard deviations.
     width_ratio
         By symbol, nested standard deviation over emcee's.
-    evaluations
-        Of the posterior, by the nested sampler.
     """
 
     difference_sd: Mapping[str, float]
     width_ratio: Mapping[str, float]
-    evaluations: int
 
     @property
     def differing(self) -> tuple[str, ...]:
@@ -280,20 +277,18 @@ def check_sampler(
     Both sets of points go through the same drawing of the linear symbols and the same calibration.
     """
     nested_seed, linear_seed = seed.spawn(2)
-    points, evaluations = _nested_over_modes(point, nested_seed)
+    points = _nested_over_modes(point, nested_seed)
     nested, _, _ = complete(point, points[None], np.random.default_rng(linear_seed))
     difference, ratio = {}, {}
     for name, draws in posterior.draws.items():
         sd = float(draws.std())
         difference[name] = float(nested[name].mean() - draws.mean()) / sd
         ratio[name] = float(nested[name].std()) / sd
-    return SamplerCheck(difference, ratio, evaluations)
+    return SamplerCheck(difference, ratio)
 
 
-def _nested_over_modes(
-    point: PointEstimate, seed: np.random.SeedSequence
-) -> tuple[FloatArray, int]:
-    """Equally weighted points over all modes, shape (n, d), and the number of evaluations."""
+def _nested_over_modes(point: PointEstimate, seed: np.random.SeedSequence) -> FloatArray:
+    """Equally weighted points over all modes, shape (n, d)."""
     objective, optimum, scale = point.objective, point.optimum, point.spread.scale
     target = LogPosterior(objective, optimum, scale)
     weighed = zip(weighed_by_likelihood(target, optimum), optimum.rivals, strict=True)
@@ -307,7 +302,7 @@ def _nested_over_modes(
         _nested(target, *_box(objective, target, centre, scale), s)
         for centre, s in zip(centres, seeds, strict=True)
     ]
-    points, log_evidence, evaluations = zip(*runs, strict=True)
+    points, log_evidence = zip(*runs, strict=True)
     shares = np.exp(np.array(log_evidence) - max(log_evidence))
     generator = np.random.default_rng(mix_seed)
     picked = generator.multinomial(len(points[0]), shares / shares.sum())
@@ -315,7 +310,7 @@ def _nested_over_modes(
         generator.choice(own, n, replace=n > len(own))
         for own, n in zip(points, picked, strict=True)
     ]
-    return np.concatenate(mixed), sum(evaluations)
+    return np.concatenate(mixed)
 
 
 def _box(
@@ -336,8 +331,8 @@ def _box(
 
 def _nested(
     target: LogPosterior, low: FloatArray, high: FloatArray, seed: np.random.SeedSequence
-) -> tuple[FloatArray, float, int]:
-    """Nested sampling of a box: equally weighted points, shape (n, d), log evidence, evaluations.
+) -> tuple[FloatArray, float]:
+    """Nested sampling of a box: equally weighted points, shape (n, d), and the log evidence.
 
     The evidence is under a flat prior of density one.
     """
@@ -356,4 +351,4 @@ def _nested(
     results = sampler.results
     points = np.asarray(results.samples_equal(rstate=np.random.default_rng(weight_seed)))
     volume = float(np.sum(np.log(high - low)))
-    return points, float(results.logz[-1]) + volume, int(np.sum(results.ncall))
+    return points, float(results.logz[-1]) + volume

@@ -72,8 +72,8 @@ play their size is unknown, so any part of what lies between both directions may
 """
 
 FRICTION_SPREAD = 0.5
-"""Standard deviation of ln of the load's friction over the recordings of a joint: grease that is
-20 K colder has about twice of it.
+"""Standard deviation of ln of the load's friction over the recordings of a joint. A judgement, and
+a wide one, since here no signal shows that friction: grease 20 K colder may have twice of it.
 """
 
 STOPS, STOPS_SPREAD = 30.0, 1.7
@@ -1114,8 +1114,10 @@ def _drawn(
 
 
 def _parts(density: FloatArray, joint: FloatArray, own: FloatArray) -> NDArray[np.int64]:
-    """Indices of ``PARTS`` by a density over them, shapes (parts,) and (n,), from standard normals:
-    of the joint, and of this recording's friction, which moves ln w by ``FRICTION_SPREAD``.
+    """Indices of ``PARTS``, shape (n,), by a density over them, (parts,).
+
+    From standard normals, (n,) each: of the joint, and of this recording, whose friction moves ln w
+    by ``FRICTION_SPREAD``. A part that the recording's own torque narrows to less is its own.
     """
     edges = np.cumsum(density)
     mean = float(density @ LOGITS) / edges[-1]

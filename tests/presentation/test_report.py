@@ -229,6 +229,15 @@ def test_growth_by_ramps_is_told_under_the_condition_that_no_ramp_can_test():
     assert condition not in answer.headline(comparison())
 
 
+@pytest.mark.parametrize(("share", "is_told"), [(0.9, True), (0.1, False)])
+def test_growth_that_may_be_wind_up_is_told_under_the_condition_of_its_friction(share, is_told):
+    by_encoders = comparison()
+    for snapshot in by_encoders["snapshots"]:
+        snapshot["budget"] = {"noise": 1.0 - share, "held_windup": share}
+    condition = ", if the load's friction did not change."
+    assert answer.headline(by_encoders).endswith(condition) == is_told
+
+
 def test_without_a_curve_the_ringing_alone_is_told():
     text = flat(printed(ringing_alone()))
     assert text.startswith("The ringing grew by 24 % (90 % interval 20 to 28 %);")

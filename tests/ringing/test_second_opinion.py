@@ -60,7 +60,7 @@ def test_a_mode_that_emcee_does_not_reach_is_reported() -> None:
 def test_a_disagreement_in_place_or_width_is_one(
     difference: float, ratio: float, agrees: bool
 ) -> None:
-    check = SamplerCheck({AMPLITUDE: difference}, {AMPLITUDE: ratio}, 1)
+    check = SamplerCheck({AMPLITUDE: difference}, {AMPLITUDE: ratio})
     assert (check.reason is None) == agrees
 
 

@@ -9,7 +9,12 @@ from places import ROOT
 from bayesbl.measurement.two_encoder_route import upper_bound_rad
 from bayesbl.recording.types import MOTOR_TORQUE
 from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
-from bayesbl.two_encoders.transmission import fit_transmission, has_one_speed, of_friction
+from bayesbl.two_encoders.transmission import (
+    FRICTION_SPREAD,
+    fit_transmission,
+    has_one_speed,
+    of_friction,
+)
 
 DATA = ROOT.parent / "shared" / "data"
 PLAY, RATIO, SKEW_S = 6e-3, 50.0, 2e-3
@@ -399,6 +404,37 @@ def test_without_a_torque_wind_up_is_no_play_that_is_known(wound):
     assert found.probability_of_play < 0.95
     low, high = bounds(found.draws["lost_motion_rad"], 0.99)
     assert low <= 2.0 * wound <= high
+
+
+def test_recordings_of_a_joint_share_what_is_soft_but_not_the_friction():
+    """Of one recording twice: as two of one joint, and as of two joints."""
+    time = np.arange(0.0, 24.0, 2e-3)
+    path = 0.5 * np.sin(2.0 * np.pi * time / 3.0) + 0.3 * np.sin(2.0 * np.pi * time / 4.7)
+    read = path - load_lag(path, np.gradient(path, time), time, 5e-3, np.inf, 0.0)
+    read += 2e-5 * np.random.default_rng(3).standard_normal(time.size)
+    channels = Channels(time, RATIO * path, read)
+
+    def parts(own, joint):
+        seeds = np.random.SeedSequence(own), np.random.SeedSequence(joint)
+        draws = fit_transmission(channels, *seeds, RATIO).draws
+        return (draws["held_windup_rad"] / draws["lost_motion_rad"]).ravel()
+
+    first, second, other = parts(1, 9), parts(2, 9), parts(3, 8)
+    soft = [part > 0.05 for part in (first, second, other)]
+    both = soft[0] & soft[1]
+    # What is wound up in one is more often than not in the other, and of another joint by chance.
+    assert both.mean() > 0.5 * soft[0].mean()
+    by_chance = soft[0].mean() * soft[2].mean()
+    assert (soft[0] & soft[2]).mean() < by_chance + 5.0 * np.sqrt(by_chance / soft[0].size)
+    # Each recording alone says the same, whichever joint it is of.
+    shares = [each.mean() for each in soft]
+    error = np.sqrt(np.mean(shares) / soft[0].size)
+    assert np.ptp(shares) < 5.0 * error
+    logits = [np.log(part[both] / (1.0 - part[both])) for part in (first, second)]
+    # Of friction that differs by FRICTION_SPREAD in each, where nothing else is known of the part.
+    known = np.var(logits[0]) / (np.var(logits[0]) + FRICTION_SPREAD**2)
+    expected = FRICTION_SPREAD * np.sqrt(2.0 * known)
+    assert np.std(logits[0] - logits[1]) == pytest.approx(expected, rel=0.3)
 
 
 def test_only_a_motion_to_and_fro_at_a_constant_speed_has_one_speed():
