@@ -481,7 +481,8 @@ def compared(
 
 def told(found, count):
     console = Console(file=io.StringIO(), width=80, highlight=False, markup=False)
-    summary = {"kind": "compare", "snapshots": [{}] * count, "same_joint": {"blind_spots": []}}
+    snapshots = [{"budget": {"noise": 1.0}}] * count
+    summary = {"kind": "compare", "snapshots": snapshots, "same_joint": {"blind_spots": []}}
     print_blocks(blocks(summary, found), console)
     return " ".join(console.file.getvalue().split())
 

@@ -288,7 +288,7 @@ def test_no_all_clear_is_given_by_the_curve_of_another_machine():
 def compared_undated(change, above, limit=1.2e-3, spots=()):
     low, high = change
     middle = 0.5 * (low + high)
-    part = fitted(above=above, limit=limit) | {"name": "new"}
+    part = fitted(above=above, limit=limit) | {"name": "new", "budget": {"noise": 1.0}}
     found = {"median": middle, "low": low, "high": high, "level": 0.9, "kind": "equal_tailed"}
     return {"kind": "compare", "outcome": "converged", "snapshots": [part], "change_rad": found,
             "curve": "sweep", "probability_increase": 0.99, "reason": None,
@@ -364,7 +364,7 @@ def dated(rate=(2e-4, 4e-4), certain=0.999, before=None, years=(1.0, 3.0), limit
         ),
         "reason": None,
     }
-    snapshots = [{**part, "name": name} for name in wear["snapshots"]]
+    snapshots = [{**part, "name": name, "budget": {"noise": 1.0}} for name in wear["snapshots"]]
     change = interval(1e-4, 3e-4)
     return {
         "kind": "compare",
