@@ -23,7 +23,6 @@ from bayesbl.measurement.measurement import (
     Reason,
     Task,
     Verdict,
-    upper_bound,
 )
 from bayesbl.progress import of_stage
 from bayesbl.recording.checks import require_alive, require_channels
@@ -285,13 +284,17 @@ def _misfit_lasts(found: Transmission) -> bool:
 
 
 def upper_bound_rad(found: Transmission) -> float:
-    """Of δ, with 95 %.
+    """Of δ, with 95 %, where all sizes up to it are alike beforehand.
 
-    A load within a play goes no further than the play: one that the model does not follow shows
+    By the draws' prior it would be what that takes small gaps for: a bound is of the data. A load
+    within a play goes no further than the play: one that the model does not follow shows
     its play in the range of the misfit, beyond that of white noise. What the prior takes for
     wind-up is within it.
     """
-    return max(upper_bound(found.draws["delta_rad"]), hidden_rad(found.lag_rad, found.noise))
+    delta = np.sort(found.draws["delta_rad"], axis=None)
+    alike = np.cumsum(delta)
+    bound = float(delta[np.searchsorted(alike, UPPER_BOUND_LEVEL * alike[-1])])
+    return max(bound, hidden_rad(found.lag_rad, found.noise))
 
 
 def channels_of(recording: Recording) -> Channels:

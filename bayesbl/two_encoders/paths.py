@@ -10,7 +10,6 @@ load that friction and weight alone move until a flank takes it along.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,15 +192,19 @@ def turning_points(path: FloatArray, least: float) -> list[int]:
     return [*points, path.size - 1]
 
 
-def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths:
+def scaled_paths(
+    channels: Channels, slope: float, skew_s: float = 0.0, edge_s: float = 0.0
+) -> Paths:
     """The motor scaled by ``slope``, at the time that the load's samples were really taken.
 
-    A torque is taken with the sign that friction has: against the motion.
+    A torque is taken with the sign that friction has: against the motion. With ``edge_s`` at both
+    ends left out, the samples and bins are the same for all skews up to that.
     """
     stamps, motor, load, torque = _thinned(channels)
     path = CubicSpline(stamps, slope * motor)
     time = stamps - skew_s
-    inside = (time >= stamps[0]) & (time <= stamps[-1])
+    first, last = stamps[0] + edge_s, stamps[-1] - edge_s
+    inside = (time >= stamps[0]) & (time <= stamps[-1]) & (stamps >= first) & (stamps <= last)
     time, load = time[inside], load[inside]
     every = max(1, round(float(np.median(np.diff(time))) / FINE_S))
     parts = np.arange(every) / every
@@ -231,7 +234,7 @@ def scaled_paths(channels: Channels, slope: float, skew_s: float = 0.0) -> Paths
         path(fine) - x.mean(),
         fine_speed,
         every,
-        _bins(time, speed),
+        _bins(time, path(time + skew_s, 1)),
         _least_step(channels.load_rad),
         step,
         np.abs(x - np.interp(time, stamps, slope * motor)),
@@ -263,19 +266,22 @@ def moving_mean(values: FloatArray, stamps: FloatArray, over_s: float) -> FloatA
 
 
 def _bins(time: FloatArray, speed: FloatArray) -> NDArray[np.int64]:
-    """Starts of the bins: even where the motor moves, one for each time it stands still.
+    """Starts of the bins: where the motor moves as even in time as in speed, which is where a load
+    changes its flank; one for each time it stands still.
 
     A load that stands still is seen once, however long it stands. None reaches over a hole.
     """
     steps = np.diff(time)
     still = np.abs(speed) < STILL * float(np.sqrt(np.mean(speed**2)))
-    length = max(1, -(-int(np.count_nonzero(~still)) // MOST_BINS))
+    moving = int(np.count_nonzero(~still))
+    length = max(1, -(-moving // MOST_BINS))
+    turns = np.abs(np.gradient(speed))
+    turns = np.convolve(turns, np.ones(4 * length + 1), "same") * ~still
+    way = ~still * 1.0 + turns * moving / max(float(turns.sum()), 1e-300)
+    bins = np.floor(np.cumsum(way) / (2.0 * length)).astype(int)
     changes = (np.diff(still.astype(int)) != 0) | (steps > HOLE * np.median(steps))
-    edges = [0, *(np.flatnonzero(changes) + 1), time.size]
-    starts: list[int] = []
-    for a, b in pairwise(edges):
-        starts.extend([a] if still[a] else range(a, b, length))
-    return np.array([*starts, time.size])
+    changes |= np.diff(bins) > 0
+    return np.array([0, *(np.flatnonzero(changes) + 1), time.size])
 
 
 @compiled()

@@ -153,14 +153,18 @@ WAY_SHARES, ONE_SPEED = (0.1, 0.9), 0.8
 """Shares of the way, up to which it is travelled more slowly than at some speed; the share of those
 speeds that calls them one."""
 
-USUAL_SKEW_S = 5e-3
-"""Standard deviation of the skew of the channels."""
+USUAL_SKEW_S, LATE_S = 5e-3, 5e-2
+"""Standard deviation of the skew of the channels: of one recorder, and of one that a network is
+between."""
 
 LINEAR = 0.02
 """Of the sampling period: a skew up to which the motion is straight."""
 
 RATIO_STATED = 0.01
 """Relative standard deviation of a gear ratio that is stated."""
+
+EDGE = 0.1
+"""Of a recording, at most left out at each end."""
 
 MOST_ROUNDS = 10
 """Of fits, until ratio and skew move no more."""
@@ -188,6 +192,9 @@ class Noise:
     drift_rad: float
     drift_s: float
     curve_rad: float
+
+
+FIRST_NOISE = Noise(1e-3, 3e-4, 0.1, 1e-3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,13 +291,30 @@ class Transmission:
     skew_or_play: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """How the motor's path is scaled and shifted to be the load's.
+
+    ``slope``, θ_l over θ_m, is about ``first_slope``, closely if that is ``stated``; the load's
+    stamps are ``skew_s`` late, beforehand about none with ``skew_sd_s``. ``edge_s`` is left out at
+    both ends, so that all skews up to it have the same samples; without one all samples count.
+    """
+
+    slope: float
+    first_slope: float
+    stated: bool
+    skew_s: float = 0.0
+    skew_sd_s: float = USUAL_SKEW_S
+    edge_s: float = 0.0
+
+
 class Design:
     """H at the bins with the prior standard deviations of β.
 
     ``curve`` are the columns of the transmission error, whose size is a parameter of the noise.
     """
 
-    def __init__(self, paths: Paths, *, stated: bool, first_slope: float) -> None:
+    def __init__(self, paths: Paths, scaling: Scaling) -> None:
         self.motor_rad = paths.binned(paths.motor_rad)
         self.load_rad = paths.binned(paths.load_rad)
         self.time_s = paths.binned(paths.time_s)
@@ -299,7 +323,7 @@ class Design:
         moves = paths.binned(paths.speed), paths.binned(paths.acceleration)
         plain = [np.ones_like(self.motor_rad), self.motor_rad, *moves]
         names = ["offset", "ratio", "skew", "inertia"]
-        sd = [1e3, RATIO_STATED if stated else 0.3, USUAL_SKEW_S, INERTIA_S2]
+        sd = [1e3, RATIO_STATED if scaling.stated else 0.3, scaling.skew_sd_s, INERTIA_S2]
         self.turns = self.travel_rad > 2.0 * np.pi
         first = len(names)
         orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
@@ -328,7 +352,7 @@ class Design:
         self.curve = slice(first, len(names))
         self.centre = np.zeros(len(names))
         # The first ratio, wherever the motion is scaled to since, and channels of one clock.
-        self.centre[1], self.centre[2] = first_slope / paths.slope, paths.skew_s
+        self.centre[1], self.centre[2] = scaling.first_slope / paths.slope, paths.skew_s
         self.sd[1] *= abs(self.centre[1])
 
     def columns(self, lag: FloatArray) -> FloatArray:
@@ -425,12 +449,20 @@ class Model:
         self.paths, self.design, self.courses = paths, design, list(courses)
         self.step_s = np.diff(design.time_s)
         self.reading = paths.reading_variance()
+        samples = np.diff(paths.bins)
+        # White noise is that of a bin in the middle.
+        self.share = np.median(samples) / samples
         # Of a lag that follows the load's own readings: it follows their noise too.
         self.visible = VISIBLE * float(paths.scatter_rad + paths.load_step_rad)
         self.seen = design.motor_rad - design.load_rad
         self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
         self.counted = 1.0
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
+        # By the torque: the friction, and how often the load's weight is above it.
+        self.friction_nm: float | None = None
+        self.gravity_holds = 0.0
+        if paths.torque_nm is not None:
+            self.friction_nm, self.gravity_holds = of_friction(paths)
 
     def see(self, cell: Cell) -> None:
         """Take the lag from the measurement, with all else as in a cell."""
@@ -472,11 +504,12 @@ class Model:
             # In the gap, and nowhere without one.
             share = 1.0 - np.abs(lag) / half_rad if half_rad else np.zeros(lag.size)
             loose = (LOOSE * like * np.maximum(share, 0.0)) ** 2
-        white = noise.white_rad**2 + loose + self.reading
+        of_noise = noise.white_rad**2 * self.share + self.reading
+        white = of_noise + loose
         if final is not None:
             # A load that is anywhere is where other values of skew and ratio have it.
             anywhere = loose * free * lag.size
-            white = noise.white_rad**2 + self.reading + np.maximum(final.passing, anywhere)
+            white = of_noise + np.maximum(final.passing, anywhere)
             white += lag.size * final.misfit_rad**2
         both = design.beside(lag)
         log = -change * CHANGE + _whiten(both, self.step_s, white, noise.drift_rad, noise.drift_s)
@@ -695,6 +728,47 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     return likely.mean(axis=0), friction[best, at], spread[best, at]
 
 
+def _settled(channels: Channels, at: Scaling, told: Progress) -> tuple[Model, Noise, Cell]:
+    """The best course where ratio and skew move no more."""
+    settled, placed, first = False, None, FIRST_NOISE
+    tried: Sequence[int] = ()
+    for made in range(MOST_ROUNDS):
+        told(made, MOST_ROUNDS + 1)
+        model = _model(channels, at)
+        # All courses at first and once skew and ratio are settled, else from the last.
+        if made == 0 or settled:
+            tried = range(2)
+        fits = [model.fitted(*_searched(model, first, k), 240 if settled else 80) for k in tried]
+        noise, best = max(fits, key=lambda fit: fit[1].log_evidence)
+        tried = [best.course]
+        if placed is not None:
+            noise, best = _placed(model, noise, best, [placed], 0.1 * (1.0 - STAYS))
+        if made == 0 or settled:
+            noise, best = _coasting(model, noise, best)
+        if settled:
+            noise, best = _with_weight(model, noise, best)
+        placed = model.place(best)
+        names = model.design.names
+        scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
+        moved = abs(late) > LINEAR * model.paths.period_s
+        moved &= abs(at.skew_s + late) < (at.edge_s or LONGEST_SKEW_S)
+        scaled = not at.stated and abs(scale - 1.0) > 5e-3
+        if at.stated and abs(scale / model.design.centre[1] - 1.0) > RATIO_STATED:
+            # Stated wrong, it says nothing: a mean of it and of what is seen is neither.
+            at, settled, scaled = replace(at, stated=False), False, True
+        if not moved and not scaled:
+            if settled:
+                break
+            settled = True
+            continue
+        at = replace(
+            at,
+            skew_s=at.skew_s + float(late) * moved,
+            slope=at.slope * (float(scale) if scaled else 1.0),
+        )
+    return model, noise, best
+
+
 def fit_transmission(
     channels: Channels,
     seed: np.random.SeedSequence,
@@ -708,41 +782,17 @@ def fit_transmission(
     """
     told = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
-    first = slope
-    skew, noise = 0.0, Noise(1e-3, 3e-4, 0.1, 1e-3)
-    settled, placed = False, None
-    tried: Sequence[int] = ()
-    for made in range(MOST_ROUNDS):
-        told(made, MOST_ROUNDS + 1)
-        model, friction, weight = _model(channels, slope, skew, stated, first)
-        # All courses at first and once skew and ratio are settled, else from the last.
-        if made == 0 or settled:
-            tried = range(2)
-        fits = [model.fitted(*_searched(model, noise, k), 240 if settled else 80) for k in tried]
-        free, best = max(fits, key=lambda fit: fit[1].log_evidence)
-        tried = [best.course]
-        if placed is not None:
-            free, best = _placed(model, free, best, [placed], 0.1 * (1.0 - STAYS))
-        if made == 0 or settled:
-            free, best = _coasting(model, free, best)
-        if settled:
-            free, best = _with_weight(model, free, best)
-        placed = model.place(best)
-        names = model.design.names
-        scale, late = best.beta[names.index("ratio")], -best.beta[names.index("skew")]
-        moved = abs(late) > LINEAR * model.paths.period_s
-        moved &= abs(skew + late) < LONGEST_SKEW_S
-        scaled = not stated and abs(scale - 1.0) > 5e-3
-        if stated and abs(scale / model.design.centre[1] - 1.0) > RATIO_STATED:
-            # Stated wrong, it says nothing: a mean of it and of what is seen is neither.
-            stated, settled, scaled = False, False, True
-        if not moved and not scaled:
-            if settled:
-                break
-            settled = True
-            continue
-        skew += float(late) if moved else 0.0
-        slope *= float(scale) if scaled else 1.0
+    paths, at = scaled_paths(channels, slope), Scaling(slope, slope, stated)
+    if has_one_speed(paths):
+        at = replace(at, edge_s=min(LONGEST_SKEW_S, EDGE * float(np.ptp(paths.time_s))))
+    model, free, best = _settled(channels, at, told)
+    if at.edge_s:
+        # At one speed a skew makes the lag of a play: another fit begins with all of it as skew.
+        usual_speed = float(np.std(model.paths.binned(model.paths.speed)))
+        skew = min(model.paths.skew_s + best.half_rad / usual_speed, at.edge_s)
+        late = _settled(channels, replace(at, skew_s=skew, skew_sd_s=LATE_S), told)
+        if late[2].log_evidence > best.log_evidence:
+            model, free, best = late
     # A load that goes its own way is tried last: it would follow any other skew and ratio too.
     model.see(best)
     freely = next(i for i, how in enumerate(model.courses) if how.free)
@@ -753,7 +803,7 @@ def fit_transmission(
             model.see(best)
     told(MOST_ROUNDS, MOST_ROUNDS + 1)
     free, best = model.fitted(best.course, best.half_rad, free)
-    noise, _none = model.fitted(0, 0.0, noise)
+    noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
     model.counted = model.repeats(best)
     noises = [model.again(noise), model.again(free)]
     sharp = _refined(model, range(len(model.courses)), best, noises, None)
@@ -763,23 +813,18 @@ def fit_transmission(
     model.design.hold(best.lag)
     lists = sharp, _refined(model, likely, best, noises, final)
     generator = np.random.default_rng(seed)
-    return _drawn(model, best, lists, free, friction, weight, generator, of_joint)
+    return _drawn(model, best, lists, free, generator, of_joint)
 
 
-def _model(
-    channels: Channels, slope: float, skew: float, stated: bool, first: float
-) -> tuple[Model, float | None, float]:
-    """The model, the friction that a torque shows, and how often the load's weight is above it."""
-    paths = scaled_paths(channels, slope, skew)
-    rest, friction, weight = 1.0 - STAYS, None, 0.0
-    if paths.torque_nm is not None:
-        friction, weight = of_friction(paths)
+def _model(channels: Channels, at: Scaling) -> Model:
+    """The model with the courses that are tried in any case."""
+    paths = scaled_paths(channels, at.slope, at.skew_s, at.edge_s)
+    rest = 1.0 - STAYS
     drags = np.array(COASTING) * paths.typical_acceleration
     courses = [Course(float(drag), 0.5 * rest / drags.size) for drag in drags]
     courses = [*courses, Course(0.0, 0.2 * rest, free=True)]
     driven = [Course(np.inf, STAYS), Course(np.inf, 0.1 * rest, drives=True)]
-    courses = driven + courses
-    return Model(paths, Design(paths, stated=stated, first_slope=first), courses), friction, weight
+    return Model(paths, Design(paths, at), driven + courses)
 
 
 def _halves(model: Model, least: float, per_decade: int) -> FloatArray:
@@ -975,8 +1020,6 @@ def _drawn(
     best: Cell,
     lists: Sequence[Sequence[Cell]],
     noise: Noise,
-    friction: float | None,
-    weight: float,
     generator: np.random.Generator,
     of_joint: np.random.SeedSequence,
 ) -> Transmission:
@@ -1103,8 +1146,8 @@ def _drawn(
         curve,
         halves,
         paths.reversals,
-        friction,
-        0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else weight,
+        model.friction_nm,
+        0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else model.gravity_holds,
         has_one_speed(paths)
         and (
             bool(np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5)
