@@ -44,7 +44,6 @@ from bayesbl.matching.observed import Observed
 from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
 from bayesbl.matching.signals import (
-    GAP,
     SimulatedSignals,
     Unknown,
     effect_unknowns,
@@ -488,10 +487,8 @@ def _place(model: SimulatedSignals, candidate: Candidate) -> Place | None:
     at = float(candidate.neutral[0])
     if not _can_be(beside, np.append(_middle(model), at)):
         return None
-    # Gaps of recordings of their own are scanned one by one, as aligned_starts does.
-    own = [k for k, u in enumerate(beside.unknowns) if u.name == GAP and u.recording is None]
-    grids = {k: np.linspace(beside.low[k], beside.high[k], SCANNED_GAPS) for k in own}
-    point = aligned_starts(beside, grids | {len(beside.unknowns) - 1: np.array([at])})[0]
+    value = {len(beside.unknowns) - 1: np.array([at])}
+    point = aligned_starts(beside, value, SCANNED_GAPS)[0]
     low, high = beside.low, beside.high
     low[-1], high[-1] = at - math.log(STEP), at + math.log(STEP)
     left = promised_within(beside, point, low, high) - beside.size

@@ -108,39 +108,52 @@ def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
 
 
 def aligned_starts(
-    model: SimulatedSignals, grids: Mapping[int, FloatArray] | None = None
+    model: SimulatedSignals,
+    grids: Mapping[int, FloatArray] | None = None,
+    gaps_tried: int = GAPS_TRIED,
 ) -> list[FloatArray]:
     """Points to fit from, best first: gaps by scan, start angles by correlation.
 
-    Recordings with a gap of their own are scanned one by one, and start together at the best of
-    each, the second best of each, …
+    Each start has other values of what is scanned besides the gap; where there are too few of
+    them, other gaps, and of recordings with a gap of their own the best of each, the second best
+    of each, …
 
     Parameters
     ----------
     grids
         Coordinates to scan besides the gap, by index in a point; all combinations are tried.
         Other unknowns start at their prior's centre, or the middle of their range.
+    gaps_tried
+        Over the gap's range.
     """
-    start = np.array([u.middle for u in model.unknowns])
-    starts = np.repeat(start[None], STARTS_FITTED, axis=0)
+    points = _combinations(np.array([u.middle for u in model.unknowns]), grids or {})
+    starts = np.repeat(points[:, None], STARTS_FITTED, axis=1)
+    total = np.zeros(starts.shape[:2])
     by_gap: dict[int | None, list[int]] = {}
     for i, seen in enumerate(model.recordings):
         by_gap.setdefault(model.place_of(GAP, seen.name), []).append(i)
     for place, members in by_gap.items():
-        scanned = dict(grids or {})
+        tried = points[:, None]
         if place is not None:
-            scanned.setdefault(place, np.linspace(model.low[place], model.high[place], GAPS_TRIED))
-        points, shape = _combinations(start, scanned)
-        aligned = _aligned(model, points, members)
-        chosen = _best_apart(np.sum([cost for _, cost in aligned], axis=0), shape)
-        for coordinate in scanned:
-            starts[:, coordinate] = points[chosen, coordinate]
+            tried = np.repeat(tried, gaps_tried, axis=1)
+            tried[..., place] = np.linspace(model.low[place], model.high[place], gaps_tried)
+        shape = tried.shape[:2]
+        aligned = _aligned(model, tried.reshape(-1, tried.shape[2]), members)
+        cost = np.sum([cost for _, cost in aligned], axis=0).reshape(shape)
+        chosen = np.stack([_best_apart(row) for row in cost])
+        total += np.take_along_axis(cost, chosen, axis=1)
+        if place is not None:
+            starts[..., place] = np.take_along_axis(tried[..., place], chosen, axis=1)
         for i, (angles, _) in zip(members, aligned, strict=True):
             at = model.place_of(START_ANGLE, model.recordings[i].name)
             if at is not None:
-                starts[:, at] = _nearest_turn(angles[chosen], model.unknowns[at])
+                best = np.take_along_axis(angles.reshape(shape), chosen, axis=1)
+                starts[..., at] = _nearest_turn(best, model.unknowns[at])
+    order = np.argsort(total, axis=0, kind="stable")
+    starts = np.take_along_axis(starts, order[..., None], axis=0)
+    starts = starts.swapaxes(0, 1).reshape(-1, starts.shape[2])
     _, first = np.unique(starts, axis=0, return_index=True)
-    return [with_shifts(model, starts[k]) for k in np.sort(first)]
+    return [with_shifts(model, starts[k]) for k in np.sort(first)[:STARTS_FITTED]]
 
 
 def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
@@ -195,22 +208,20 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
     return [settled[k] for k in np.sort(first)]
 
 
-def _combinations(
-    start: FloatArray, scanned: Mapping[int, FloatArray]
-) -> tuple[FloatArray, tuple[int, ...]]:
-    """The start with every combination of the scanned values, (m, d), and their grid's shape."""
+def _combinations(start: FloatArray, scanned: Mapping[int, FloatArray]) -> FloatArray:
+    """The start with every combination of the scanned values, shape (m, d)."""
     meshes = np.meshgrid(*scanned.values(), indexing="ij")
     points = np.repeat(start[None], meshes[0].size if meshes else 1, axis=0)
     for place, mesh in zip(scanned, meshes, strict=True):
         points[:, place] = mesh.ravel()
-    return points, meshes[0].shape if meshes else (1,)
+    return points
 
 
-def _best_apart(cost: FloatArray, shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _best_apart(cost: FloatArray) -> NDArray[np.int64]:
     """Indices of the lowest costs, no two adjacent; repeated where there are too few."""
     chosen: list[int] = []
     for k in map(int, np.argsort(cost, kind="stable")):
-        if all(_far(np.unravel_index(k, shape), np.unravel_index(c, shape)) for c in chosen):
+        if all(abs(k - c) > 1 for c in chosen):
             chosen.append(k)
         if len(chosen) == STARTS_FITTED:
             break
@@ -223,11 +234,6 @@ def _nearest_turn(angles: FloatArray, unknown: Unknown) -> FloatArray:
         return angles
     turn = 2.0 * math.pi
     return np.asarray(angles - turn * np.round((angles - unknown.centre) / turn))
-
-
-def _far(a: tuple[np.intp, ...], b: tuple[np.intp, ...]) -> bool:
-    """Whether two places of a grid are not neighbours."""
-    return any(abs(int(i) - int(j)) > 1 for i, j in zip(a, b, strict=True))
 
 
 def _aligned(

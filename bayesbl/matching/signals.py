@@ -69,8 +69,10 @@ class Unknown:
     offset
         Of a logarithmic one: the coordinate is ln(value + offset), so that it reaches zero.
     added
-        The value is added to what the recording has without it: to the bench's value as it is, to
+        The value is added to what the recording has without it: to ``reference`` as it is, to
         another in proportion.
+    reference
+        The bench's value where it is zero.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Unknown:
     recording: str | None = None
     logarithmic: bool = False
     added: bool = False
+    reference: float = 0.0
     offset: float = 0.0
 
     @property
@@ -418,7 +421,7 @@ class SimulatedSignals:
         settings |= seen.known
         for unknown, value in own:
             if unknown.added:
-                nominal = self.bench.value(unknown.name)
+                nominal = unknown.reference or self.bench.value(unknown.name)
                 base = settings.get(unknown.name, nominal)
                 # In proportion, so that no drift takes a value below zero that a tolerance lowers.
                 value = base + value * (base / nominal if nominal else 1.0)

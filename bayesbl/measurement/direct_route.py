@@ -64,6 +64,7 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.model_search.always_in import (
     Beside,
+    Direction,
     beside,
     directions,
     edge_variances,
@@ -97,6 +98,16 @@ BOUNDED = ("gap_unseen",)
 
 EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
 """Gaps of a new reducer, a used one and a worn one."""
+
+FRICTION = (
+    "motor_viscous_friction",
+    "motor_coulomb_friction",
+    "load_viscous_friction",
+    "load_coulomb_friction",
+)
+
+LEAST_SHARE = 0.9
+"""Of a friction that drift takes away at most."""
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
@@ -324,6 +335,30 @@ def direct_unknowns(
     ]
 
 
+def friction_drift(
+    unknowns: Sequence[Unknown], among: Sequence[Direction], later: Sequence[str]
+) -> list[Unknown]:
+    """What friction that is unknown anyway drifts by in later recordings.
+
+    It moves the current's mean by many times its noise: a fit that has it the same in all turns to
+    a bench that never was, and nothing is linear there.
+    """
+    usual = {u.name: u.sd for u in unknowns if u.name.partition("__")[0] in FRICTION}
+    return [
+        Unknown(
+            d.slot,
+            -LEAST_SHARE * usual[d.slot],
+            sd=d.drift,
+            recording=name,
+            added=True,
+            reference=usual[d.slot],
+        )
+        for name in later
+        for d in among
+        if d.slot in usual and d.drift > 0.0
+    ]
+
+
 @dataclass(frozen=True, slots=True)
 class JointFit:
     """All recordings of a joint fitted together.
@@ -374,11 +409,12 @@ def fit_jointly(
     recordings = [marginalising_motor_lines(seen, bench) for seen in recordings]
     bench = with_friction(bench, recordings)
     moving = [r.name for r in recordings if r.motion is not None]
+    among = directions(bench, drift)
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, moving)
+    unknowns += friction_drift(unknowns, among, [r.name for r in recordings[1:]])
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
-    among = directions(bench, drift)
     rest = settled(nominal, among)
     if rest.explains:
         part = None if moving else elastic_part(nominal, rest.fit, among)

@@ -13,7 +13,7 @@ import numpy as np
 from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
-from bayesbl.matching.signals import GAP, SimulatedSignals
+from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.model_search.catalogue import Candidate, steady_torque
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
@@ -288,10 +288,7 @@ def _scanned_starts(
 ) -> list[FloatArray]:
     own = len(base.fit.point)
     grids = {own + place: grid for place, grid in candidate.scanned.items()}
-    gap = model.place_of(GAP, model.recordings[0].name)
-    if gap is not None:
-        grids[gap] = np.linspace(model.low[gap], model.high[gap], SCANNED_GAPS)
-    starts = aligned_starts(model, grids)
+    starts = aligned_starts(model, grids, SCANNED_GAPS)
     for start in starts:
         for i in range(len(candidate.unknowns)):
             if i not in candidate.scanned:

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import logsumexp, ndtr, ndtri
+from scipy.stats import beta as beta_distribution
 from scipy.stats import norm, qmc
 
 from bayesbl.compiled import compiled
@@ -67,9 +68,16 @@ about what a free output's friction is: 0.04 to 0.09 mrad each way, at most.
 
 SOFT, SOFT_RAD, SOFT_SPREAD = 0.06, 7e-4, 1.0
 """Share of joints that are no such reducers (belts, printed gears, joints that are built elastic),
-and the same of theirs without play: one of a hundred winds up by 1.7 mrad each way or more. With
-play their size is unknown, so any part of what lies between both directions may be wind-up.
+and the same of theirs without play: one of a hundred winds up by 1.7 mrad each way or more.
 """
+
+PRECISE_RAD = 3e-3
+"""δ at which a joint is as likely as not such a reducer: makers' coarsest have 20 arcmin of play.
+Beyond, more and more joints are no such reducers."""
+
+SOFT_PART = (0.5, 4.0)
+"""Beta distribution of the part of h that is wind-up in joints with play that are no such reducers:
+a ninth in the mean, two fifths at most in nineteen of twenty. A judgement."""
 
 FRICTION_SPREAD = 0.5
 """Standard deviation of ln of the load's friction over the recordings of a joint. A judgement, and
@@ -980,7 +988,7 @@ def _density_of_held(
     likely /= norm.pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
     usual = norm.pdf(logs, np.log(HELD_RAD), HELD_SPREAD)
     soft = norm.pdf(logs, np.log(SOFT_RAD), SOFT_SPREAD)
-    densities = (1.0 - SOFT) * usual, SOFT * soft, likely
+    densities = usual, soft, likely
 
     def at(held: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         first, second, third = (np.interp(np.log(held), logs, each) for each in densities)
@@ -1005,13 +1013,16 @@ def _priors(
     likely = likely * np.where(flies[:, None], 1.0 - PARTS, 1.0)
     (low, high), gap = PLAY_RAD, half[:, None] * (1.0 - PARTS)
     usual, _, inertia = of_held(half[:, None] * PARTS)
-    # Of a soft joint all parts of h are alike, over their logits here.
-    of_gap = np.stack([usual, np.broadcast_to(SOFT * PARTS * (1.0 - PARTS), usual.shape)])
+    share = SOFT + (1.0 - SOFT) * gap**2 / (gap**2 + PRECISE_RAD**2)
+    # Over the logits here.
+    soft = beta_distribution.pdf(PARTS, *SOFT_PART) * PARTS * (1.0 - PARTS)
+    of_gap = np.stack([(1.0 - share) * usual, share * soft])
     of_gap *= inertia * likely * ((gap > low) & (gap < high))
     of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
     usual, soft, inertia = of_held(half)
     with np.errstate(divide="ignore"):
-        bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * (usual + soft) * inertia)
+        held = ((1.0 - SOFT) * usual + SOFT * soft) * inertia
+        bare = np.log(NO_PLAY * np.maximum(likely[:, -1], IMPOSSIBLE) * held)
         return (bare, np.log(of_gap.sum(axis=(0, 2)))), np.asarray(of_gap)
 
 
@@ -1068,7 +1079,7 @@ def _drawn(
         is_soft = kind * (usual.sum() + soft.sum()) >= usual.sum()
         for part, those in ((usual, here & ~is_soft), (soft, here & is_soft)):
             if part.any() and those.any():
-                chosen[those] = _parts(part, softer[those], own[those])
+                chosen[those] = drawn_parts(part, softer[those], own[those])
     step = LOGITS[1] - LOGITS[0]
     logit = LOGITS[chosen] + step * generator.uniform(-0.5, 0.5, size=count)
     delta = np.where(plays, np.clip(lost / (1.0 + np.exp(logit)), *PLAY_RAD), 0.0)
@@ -1156,7 +1167,7 @@ def _drawn(
     )
 
 
-def _parts(density: FloatArray, joint: FloatArray, own: FloatArray) -> NDArray[np.int64]:
+def drawn_parts(density: FloatArray, joint: FloatArray, own: FloatArray) -> NDArray[np.int64]:
     """Indices of ``PARTS``, shape (n,), by a density over them, (parts,).
 
     From standard normals, (n,) each: of the joint, and of this recording, whose friction moves ln w

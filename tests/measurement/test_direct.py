@@ -34,6 +34,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.matching.surrogate import simulated_chi_square
+from bayesbl.measurement.direct_route import fit_jointly
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
@@ -285,6 +286,71 @@ def test_snapshots_of_one_joint_share_what_is_wrong_with_their_bench():
     assert change.std() < 0.6 * math.hypot(first.std(), last.std())
     # Fails by chance in 1 of 10 000.
     assert abs(change.mean() - 1e-4) < 4.0 * change.std()
+
+
+SMALL_JOINT = """
+schema = 1
+kind = "bench"
+drive = "two_mass"
+
+[parameters]
+gear_ratio = {value = 101}
+motor_inertia_kg_m2 = {value = 9.3e-05, relative_tolerance = 0.05}
+load_inertia_kg_m2 = {value = 0.836, relative_tolerance = 0.06}
+shaft_stiffness_nm_per_rad = {value = 2.05e4, relative_tolerance = 0.12}
+shaft_damping_nm_s_per_rad = {value = 5.95, relative_tolerance = 0.8}
+gravity_torque_nm = {value = 22.96, relative_tolerance = 0.05}
+speed_gain_nm_s_per_rad = {value = 0.0133, relative_tolerance = 0.03}
+integral_gain_nm_per_rad = {value = 0.878, relative_tolerance = 0.03}
+torque_constant_nm_per_a = {value = 0.199, relative_tolerance = 0.04}
+position_gain_per_s = {value = 0}
+current_limit_a = {value = 15}
+reference_speed_rpm = {value = 1800.0}
+
+[measurement]
+speed_noise = {kind = "white", sd_rpm = 1.0}
+current_noise = {kind = "white", sd_a = 0.05}
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_friction_that_drifts_leaves_the_gaps_where_they_are(tmp_path, seed):
+    """The mean current moves by far more than its noise; the load's friction has valleys."""
+    (tmp_path / "bench.toml").write_text(SMALL_JOINT)
+    known = load_bench(tmp_path / "bench.toml")
+    true = known.with_parameters(
+        motor_inertia_kg_m2=9e-5,
+        load_inertia_kg_m2=0.8,
+        shaft_stiffness_nm_per_rad=2.2e4,
+        shaft_damping_nm_s_per_rad=6.0,
+        gravity_torque_nm=22.0,
+        speed_gain_nm_s_per_rad=0.0135,
+        integral_gain_nm_per_rad=0.9,
+        torque_constant_nm_per_a=0.2,
+    )
+    generator, recordings = np.random.default_rng(seed), []
+    for motor in (1.8e-4, 1.1e-4):
+        frictions = [
+            BenchEffect(
+                f"{side}_viscous_friction", {"coefficient_nm_s_per_rad": EffectParameterValue(size)}
+            )
+            for side, size in (("motor", motor), ("load", 0.93))
+        ]
+        recording = true.with_effects(*frictions).simulate(
+            3e-4,
+            rotations=2.6,
+            sampling_hz=1000.0,
+            start_angle_rad=generator.uniform(0.0, 2.0 * math.pi),
+            seed=generator,
+            name=f"{motor}",
+        )
+        recordings.append(recording)
+    fit = fit_jointly(known, [observed(r, known) for r in recordings], (1e-5, 1e-2), {}).rest.fit
+    for recording in recordings:
+        # Fails by chance in 1 of 10 000.
+        sd = fit.sd(GAP, recording.name)
+        assert abs(math.log(fit.value(GAP, recording.name) / 3e-4)) < 4.0 * sd < 0.2
 
 
 def test_speed_alone_is_less_sharp_than_speed_and_current():

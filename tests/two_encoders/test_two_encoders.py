@@ -11,6 +11,8 @@ from bayesbl.recording.types import MOTOR_TORQUE
 from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
 from bayesbl.two_encoders.transmission import (
     FRICTION_SPREAD,
+    LOGITS,
+    drawn_parts,
     fit_transmission,
     has_one_speed,
     of_friction,
@@ -445,11 +447,17 @@ def test_recordings_of_a_joint_share_what_is_soft_but_not_the_friction():
     shares = [each.mean() for each in soft]
     error = np.sqrt(np.mean(shares) / soft[0].size)
     assert np.ptp(shares) < 5.0 * error
-    logits = [np.log(part[both] / (1.0 - part[both])) for part in (first, second)]
-    # Of friction that differs by FRICTION_SPREAD in each, where nothing else is known of the part.
-    known = np.var(logits[0]) / (np.var(logits[0]) + FRICTION_SPREAD**2)
+
+
+def test_parts_of_two_recordings_differ_by_their_friction():
+    density = np.exp(-0.5 * ((LOGITS + 2.0) / 1.5) ** 2)
+    joint, first, second = np.random.default_rng(7).standard_normal((3, 20_000))
+    logits = [LOGITS[drawn_parts(density, joint, own)] for own in (first, second)]
+    # Each alone is of the density; beside it the friction differs by FRICTION_SPREAD in each.
+    known = 1.5**2 / (1.5**2 + FRICTION_SPREAD**2)
+    assert np.std(logits[0]) == pytest.approx(1.5, rel=0.03)
     expected = FRICTION_SPREAD * np.sqrt(2.0 * known)
-    assert np.std(logits[0] - logits[1]) == pytest.approx(expected, rel=0.3)
+    assert np.std(logits[0] - logits[1]) == pytest.approx(expected, rel=0.03)
 
 
 def test_only_a_motion_to_and_fro_at_a_constant_speed_has_one_speed():
