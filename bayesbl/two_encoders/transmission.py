@@ -189,6 +189,9 @@ PER_DECADE = 4
 LEAST_RAD = 1e-8
 """Noise beside that of the encoders' counts."""
 
+SURE = 0.95
+"""Probability of play from which a load that coasts at one speed is believed."""
+
 DRAWS = (4, 1000)
 
 
@@ -277,8 +280,9 @@ class Transmission:
     friction_nm, gravity_holds
         Friction at the output by the torque, and how often the load's weight is above it.
     skew_or_play
-        All motion has one speed, and between the flanks the load goes its own way, or most of what
-        lies between both directions is taken for skew of the channels: it may be either.
+        All motion has one speed, and between the flanks the load goes its own way, or coasts and
+        play is not sure, or most of what lies between both directions is taken for skew of the
+        channels: it may be either.
     """
 
     paths: Paths
@@ -1114,6 +1118,7 @@ def _drawn(
         lost, delta = lost + beyond, np.where(beyond > 0.0, lost + beyond, delta)
     # Friction that winds the joint up may follow the speed in any way, and is then like a skew.
     goes = [how.weight != 0.0 or how.free for how in model.courses]
+    stays = [bool(np.isinf(model.courses[cells[c].course].drag)) for c in nearest]
     usual_speed = float(np.std(paths.binned(paths.speed)))
     by_speed_s = (lost - delta) / usual_speed * generator.standard_normal(count)
     thin = np.linspace(0, design.time_s.size - 1, min(300, design.time_s.size)).astype(int)
@@ -1160,8 +1165,9 @@ def _drawn(
         model.friction_nm,
         0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else model.gravity_holds,
         has_one_speed(paths)
-        and (
-            bool(np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5)
+        and bool(
+            (np.mean(stays) < 0.5 and np.mean(delta > 0.0) < SURE)
+            or np.mean([model.courses[cells[c].course].free for c in nearest]) > 0.5
             or usual_speed * shown_skew_s > float(np.median(lost))
         ),
     )
