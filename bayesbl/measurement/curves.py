@@ -484,7 +484,7 @@ class NamedCurve(CurveSource):
     def question(self, recording: Recording) -> Reason | None:
         """Whether the speed is in another unit."""
         text = speed_in_another_unit(recording, self.curve.reference_speed_rpm)
-        return None if text is None else Reason.of_text("speed_unit", text, withholds=True)
+        return None if text is None else Reason.of_text("speed_unit", text)
 
     def curves(self, task: Task) -> list[GapCurve]:
         """The same for all."""

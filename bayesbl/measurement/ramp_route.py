@@ -38,7 +38,7 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Task,
-    Verdict,
+    outcome_of,
     sampler_of,
     sampling_reasons,
     upper_bound,
@@ -303,10 +303,9 @@ class RampMeasurer(Measurer):
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
         why = against(flanks)
-        outcome = "withheld" if why is not None else play.diagnostics.outcome
-        withheld = outcome == "withheld"
         reasons = [why] if why else []
-        reasons += sampling_reasons(play.diagnostics, withhold=withheld)
+        reasons += sampling_reasons(play.diagnostics)
+        withheld = outcome_of(reasons) == "withheld"
         given = self.config.joint.gear_ratio is not None
         reasons += notes_on(files, flanks, draws, ratio_given=given, elsewhere=elsewhere)
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
@@ -315,7 +314,7 @@ class RampMeasurer(Measurer):
         answer = Answer(
             recording.name,
             gap,
-            Verdict(outcome, tuple(reasons)),
+            reasons,
             groups,
             _numbers(flanks, stated_nm, groups, self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if told_from_none or withheld else upper_bound(gap),
@@ -365,7 +364,7 @@ def against(flanks: Flanks) -> Reason | None:
         "needed_nm": flanks.needed_nm,
         "friction_nm": level.friction_nm,
     }
-    return Reason("ramps_held", values, withholds=True)
+    return Reason("ramps_held", values)
 
 
 def notes_on(

@@ -21,7 +21,7 @@ from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.matching.observed import observed
-from bayesbl.measurement.amplitude_route import verdict
+from bayesbl.measurement.amplitude_route import reasons_of
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
 from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset
 from bayesbl.measurement.measurement import Reason
@@ -195,17 +195,17 @@ def test_the_direct_route_asks_for_the_unit_too():
 
 
 def test_a_withheld_answer_asks_for_the_unit_before_all_else():
-    diagnostics = SimpleNamespace(outcome="converged", reasons=(), code="sampling")
+    diagnostics = SimpleNamespace(failures=(), doubts=(), code="sampling")
     point = SimpleNamespace(notes=(), recording=SimpleNamespace(notes=()))
     fit = SimpleNamespace(
         posterior=SimpleNamespace(diagnostics=diagnostics), check=None, point=point
     )
-    beyond = SimpleNamespace(notes=(), reasons=(Reason("beyond_curve", withholds=True),))
-    question = Reason.of_text("speed_unit", "Is the unit right?", withholds=True)
-    found = verdict(fit, beyond, question=question)
-    assert [reason.code for reason in found.withholding] == ["speed_unit", "beyond_curve"]
+    beyond = SimpleNamespace(notes=(), reasons=(Reason("beyond_curve"),))
+    question = Reason.of_text("speed_unit", "Is the unit right?")
+    found = reasons_of(fit, beyond, question=question)
+    assert [reason.code for reason in found] == ["speed_unit", "beyond_curve"]
     inside = SimpleNamespace(notes=(), reasons=())
-    assert verdict(fit, inside, question=question).reasons == ()
+    assert not reasons_of(fit, inside, question=question)
 
 
 def test_a_curve_keeps_its_speed_in_its_file():

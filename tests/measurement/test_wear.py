@@ -15,7 +15,7 @@ from scipy import stats
 from stored_measurement import stored_comparison
 
 from bayesbl.config.measurement import CompareConfig
-from bayesbl.measurement.measurement import Answer, Reason, Verdict
+from bayesbl.measurement.measurement import Answer, Reason
 from bayesbl.measurement.wear import (
     HAZARD,
     KINDS,
@@ -462,9 +462,9 @@ def compared(
         }
     )
     draws = drawn(gaps, sd, np.random.default_rng(number))
-    withheld_by = Verdict("withheld", (Reason("no_baseline", withholds=True),))
+    withheld_by = (Reason("no_baseline"),)
     measured = [
-        Answer(name, delta_rad, withheld_by if name in withheld else Verdict())
+        Answer(name, delta_rad, withheld_by if name in withheld else ())
         for name, delta_rad in zip(names, draws, strict=True)
     ]
     group, reason = wear_of(config, measured, seed(number))
