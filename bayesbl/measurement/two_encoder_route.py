@@ -36,7 +36,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.intervals import interval
-from bayesbl.results.variables import Group, dataset, table
+from bayesbl.results.variables import Group, attributes, dataset, table
 from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission, hidden_rad
@@ -110,8 +110,6 @@ TRANSMISSION = Group(
 )
 
 GROUPS = (POSTERIOR, *shared.OF_EVERY_ROUTE, TRANSMISSION)
-
-SCALARS = ("probability_of_play", "counted", "reversals")
 
 QUANTITIES = (
     "play_rad",
@@ -326,14 +324,11 @@ def groups_of(
         "transmission": dataset(
             TRANSMISSION,
             {
-                "position_rad": found.position_rad,
+                **attributes(TRANSMISSION, found),
                 "forward": (found.paths.binned(found.paths.speed) > 0.0).astype(float),
-                "lag_rad": found.lag_rad,
                 "model_rad": found.modelled_rad,
-                "curve_rad": found.curve_rad,
                 "harmonic_order": np.array([float(n) for _, n in found.harmonics]),
                 "harmonic_of_load": np.array([float(s == "load") for s, _ in found.harmonics]),
-                **{name: float(getattr(found, name)) for name in SCALARS},
                 "noise_sd_rad": noise.white_rad,
                 "drift_sd_rad": noise.drift_rad,
                 "drift_s": noise.drift_s,
