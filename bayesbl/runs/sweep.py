@@ -17,13 +17,12 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.sweep import SweepRow, SweepSettings, degree_reports, swept_curve
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import (
-    GAP_CURVE,
+    CURVE,
     MOST_KEPT,
     SOURCE_PREFIX,
     STORE,
     SweepProblem,
     curve_group,
-    curve_to_dataset,
 )
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray
@@ -142,11 +141,11 @@ class SweepSummary(Head):
 def summarise(tree: xr.DataTree) -> SweepSummary:
     """``summary.json`` of a sweep."""
     sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
-    stored = tree["gap_curve"].to_dataset()
+    stored = tree[CURVE.name].to_dataset()
     return {
         "kind": "sweep",
         **head(tree),
-        "curve": tree["curve"].attrs["name"],
+        "curve": stored.attrs["name"],
         "coefficients": stored["coefficients"].values.tolist(),
         "degree": int(tree.attrs["degree"]),
         "gap_rad": [float(sweep["gap_rad"][0]), float(sweep["gap_rad"][-1])],
@@ -236,8 +235,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
             "sweep": sweep_group(nominal, problem.model),
             "degrees": dataset(DEGREES, columns(DEGREES, degree_reports(nominal))),
             "examples": example_group(bench, problem.settings),
-            "curve": curve_group(curve, config.interval.level, band_seed),
-            GAP_CURVE.name: curve_to_dataset(curve),
+            CURVE.name: curve_group(curve, config.interval.level, band_seed),
         }
     )
     if swept is not None:
