@@ -19,6 +19,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import ComplexArray, FloatArray
+from bayesbl.units import unit_of
 
 if TYPE_CHECKING:
     from bayesbl.bench.bench import Bench
@@ -70,7 +71,6 @@ class EffectParameter:
     """
 
     name: str
-    unit: str
     meaning: str
     _: KW_ONLY
     role: Role
@@ -86,6 +86,11 @@ class EffectParameter:
     sought_from: float | None = None
     rate_of: str | None = None
     starts: tuple[float, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """As its name ends; empty for a pure number."""
+        return unit_of(self.name)
 
     @property
     def is_amplitude(self) -> bool:
@@ -113,14 +118,14 @@ def order(typical: float) -> EffectParameter:
     meaning = "cycles per motor turn n, found from the data"
     low, high = LOWEST_ORDER, HIGHEST_ORDER
     return EffectParameter(
-        ORDER, "", meaning, role="order", low=low, high=high, typical=typical, neutral=1.0
+        ORDER, meaning, role="order", low=low, high=high, typical=typical, neutral=1.0
     )
 
 
 def phase(typical: float) -> EffectParameter:
     """Phase φ of what turns with the motor."""
     return EffectParameter(
-        PHASE, "rad", "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical
+        PHASE, "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical
     )
 
 

@@ -26,9 +26,7 @@ MOTOR_COULOMB_FRICTION = Effect(
     sentence="Dry friction at the motor that does not depend on speed.",
     equation="J_m dω_m/dt: − T_c sign ω_m",
     parameters=(
-        amplitude(
-            "torque_nm", "N m", "friction torque T_c", high=2.0, typical=0.2, not_negative=True
-        ),
+        amplitude("torque_nm", "friction torque T_c", high=2.0, typical=0.2, not_negative=True),
     ),
     enters="motor",
     depends_on=("direction",),
@@ -50,12 +48,7 @@ MOTOR_VISCOUS_FRICTION = Effect(
     equation="J_m dω_m/dt: − b ω_m",
     parameters=(
         amplitude(
-            "coefficient_nm_s_per_rad",
-            "N m s/rad",
-            "coefficient b",
-            high=0.02,
-            typical=1e-3,
-            not_negative=True,
+            "coefficient_nm_s_per_rad", "coefficient b", high=0.02, typical=1e-3, not_negative=True
         ),
     ),
     enters="motor",
@@ -79,16 +72,10 @@ MOTOR_STRIBECK_FRICTION = Effect(
     equation="J_m dω_m/dt: − T_s exp(−(ω_m/ω_s)²) sign ω_m",
     parameters=(
         amplitude(
-            "torque_nm",
-            "N m",
-            "extra torque at standstill T_s",
-            high=2.0,
-            typical=0.3,
-            not_negative=True,
+            "torque_nm", "extra torque at standstill T_s", high=2.0, typical=0.3, not_negative=True
         ),
         shape(
             "speed_rad_per_s",
-            "rad/s",
             "fading speed ω_s",
             low=1.0,
             high=500.0,
@@ -126,7 +113,6 @@ MOTOR_QUADRATIC_DRAG = Effect(
     parameters=(
         amplitude(
             "coefficient_nm_s2_per_rad2",
-            "N m s²/rad²",
             "drag coefficient c",
             high=1e-4,
             typical=5e-6,
@@ -155,7 +141,6 @@ FRICTION_ASYMMETRY = Effect(
     parameters=(
         amplitude(
             "coefficient_nm_s_per_rad",
-            "N m s/rad",
             "half the difference of the coefficients, forward less reverse",
             low=-0.01,
             high=0.01,
@@ -184,10 +169,9 @@ FRICTION_DRIFT = Effect(
     sentence="Motor friction that changes during the recording as the joint warms up.",
     equation="J_m dω_m/dt: − (T₀ + r t) sign ω_m",
     parameters=(
-        amplitude("torque_nm", "N m", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1),
+        amplitude("torque_nm", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1),
         amplitude(
             "rate_nm_per_s",
-            "N m/s",
             "change r",
             low=-0.05,
             high=0.05,
@@ -219,12 +203,7 @@ GEAR_MESH_FRICTION = Effect(
     equation="J_m dω_m/dt: − μ |τ_s|/N sign ω_m",
     parameters=(
         amplitude(
-            "coefficient",
-            "",
-            "share of the torque lost μ",
-            high=0.5,
-            typical=0.05,
-            not_negative=True,
+            "coefficient", "share of the torque lost μ", high=0.5, typical=0.05, not_negative=True
         ),
     ),
     enters="motor",
@@ -248,9 +227,7 @@ LOAD_COULOMB_FRICTION = Effect(
     sentence="Dry friction at the load, beyond the gap.",
     equation="J_l dω_l/dt: − T_c sign ω_l",
     parameters=(
-        amplitude(
-            "torque_nm", "N m", "friction torque T_c", high=200.0, typical=15.0, not_negative=True
-        ),
+        amplitude("torque_nm", "friction torque T_c", high=200.0, typical=15.0, not_negative=True),
     ),
     enters="load",
     depends_on=("direction",),
@@ -267,12 +244,7 @@ LOAD_VISCOUS_FRICTION = Effect(
     equation="J_l dω_l/dt: − b ω_l",
     parameters=(
         amplitude(
-            "coefficient_nm_s_per_rad",
-            "N m s/rad",
-            "coefficient b",
-            high=100.0,
-            typical=10.0,
-            not_negative=True,
+            "coefficient_nm_s_per_rad", "coefficient b", high=100.0, typical=10.0, not_negative=True
         ),
     ),
     enters="load",
