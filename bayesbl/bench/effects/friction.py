@@ -25,9 +25,7 @@ MOTOR_COULOMB_FRICTION = Effect(
     name="motor_coulomb_friction",
     sentence="Dry friction at the motor that does not depend on speed.",
     equation="J_m dω_m/dt: − T_c sign ω_m",
-    parameters=(
-        amplitude("torque_nm", "friction torque T_c", high=2.0, typical=0.2, not_negative=True),
-    ),
+    parameters=(amplitude("torque_nm", "friction torque T_c", high=2.0, typical=0.2),),
     enters="motor",
     depends_on=("direction",),
     data="constant current offset that changes sign with the direction",
@@ -46,11 +44,7 @@ MOTOR_VISCOUS_FRICTION = Effect(
     name="motor_viscous_friction",
     sentence="Friction at the motor in proportion to speed.",
     equation="J_m dω_m/dt: − b ω_m",
-    parameters=(
-        amplitude(
-            "coefficient_nm_s_per_rad", "coefficient b", high=0.02, typical=1e-3, not_negative=True
-        ),
-    ),
+    parameters=(amplitude("coefficient_nm_s_per_rad", "coefficient b", high=0.02, typical=1e-3),),
     enters="motor",
     depends_on=("speed",),
     data="current offset that grows with the reference speed; a little more damping of the ringing",
@@ -71,17 +65,9 @@ MOTOR_STRIBECK_FRICTION = Effect(
     sentence="Extra friction at low speed that fades as the lubricant film builds up.",
     equation="J_m dω_m/dt: − T_s exp(−(ω_m/ω_s)²) sign ω_m",
     parameters=(
-        amplitude(
-            "torque_nm", "extra torque at standstill T_s", high=2.0, typical=0.3, not_negative=True
-        ),
+        amplitude("torque_nm", "extra torque at standstill T_s", high=2.0, typical=0.3),
         shape(
-            "speed_rad_per_s",
-            "fading speed ω_s",
-            low=1.0,
-            high=500.0,
-            neutral=50.0,
-            typical=200.0,
-            positive_scale=True,
+            "speed_rad_per_s", "fading speed ω_s", low=1.0, high=500.0, neutral=50.0, typical=200.0
         ),
     ),
     enters="motor",
@@ -111,13 +97,7 @@ MOTOR_QUADRATIC_DRAG = Effect(
     sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
     equation="J_m dω_m/dt: − c |ω_m| ω_m",
     parameters=(
-        amplitude(
-            "coefficient_nm_s2_per_rad2",
-            "drag coefficient c",
-            high=1e-4,
-            typical=5e-6,
-            not_negative=True,
-        ),
+        amplitude("coefficient_nm_s2_per_rad2", "drag coefficient c", high=1e-4, typical=5e-6),
     ),
     enters="motor",
     depends_on=("speed",),
@@ -201,11 +181,7 @@ GEAR_MESH_FRICTION = Effect(
     name="gear_mesh_friction",
     sentence="Loss in the gear in proportion to the torque it passes on.",
     equation="J_m dω_m/dt: − μ |τ_s|/N sign ω_m",
-    parameters=(
-        amplitude(
-            "coefficient", "share of the torque lost μ", high=0.5, typical=0.05, not_negative=True
-        ),
-    ),
+    parameters=(amplitude("coefficient", "share of the torque lost μ", high=0.5, typical=0.05),),
     enters="motor",
     depends_on=("transmitted_torque", "direction"),
     data="current at twice the load rotation: more where gravity is lifted or held back",
@@ -226,9 +202,7 @@ LOAD_COULOMB_FRICTION = Effect(
     name="load_coulomb_friction",
     sentence="Dry friction at the load, beyond the gap.",
     equation="J_l dω_l/dt: − T_c sign ω_l",
-    parameters=(
-        amplitude("torque_nm", "friction torque T_c", high=200.0, typical=15.0, not_negative=True),
-    ),
+    parameters=(amplitude("torque_nm", "friction torque T_c", high=200.0, typical=15.0),),
     enters="load",
     depends_on=("direction",),
     data="pulses move away from half a rotation apart and change in size; current offset",
@@ -242,11 +216,7 @@ LOAD_VISCOUS_FRICTION = Effect(
     name="load_viscous_friction",
     sentence="Friction at the load in proportion to its speed.",
     equation="J_l dω_l/dt: − b ω_l",
-    parameters=(
-        amplitude(
-            "coefficient_nm_s_per_rad", "coefficient b", high=100.0, typical=10.0, not_negative=True
-        ),
-    ),
+    parameters=(amplitude("coefficient_nm_s_per_rad", "coefficient b", high=100.0, typical=10.0),),
     enters="load",
     depends_on=("speed",),
     data="as load Coulomb friction, in proportion to the reference speed",

@@ -26,14 +26,7 @@ BACKLASH = Effect(
     sentence="The gap itself, where the nominal bench has none.",
     equation="δ → δ + gap",
     parameters=(
-        amplitude(
-            "gap_rad",
-            "half the clearance, at the load",
-            low=1e-4,
-            high=4e-3,
-            typical=4e-4,
-            not_negative=True,
-        ),
+        amplitude("gap_rad", "half the clearance, at the load", low=1e-4, high=4e-3, typical=4e-4),
     ),
     enters="shaft",
     depends_on=("twist",),

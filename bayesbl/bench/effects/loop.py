@@ -18,7 +18,6 @@ _LAG = amplitude(
     "time constant T",
     high=0.01,
     typical=1e-3,
-    not_negative=True,
     sought_from=2e-4,  # shorter ones hardly show and cost the simulator tiny steps
 )
 
@@ -75,7 +74,6 @@ SAMPLED_CONTROL = Effect(
             "period T of the speed controller",
             high=4e-3,
             typical=1e-3,
-            not_negative=True,
             sought_from=1e-4,  # at the usual noise shorter ones do not show, and cost time
         ),
         shape(
@@ -150,7 +148,6 @@ SPEED_AVERAGING = Effect(
             "time T that the speed is averaged over",
             high=0.02,
             typical=4e-3,
-            not_negative=True,
             sought_from=2e-4,  # shorter ones do not show
         ),
     ),

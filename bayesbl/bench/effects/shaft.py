@@ -57,11 +57,7 @@ CONTACT_SOFTNESS = Effect(
     name="contact_softness",
     sentence="The edges of the gap are soft.",
     equation="K_s max(0, |Δθ| − δ) → its mean over a logistic δ of variance v",
-    parameters=(
-        amplitude(
-            "variance_rad2", "variance of the edge v", high=1e-7, typical=1e-9, not_negative=True
-        ),
-    ),
+    parameters=(amplitude("variance_rad2", "variance of the edge v", high=1e-7, typical=1e-9),),
     enters="shaft",
     depends_on=("twist",),
     data="impacts that begin softly, most beside a small gap",
@@ -78,11 +74,7 @@ CONTACT_DAMPING = Effect(
     equation="τ_s + λ K_s |e| ė, e the compression beyond the gap",
     parameters=(
         amplitude(
-            "factor_s_per_rad",
-            "damping over stiffness and compression λ",
-            high=5.0,
-            typical=0.5,
-            not_negative=True,
+            "factor_s_per_rad", "damping over stiffness and compression λ", high=5.0, typical=0.5
         ),
     ),
     enters="shaft",
@@ -100,13 +92,7 @@ CONTACT_RELEASE = Effect(
     sentence="Teeth that part let go of one another.",
     equation="(1 − s) τ_s wherever τ_s pulls the flanks together",
     parameters=(
-        amplitude(
-            "share",
-            "part of the pull that is not there s",
-            high=1.0,
-            typical=0.58,
-            not_negative=True,
-        ),
+        amplitude("share", "part of the pull that is not there s", high=1.0, typical=0.58),
     ),
     enters="shaft",
     depends_on=("twist",),
@@ -127,7 +113,6 @@ GAP_DAMPING = Effect(
             "damping torque over twist speed d",
             high=1000.0,
             typical=10.0,
-            not_negative=True,
         ),
     ),
     enters="shaft",
@@ -191,7 +176,6 @@ SHAFT_HYSTERESIS = Effect(
             high=1e-2,
             neutral=1e-3,
             typical=1e-3,
-            positive_scale=True,
         ),
     ),
     enters="shaft",
@@ -210,7 +194,6 @@ SHAFT_HYSTERESIS = Effect(
         usual=0.2,
         scanned="angle_rad",
         grid=tuple(np.geomspace(1e-5, 1e-2, 13)),
-        not_negative=True,
         bench_parameters=("shaft_stiffness_nm_per_rad",),
     ),
 )

@@ -7,11 +7,7 @@ from bayesbl.bench.effect_declaration import Effect, EffectParameter, Resonance,
 
 def _compliance(meaning: str, high: float, typical: float) -> EffectParameter:
     return amplitude(
-        "compliance_rad_per_nm",
-        f"{meaning}, one over its stiffness",
-        high=high,
-        typical=typical,
-        not_negative=True,
+        "compliance_rad_per_nm", f"{meaning}, one over its stiffness", high=high, typical=typical
     )
 
 
@@ -47,7 +43,6 @@ BELT = Effect(
             high=0.95,
             typical=0.3,
             neutral=0.3,
-            positive_scale=True,
             bounded=True,
         ),
     ),
@@ -84,7 +79,6 @@ ARM = Effect(
             high=0.95,
             typical=0.4,
             neutral=0.4,
-            positive_scale=True,
             bounded=True,
         ),
         shape(
@@ -128,7 +122,6 @@ BASE = Effect(
             high=1e4,
             typical=60.0,
             neutral=60.0,
-            positive_scale=True,
         ),
     ),
     enters="shaft",
