@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -90,26 +90,17 @@ class PieceSignals:
     after: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class Suggestion:
-    """A recording worth making.
+class SuggestedRecording(TypedDict):
+    """A recording that would separate what these cannot, the sets of names ``separates``.
 
-    Attributes
-    ----------
-    reference_speed_rpm
-        Of the motor, negative for reverse.
-    payload_share
-        Gravity torque and load inertia over the present ones.
-    distance
-        |z| between the best fits of the two explanations that come closest in it.
-    separates
-        Sets of names that these recordings cannot tell apart.
+    ``payload_share``: gravity torque and load inertia over the present ones; ``distance``: |z|
+    between the best fits of the two explanations that come closest in it.
     """
 
     reference_speed_rpm: float
     payload_share: float
     distance: float
-    separates: tuple[tuple[str, ...], ...]
+    separates: list[list[str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +165,7 @@ class Diagnosis:
     delta_before: Estimate | None = None
     delta_after: Estimate | None = None
     gap_withheld: str = ""
-    suggestion: Suggestion | None = None
+    suggestion: SuggestedRecording | None = None
     posterior: DirectPosterior | None = None
     signals: tuple[PieceSignals, ...] = ()
     augmented_bench: Bench | None = None

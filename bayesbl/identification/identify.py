@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -120,20 +120,11 @@ class Problem:
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class BeyondDataSheet:
+class BeyondSummary(TypedDict):
     """A value of the data sheet that the recordings contradict.
 
-    Attributes
-    ----------
-    believed, tolerance
-        By the data sheet.
-    found
-        By the recordings.
-    deviations
-        From the nearer end of its tolerance to what was found, in standard deviations.
-    could_be
-        Other parameters that would explain the recordings as well, each alone.
+    ``found`` by them, ``deviations`` from the nearer end of its tolerance, in standard deviations;
+    ``could_be``: other parameters that would explain the recordings as well, each alone.
     """
 
     name: str
@@ -141,7 +132,7 @@ class BeyondDataSheet:
     tolerance: float
     found: float
     deviations: float
-    could_be: tuple[str, ...]
+    could_be: list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +154,7 @@ class Match:
 
     nominal: Explanation
     final: Explanation
-    beyond: BeyondDataSheet | None = None
+    beyond: BeyondSummary | None = None
     missing: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -399,7 +390,7 @@ def _is_outside(explanation: Explanation, problem: Problem) -> bool:
 
 def _beyond(
     final: Explanation, candidate: Candidate, could_be: tuple[str, ...], problem: Problem
-) -> BeyondDataSheet:
+) -> BeyondSummary:
     name, fit = candidate.name, final.fit
     (place,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
@@ -407,7 +398,14 @@ def _beyond(
     sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, place].std())
     at = float(fit.point[place])
     deviations = min(abs(at - end) for end in ends) / sd
-    return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)
+    return {
+        "name": name,
+        "believed": value,
+        "tolerance": half,
+        "found": math.exp(at),
+        "deviations": deviations,
+        "could_be": list(could_be),
+    }
 
 
 def freed(name: str, value: float) -> Candidate:
