@@ -348,7 +348,7 @@ def _answer(found: Findings, diagnosis: Diagnosis) -> dict[str, float]:
         answer[f"set_{k + 1}"] = _bits(effects[k].members) if there else 0.0
         answer[f"first_{k + 1}"] = float(NAMES.index(effects[k].name)) if there else math.nan
     suggestion = diagnosis.suggestion
-    answer["suggested_rpm"] = suggestion["reference_speed_rpm"] if suggestion else math.nan
+    answer["suggested_rpm"] = math.nan if suggestion is None else suggestion.reference_speed_rpm
     fit = found.naming.nominal.fit
     answer["chi_square_before"] = fit.chi_square / fit.residual.size
     return answer

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 
@@ -90,17 +90,26 @@ class PieceSignals:
     after: FloatArray
 
 
-class SuggestedRecording(TypedDict):
-    """A recording that would separate what these cannot, the sets of names ``separates``.
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A recording worth making.
 
-    ``payload_share``: gravity torque and load inertia over the present ones; ``distance``: |z|
-    between the best fits of the two explanations that come closest in it.
+    Attributes
+    ----------
+    reference_speed_rpm
+        Of the motor, negative for reverse.
+    payload_share
+        Gravity torque and load inertia over the present ones.
+    distance
+        |z| between the best fits of the two explanations that come closest in it.
+    separates
+        Sets of names that these recordings cannot tell apart.
     """
 
     reference_speed_rpm: float
     payload_share: float
     distance: float
-    separates: list[list[str]]
+    separates: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +174,7 @@ class Diagnosis:
     delta_before: Estimate | None = None
     delta_after: Estimate | None = None
     gap_withheld: str = ""
-    suggestion: SuggestedRecording | None = None
+    suggestion: Suggestion | None = None
     posterior: DirectPosterior | None = None
     signals: tuple[PieceSignals, ...] = ()
     augmented_bench: Bench | None = None

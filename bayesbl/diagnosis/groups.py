@@ -24,14 +24,7 @@ import xarray as xr
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE, LearnedTerm, Side
 from bayesbl.bench.learned import Variable as LearnedVariable
 from bayesbl.config.bench import dump_bench
-from bayesbl.diagnosis.diagnosis import (
-    Diagnosis,
-    Estimate,
-    LearnedAnswer,
-    PieceSignals,
-    SuggestedRecording,
-    Verdict,
-)
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, PieceSignals, Verdict
 from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
@@ -130,6 +123,15 @@ class DisagreementTableSummary(TypedDict):
     over_all: dict[Use, DisagreementSummary]
 
 
+class SuggestedRecording(TypedDict):
+    """A recording that would separate what these cannot."""
+
+    reference_speed_rpm: float
+    payload_share: float
+    distance: float
+    separates: list[list[str]]
+
+
 class SamplingSummary(TypedDict):
     """How well the posterior was sampled."""
 
@@ -186,7 +188,7 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
         "disagreement": disagreement_summary(found.disagreement),
         "delta_rad_before": of(found.delta_before),
         "delta_rad_after": of(found.delta_after),
-        "suggested_recording": found.suggestion,
+        "suggested_recording": of(found.suggestion),
     }
     if found.gap_withheld:
         answer["gap_withheld"] = found.gap_withheld

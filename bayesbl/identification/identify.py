@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 
@@ -120,11 +120,20 @@ class Problem:
         ]
 
 
-class BeyondSummary(TypedDict):
+@dataclass(frozen=True, slots=True)
+class BeyondDataSheet:
     """A value of the data sheet that the recordings contradict.
 
-    ``found`` by them, ``deviations`` from the nearer end of its tolerance, in standard deviations;
-    ``could_be``: other parameters that would explain the recordings as well, each alone.
+    Attributes
+    ----------
+    believed, tolerance
+        By the data sheet.
+    found
+        By the recordings.
+    deviations
+        From the nearer end of its tolerance to what was found, in standard deviations.
+    could_be
+        Other parameters that would explain the recordings as well, each alone.
     """
 
     name: str
@@ -132,7 +141,7 @@ class BeyondSummary(TypedDict):
     tolerance: float
     found: float
     deviations: float
-    could_be: list[str]
+    could_be: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +163,7 @@ class Match:
 
     nominal: Explanation
     final: Explanation
-    beyond: BeyondSummary | None = None
+    beyond: BeyondDataSheet | None = None
     missing: tuple[tuple[str, ...], ...] = ()
 
     @property
@@ -390,7 +399,7 @@ def _is_outside(explanation: Explanation, problem: Problem) -> bool:
 
 def _beyond(
     final: Explanation, candidate: Candidate, could_be: tuple[str, ...], problem: Problem
-) -> BeyondSummary:
+) -> BeyondDataSheet:
     name, fit = candidate.name, final.fit
     (place,) = final.places(candidate)
     value, half = problem.bench.value(name), problem.bench.tolerances[name]
@@ -398,14 +407,7 @@ def _beyond(
     sd = float(weighed(final).draws(np.random.default_rng(0), SD_DRAWS)[:, place].std())
     at = float(fit.point[place])
     deviations = min(abs(at - end) for end in ends) / sd
-    return {
-        "name": name,
-        "believed": value,
-        "tolerance": half,
-        "found": math.exp(at),
-        "deviations": deviations,
-        "could_be": list(could_be),
-    }
+    return BeyondDataSheet(name, value, half, math.exp(at), deviations, could_be)
 
 
 def freed(name: str, value: float) -> Candidate:

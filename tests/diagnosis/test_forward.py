@@ -317,8 +317,8 @@ def test_one_direction_leaves_a_set_and_asks_for_the_other(independent) -> None:
     (effect,) = found.answer.effects
     assert {effect.name, *effect.indistinguishable_from} >= alike
     assert found.answer.suggestion is not None
-    assert found.answer.suggestion["reference_speed_rpm"] < 0.0
-    assert found.answer.suggestion["distance"] > 5.0
+    assert found.answer.suggestion.reference_speed_rpm < 0.0
+    assert found.answer.suggestion.distance > 5.0
 
 
 @pytest.mark.long

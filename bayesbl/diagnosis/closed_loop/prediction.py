@@ -15,7 +15,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.simulation import simulate_channels
-from bayesbl.diagnosis.diagnosis import PieceSignals, SuggestedRecording
+from bayesbl.diagnosis.diagnosis import PieceSignals, Suggestion
 from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
@@ -182,9 +182,7 @@ def residuals_of(pair: SimulatedPair) -> list[PieceResiduals]:
     ]
 
 
-def suggested_recording(
-    final: Explanation, named: Sequence[NamedCandidate]
-) -> SuggestedRecording | None:
+def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> Suggestion | None:
     """Of some simple recordings the one in which rivals differ most; ``None`` without rivals.
 
     Every explanation is simulated with what it was fitted to; what a start angle or an offset of
@@ -193,9 +191,9 @@ def suggested_recording(
     rivals = [rival for effect in named for _, rival in effect.indistinguishable]
     if not rivals:
         return None
-    separates = [list(effect.members) for effect in named if effect.indistinguishable]
+    separates = tuple(effect.members for effect in named if effect.indistinguishable)
     first = final.fit.model.recordings[0]
-    best: SuggestedRecording | None = None
+    best: Suggestion | None = None
     for speed, payload in _options(final.fit.model.recordings):
         seen = [_seen(e, first, speed, payload) for e in (final, *rivals)]
         if any(s is None for s in seen):
@@ -208,13 +206,8 @@ def suggested_recording(
             difference = noise.whiten(other).ravel() - turn
             difference -= shift * float(difference @ shift) / float(shift @ shift)
             least = min(least, float(np.linalg.norm(difference)) * math.sqrt(ROTATIONS))
-        if best is None or least > best["distance"]:
-            best = {
-                "reference_speed_rpm": speed,
-                "payload_share": payload,
-                "distance": least,
-                "separates": separates,
-            }
+        if best is None or least > best.distance:
+            best = Suggestion(speed, payload, least, separates)
     return best
 
 
