@@ -18,7 +18,7 @@ import xarray as xr
 from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
-from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
+from bayesbl.bench.parameters import declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
@@ -32,6 +32,7 @@ from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
     SMALLEST_GAP_RAD,
+    START_ANGLE,
     Unknown,
     effect_unknowns,
     gap_unknown,
@@ -62,6 +63,7 @@ from bayesbl.measurement.motion_verdict import (
     unknown_start,
     unseen_gap,
 )
+from bayesbl.measurement.summary_types import PredictiveCheckEntry
 from bayesbl.model_search.always_in import (
     Beside,
     beside,
@@ -524,12 +526,7 @@ def _numbers(
             "degrees_of_freedom": None,
         },
         "predictive_check": [
-            {
-                "channel": entry.channel,
-                "highest_order": entry.highest_order,
-                "ratio": entry.ratio,
-                "probability": entry.probability,
-            }
+            {key: getattr(entry, key) for key in PredictiveCheckEntry.__annotations__}
             for entry in check
         ],
     }
@@ -566,27 +563,27 @@ def result_name(unknown: Unknown) -> str:
     return DELTA if unknown.name == GAP else unknown.name
 
 
+OF_NO_BENCH = {
+    DELTA: shared.DELTA.meaning,
+    START_ANGLE: "load angle at the first sample, 0 hangs straight down",
+    REFERENCE_DELAY: "how much later the controller was given its reference than is recorded",
+}
+"""Unknowns that are neither of a bench file nor learned, by their names in results."""
+
+
 def unit_and_meaning(name: str) -> tuple[str, str]:
     """Unit and long name of an unknown by its name in results."""
     if name.startswith(DRIFT):
         unit, meaning = unit_and_meaning(name.removeprefix(DRIFT))
         return unit, f"change since the first snapshot of: {meaning}"
-    if name == DELTA:
-        return shared.DELTA.unit, shared.DELTA.meaning
-    if name == REFERENCE_DELAY:
-        return "s", "how much later the controller was given its reference than is recorded"
-    if name in PARAMETER_INFO:
-        return PARAMETER_INFO[name].unit or "1", PARAMETER_INFO[name].meaning
     block, _, own = name.partition("__")
     if block in (LEARNED_TORQUE, ENCODER_ERROR):
         what = block.replace("_", " ")
         if own.startswith("shift"):
             return "1", f"where the variable of the {what} is at the first sample, rad or s"
         return "rad" if block == ENCODER_ERROR else "N m", f"coefficient of the {what}: {own}"
-    if "__" in name:
-        item = declaration_of(name)
-        return item.unit or "1", f"{item.meaning} of {name.partition('__')[0]}"
-    return "rad", "load angle at the first sample, 0 hangs straight down"
+    meaning = OF_NO_BENCH.get(name) or declaration_of(name).meaning
+    return unit_of(name) or "1", f"{meaning} of {block}" if own else meaning
 
 
 def _unknown(*dims: str) -> Callable[[str], Variable]:
