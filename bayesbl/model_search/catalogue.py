@@ -104,16 +104,28 @@ class Candidate:
         """Of its unknowns, that no other candidate beside it may have."""
         return frozenset(unknown.key for unknown in self.unknowns)
 
-    @property
-    def law(self) -> tuple[str, str | None]:
-        """Name and recording."""
-        return self.name, self.recording
+    def bars(self, other: Candidate) -> bool:
+        """Whether another has no place beside it.
 
-    @property
-    def held_law(self) -> tuple[str, str | None] | None:
-        """The law that this one is, but for one term; ``None`` of most."""
+        It is the same, shares an unknown or is the same law but for one term; or its order is a
+        low multiple of this one's, and may be its harmonic: a real ripple has several orders, a
+        bench one of each effect, so beside it another effect at a harmonic has no rival and would
+        be named whatever it is.
+        """
+        order, own = other.order, self.order
+        return (
+            other.label == self.label
+            or bool(self.unknown_keys & other.unknown_keys)
+            or self._holds(other)
+            or other._holds(self)
+            or (order is not None and own is not None and order / own in HARMONICS)
+        )
+
+    def _holds(self, other: Candidate) -> bool:
+        """Whether the other's law is this one but for one term."""
         law = effect_named(self.name).torque if self.kind == "effect" else None
-        return None if law is None or law.contains is None else (law.contains, self.recording)
+        same_place = other.recording == self.recording
+        return law is not None and law.contains == other.name and same_place
 
     @property
     def is_periodic(self) -> bool:
@@ -431,13 +443,3 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
         effect=_neutral_effect(effect),
         usual=usual,
     )
-
-
-def is_harmonic(candidate: Candidate, present: Sequence[Candidate]) -> bool:
-    """Whether its order is a low multiple of that of something present, and may be its harmonic.
-
-    A real ripple has several orders, a bench one of each effect: beside it another effect at a
-    harmonic has no rival and would be named whatever it is.
-    """
-    order, orders = candidate.order, [other.order for other in present]
-    return order is not None and any(o is not None and order / o in HARMONICS for o in orders)
