@@ -112,6 +112,7 @@ class EffectParameter:
             self,
             low=factor * self.low,
             high=factor * self.high,
+            typical=factor * self.typical,
             neutral=factor * self.neutral,
             starts=tuple(factor * start for start in self.starts),
         )
