@@ -59,8 +59,9 @@ from bayesbl.curve.gap_curve import GapCurve, likeliest_branch
 from bayesbl.matching.observed import observed
 from bayesbl.matching.signals import GAP
 from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, direct_reasons, fit_directly
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
+from bayesbl.measurement.measurement import outcome_of
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.ringing.estimator import Estimator, PointEstimate
@@ -327,7 +328,7 @@ def _directly(
     ]
     found = fit_directly(bench, seen, row.gap_rad, NO_DRIFT, FAST_DIRECT, seed)
     posterior = found.posterior
-    withheld = any(direct_verdict(found, place).outcome == "withheld" for place in (0, 1))
+    withheld = any(outcome_of(direct_reasons(found, place)) == "withheld" for place in (0, 1))
     before, after = (posterior.values(GAP, name).ravel() for name in SNAPSHOTS)
     return Answer((before, after), withheld)
 

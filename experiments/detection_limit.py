@@ -34,8 +34,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.sections import Items
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, SMALLEST_GAP_RAD
-from bayesbl.measurement.direct_route import NO_DRIFT, direct_verdict, fit_directly
-from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, upper_bound
+from bayesbl.measurement.direct_route import NO_DRIFT, direct_reasons, fit_directly
+from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, outcome_of, upper_bound
 from bayesbl.measurement.motion_verdict import EXCLUDED_SHARE
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT, BoolArray, FloatArray, Recording
@@ -102,10 +102,10 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     bench, gap = _bench(row), row.gaps_rad[index % len(row.gaps_rad)]
     recordings = _recorded(row, bench, gap, np.random.default_rng(truth_seed))
     found = fit_directly(bench, recordings, RANGE_RAD, NO_DRIFT, SamplerSettings(), fit_seed)
-    verdict = direct_verdict(found, 0)
+    reasons = direct_reasons(found, 0)
     drawn = found.posterior.values(GAP, SNAPSHOTS[0])
-    withheld, change = verdict.outcome == "withheld", found.change_rad
-    codes = [reason.code for reason in verdict.reasons]
+    withheld, change = outcome_of(reasons) == "withheld", found.change_rad
+    codes = [reason.code for reason in reasons]
     return {
         "gap_rad": gap,
         "below": float(np.mean(drawn < gap)),
@@ -114,7 +114,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         "upper_rad": upper_bound(drawn),
         "told": float(not withheld and "gap_not_told" not in codes),
         "withheld": float(withheld),
-        "contradicted": float(any(r.code != "sampling" for r in verdict.withholding)),
+        "contradicted": float(any(r.withholds and r.code != "sampling" for r in reasons)),
         "change_below": float(np.mean(change < row.change_rad)),
         "change_sd_rad": float(change.std()),
         "probability_increase": float(np.mean(change > 0.0)),

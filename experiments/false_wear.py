@@ -36,7 +36,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.observed import observed
 from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_reasons, fit_directly
+from bayesbl.measurement.measurement import outcome_of
 from bayesbl.measurement.model_check import check_of_comparison
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
@@ -173,8 +174,8 @@ def _matched(
 
 
 def _withheld(found: DirectMatch) -> bool:
-    verdicts = [direct_verdict(found, index, level=LEVEL) for index in range(len(SNAPSHOTS))]
-    return any(v.outcome == "withheld" for v in verdicts)
+    each = [direct_reasons(found, index, level=LEVEL) for index in range(len(SNAPSHOTS))]
+    return any(outcome_of(reasons) == "withheld" for reasons in each)
 
 
 def _listed(found: DirectMatch, changed: set[str]) -> bool:

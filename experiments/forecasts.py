@@ -102,8 +102,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
     case = {"dates": float(dates), "last_at": last, "remaining": remaining}
     if found is None:
         return case | dict.fromkeys(set(COLUMNS) - set(case), np.nan) | {"withheld": 1.0}
-    assert found.years_to_limit is not None
-    times = found.years_to_limit.ravel() / life_years
+    times = found["years_to_limit"].values.ravel() / life_years
     low, median, high = np.quantile(times, [0.5 - 0.5 * LEVEL, 0.5, 0.5 + 0.5 * LEVEL])
     error = np.abs(times - remaining)
     return case | {

@@ -38,7 +38,8 @@ from bayesbl.identification.groups import reason_of
 from bayesbl.identification.identify import Problem, identified_bench, identify, parameter_draws
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_verdict, fit_directly
+from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_reasons, fit_directly
+from bayesbl.measurement.measurement import outcome_of
 from bayesbl.recording.types import MOTOR_CURRENT, FloatArray
 from bayesbl.sampling.chains import SamplerSettings
 
@@ -190,8 +191,8 @@ def measured(
 
 def is_withheld(match: DirectMatch) -> bool:
     """Whether a gap or the change is."""
-    verdicts = [direct_verdict(match, index, level=LEVEL) for index in (0, 1)]
-    return any(v.outcome == "withheld" for v in verdicts)
+    each = [direct_reasons(match, index, level=LEVEL) for index in (0, 1)]
+    return any(outcome_of(reasons) == "withheld" for reasons in each)
 
 
 def random_joint(rng: np.random.Generator) -> Bench:

@@ -77,20 +77,21 @@ def joint(law: str, number: int, generator: np.random.Generator) -> Seen | None:
     draws = measured(new_rad + way_rad * grown(ages), generator)
     seed = np.random.SeedSequence(int(generator.integers(2**32)))
     found = wear(draws, life * ages, seed, limit_rad=LIMIT_RAD)
-    if found is None or found.years_to_limit is None:
+    if found is None:
         return None
     span = life * (last - ages[0])
+    one = {str(name): draws.values.ravel() for name, draws in found.items()}
     return Seen(
         law,
         dates,
         last,
         life,
         (reached(grown, last) - last) * life,
-        ((found.current_rad - found.first_rad) / span).ravel(),
-        found.years_to_limit.ravel(),
-        found.law.ravel(),
-        (found.scatter_rad_per_root_year**2 * span / found.expected_growth_rad).ravel(),
-        float(np.mean(found.current_rad > LIMIT_RAD)),
+        (one["current_rad"] - one["first_rad"]) / span,
+        one["years_to_limit"],
+        one["law"],
+        one["scatter_rad_per_root_year"] ** 2 * span / one["expected_growth_rad"],
+        float(np.mean(one["current_rad"] > LIMIT_RAD)),
     )
 
 

@@ -25,7 +25,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.matching.motions import changes_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import direct_verdict, fit_directly
+from bayesbl.measurement.direct_route import direct_reasons, fit_directly
+from bayesbl.measurement.measurement import outcome_of
 from bayesbl.recording.types import (
     REFERENCE_POSITION,
     REFERENCE_SPEED,
@@ -120,7 +121,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         compared = model.recordings[i]
         result |= {
             f"shown_{name}": float(_flank_changes(row, joint, gap, compared) > 0),
-            f"withheld_{name}": float(direct_verdict(found, i).outcome == "withheld"),
+            f"withheld_{name}": float(outcome_of(direct_reasons(found, i)) == "withheld"),
             f"below_{name}": float(np.mean(draws < math.log(gap))),
             f"error_{name}": float(np.median(draws)) - math.log(gap),
             f"sd_{name}": float(draws.std()),

@@ -17,8 +17,10 @@ def data(stored: Stored) -> xr.DataTree:
     return picked(
         stored.tree("sweep"),
         sweep=("gap_rad", "amplitude_rpm"),
-        curve=("delta_rad", "low_rad", "high_rad"),
-        gap_curve=(
+        curve=(
+            "delta_rad",
+            "low_rad",
+            "high_rad",
             "coefficients",
             "knots_rpm",
             "correction",

@@ -54,7 +54,7 @@ def data(stored: Stored) -> xr.Dataset:
         [np.log(s.values("posterior", GAP)).std() for s in snapshots(tree)]
         for tree in trees.values()
     ]
-    group = stored.tree("sweep_tolerances")["gap_curve"].to_dataset()
+    group = stored.tree("sweep_tolerances")["curve"].to_dataset()
     curve, knots = curve_from_dataset(group, ""), group["knots_rpm"].values
     start = curve.log_slope(knots) * curve.start_angle_sd(knots)
     fit, lack, bench = (

@@ -147,3 +147,16 @@ def test_a_measurement_makes_no_sentence_and_every_code_has_one(imports):
                     used |= {a.value for a in node.args[:1] if isinstance(a, ast.Constant)}
     assert used
     assert used <= set(SENTENCES)
+
+
+def test_every_code_that_decides_an_outcome_is_given():
+    from bayesbl.measurement.measurement import OUTCOMES
+
+    given = {
+        node.value
+        for path in files().values()
+        if path.name != "sentences.py"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant)
+    }
+    assert set(" ".join(OUTCOMES.values()).split()) <= given

@@ -19,6 +19,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import ComplexArray, FloatArray
+from bayesbl.units import unit_of
 
 if TYPE_CHECKING:
     from bayesbl.bench.bench import Bench
@@ -56,11 +57,11 @@ class EffectParameter:
         Of an amplitude, whether the bench in steady rotation repeats every load rotation with it:
         ``always``, only with a whole number of cycles per load rotation (``whole_orders``), or
         ``never``. What is declared to repeat is simulated for one rotation and continued.
-    not_negative, smaller_than
-        Of an amplitude, what the simulator refuses: a value below zero, a size that reaches this.
-    positive_scale, bounded
-        Of the others, the same while an amplitude is not zero: zero and below; what is not between
-        ``low`` and ``high``.
+    smaller_than
+        Of an amplitude, a size that the simulator refuses, as it does all beyond.
+    bounded
+        Of the others, whether it refuses what is not between ``low`` and ``high``, while an
+        amplitude is not zero.
     sought_from
         Lower end of a search in the loop, where it is not ``low``.
     rate_of
@@ -70,7 +71,6 @@ class EffectParameter:
     """
 
     name: str
-    unit: str
     meaning: str
     _: KW_ONLY
     role: Role
@@ -79,18 +79,32 @@ class EffectParameter:
     typical: float
     neutral: float = 0.0
     repeats: Repeats = "always"
-    not_negative: bool = False
     smaller_than: float | None = None
-    positive_scale: bool = False
     bounded: bool = False
     sought_from: float | None = None
     rate_of: str | None = None
     starts: tuple[float, ...] = ()
 
     @property
+    def unit(self) -> str:
+        """As its name ends; empty for a pure number."""
+        return unit_of(self.name)
+
+    @property
     def is_amplitude(self) -> bool:
         """Whether it switches the effect on."""
         return self.role == "amplitude"
+
+    @property
+    def not_negative(self) -> bool:
+        """Whether the simulator refuses an amplitude below zero: where no search goes there."""
+        return self.is_amplitude and self.low >= 0.0
+
+    @property
+    def positive_scale(self) -> bool:
+        """Whether the simulator refuses zero and below while an amplitude is not zero: of a shape
+        whose search begins above zero."""
+        return self.role == "shape" and self.low > 0.0
 
     def scaled(self, factor: float) -> EffectParameter:
         """The same of a joint on which all its values are so many times as large."""
@@ -98,6 +112,7 @@ class EffectParameter:
             self,
             low=factor * self.low,
             high=factor * self.high,
+            typical=factor * self.typical,
             neutral=factor * self.neutral,
             starts=tuple(factor * start for start in self.starts),
         )
@@ -113,14 +128,14 @@ def order(typical: float) -> EffectParameter:
     meaning = "cycles per motor turn n, found from the data"
     low, high = LOWEST_ORDER, HIGHEST_ORDER
     return EffectParameter(
-        ORDER, "", meaning, role="order", low=low, high=high, typical=typical, neutral=1.0
+        ORDER, meaning, role="order", low=low, high=high, typical=typical, neutral=1.0
     )
 
 
 def phase(typical: float) -> EffectParameter:
     """Phase φ of what turns with the motor."""
     return EffectParameter(
-        PHASE, "rad", "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical
+        PHASE, "phase φ", role="phase", low=-3.1416, high=3.1416, typical=typical
     )
 
 
@@ -170,8 +185,6 @@ class RigidLaw:
         Effects that are the same law in this comparison, only named for another place.
     contains
         A simpler effect that this one holds as a special case, and replaces.
-    not_negative
-        It is named only with an amplitude of zero or above, whatever the simulator allows.
     bench_parameters
         What the bench file must give for the law to be known.
     usual
@@ -189,7 +202,6 @@ class RigidLaw:
     grid_unit: Literal["speed", "travel"] = "travel"
     same_as: tuple[str, ...] = ()
     contains: str | None = None
-    not_negative: bool = False
     bench_parameters: tuple[str, ...] = ()
     usual: float = 0.3
     requires: str | None = None

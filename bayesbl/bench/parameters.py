@@ -1,4 +1,4 @@
-"""The bench's own parameters: name, unit, meaning, sign; and the flat vector they travel in.
+"""The bench's own parameters: name, meaning, sign; and the flat vector they travel in.
 
 Some of them move between two snapshots though nobody touched the joint: "nothing but the gap
 changed" is never assumed, as grease warms up, magnets weaken, bearings settle. What is known of
@@ -20,6 +20,7 @@ from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError, SimulationError
 from bayesbl.recording.types import FloatArray
+from bayesbl.units import unit_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,6 @@ class ParameterInfo:
     """
 
     name: str
-    unit: str
     meaning: str
     positive: bool = True
     signed: bool = False
@@ -42,21 +42,24 @@ class ParameterInfo:
     idle: float | None = None
     correctable: bool = False
 
+    @property
+    def unit(self) -> str:
+        """As its name ends; empty for a pure number."""
+        return unit_of(self.name)
+
 
 BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
-    ParameterInfo("gear_ratio", "", "gear ratio N, motor turns per load turn"),
-    ParameterInfo("motor_inertia_kg_m2", "kg m²", "inertia of the motor J_m", correctable=True),
-    ParameterInfo("load_inertia_kg_m2", "kg m²", "inertia of the load J_l", correctable=True),
+    ParameterInfo("gear_ratio", "gear ratio N, motor turns per load turn"),
+    ParameterInfo("motor_inertia_kg_m2", "inertia of the motor J_m", correctable=True),
+    ParameterInfo("load_inertia_kg_m2", "inertia of the load J_l", correctable=True),
     ParameterInfo(
         "shaft_stiffness_nm_per_rad",
-        "N m/rad",
         "torsional stiffness K_s, seen at the load",
         idle=1.0,
         correctable=True,
     ),
     ParameterInfo(
         "shaft_damping_nm_s_per_rad",
-        "N m s/rad",
         "torsional damping D_s, seen at the load",
         positive=False,
         idle=0.0,
@@ -64,22 +67,16 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
     ),
     ParameterInfo(
         "gravity_torque_nm",
-        "N m",
         "largest torque of gravity on the load m g l",
         positive=False,
         default=0.0,
         correctable=True,
     ),
     ParameterInfo(
-        "speed_gain_nm_s_per_rad",
-        "N m s/rad",
-        "speed controller, proportional K_p",
-        idle=1.0,
-        correctable=True,
+        "speed_gain_nm_s_per_rad", "speed controller, proportional K_p", idle=1.0, correctable=True
     ),
     ParameterInfo(
         "integral_gain_nm_per_rad",
-        "N m/rad",
         "speed controller, integral K_i",
         positive=False,
         idle=0.0,
@@ -87,37 +84,24 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
     ),
     ParameterInfo(
         "position_gain_per_s",
-        "1/s",
         "outer position controller, proportional; 0 for none",
         positive=False,
         default=0.0,
     ),
     ParameterInfo(
-        "torque_constant_nm_per_a",
-        "N m/A",
-        "motor torque per current K_t",
-        idle=1.0,
-        correctable=True,
+        "torque_constant_nm_per_a", "motor torque per current K_t", idle=1.0, correctable=True
     ),
+    ParameterInfo("current_limit_a", "largest current the controller asks for i_max", idle=1.0),
     ParameterInfo(
-        "current_limit_a", "A", "largest current the controller asks for i_max", idle=1.0
-    ),
-    ParameterInfo(
-        "reference_speed_rpm",
-        "rpm",
-        "reference speed ω_ref, negative for reverse",
-        signed=True,
-        idle=1.0,
+        "reference_speed_rpm", "reference speed ω_ref, negative for reverse", signed=True, idle=1.0
     ),
     ParameterInfo(
         "stiffness_sharpness_per_rad",
-        "1/rad",
         "sharpness α of the arctan stiffness at the edges of the gap",
         default=1e6,
     ),
     ParameterInfo(
         "gravity_angle_rad",
-        "rad",
         "angle φ_g that gravity's torque m g l sin(θ_l + φ_g) is ahead of the load's",
         positive=False,
         signed=True,

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -333,19 +333,13 @@ REGRESSION_DRAWS = 2000
 DEGREES = (1, 2, 3, 4, 5)
 
 
-@dataclass(frozen=True, slots=True)
-class DegreeReport:
+class DegreeSummary(TypedDict):
     """How well a polynomial of one degree describes the sweep.
 
-    Attributes
-    ----------
-    rms_departure, largest_departure
-        Of δ from the polynomial alone, relative, over the gaps' mean amplitudes.
-    log_evidence
-        Restricted log likelihood with the smooth lack of fit beside the polynomial.
+    Relative departures of δ from it alone, over the gaps' mean amplitudes; ``log_evidence``:
+    restricted log likelihood with the smooth lack of fit beside it.
     """
 
-    degree: int
     rms_departure: float
     largest_departure: float
     log_evidence: float
@@ -397,18 +391,20 @@ def swept_curve(
     return curve, regression
 
 
-def degree_reports(nominal: SweepRow) -> list[DegreeReport]:
+def degree_reports(nominal: SweepRow) -> dict[int, DegreeSummary]:
     """Polynomials of several degrees, so that a cubic is a result and no assumption."""
     mean = nominal.amplitude_rpm.mean(axis=1)
-    reports = []
+    reports: dict[int, DegreeSummary] = {}
     for degree in DEGREES:
         if nominal.gap_rad.size < degree + 3:
             break
         coefficients = relative_fit(mean, nominal.gap_rad, degree)
         departure = polynomial.polyval(mean, coefficients) / nominal.gap_rad - 1.0
-        rms, largest = float(np.sqrt(np.mean(departure**2))), float(np.abs(departure).max())
-        evidence = _regression(nominal, degree).log_evidence
-        reports.append(DegreeReport(degree, rms, largest, evidence))
+        reports[degree] = {
+            "rms_departure": float(np.sqrt(np.mean(departure**2))),
+            "largest_departure": float(np.abs(departure).max()),
+            "log_evidence": _regression(nominal, degree).log_evidence,
+        }
     return reports
 
 

@@ -216,7 +216,7 @@ def candidate_of(
         parameters,
         looks,
         law.usual,
-        law.not_negative,
+        effect_named(name).parameter(law.amplitude).not_negative,
         excludes=frozenset({law.contains} if law.contains else ()),
         requires=frozenset({law.requires} if law.requires else ()),
         same_as=law.same_as,

@@ -568,14 +568,12 @@ def _judge(
         failures.append(
             f"{failed:.0%} of the simulations near the optimum failed: the bench cannot run there."
         )
-    if failures:
-        diagnostics = replace(
-            diagnostics, outcome="withheld", reasons=(*failures, *diagnostics.reasons)
-        )
-    edges = tuple(sentence for *_, sentence in _contradicted(model, draws))
-    if edges and diagnostics.outcome == "converged":
-        diagnostics = replace(diagnostics, outcome="usable")
-    return replace(diagnostics, reasons=(*diagnostics.reasons, *edges))
+    edges = (sentence for *_, sentence in _contradicted(model, draws))
+    return replace(
+        diagnostics,
+        failures=(*failures, *diagnostics.failures),
+        doubts=(*diagnostics.doubts, *edges),
+    )
 
 
 def _contradicted(

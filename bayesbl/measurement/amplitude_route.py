@@ -34,8 +34,8 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Task,
-    Verdict,
     estimator_of,
+    outcome_of,
     sampling_reasons,
 )
 from bayesbl.measurement.same_joint import COULD_BE, DECAY, FREQUENCY, change_reason, same_joint
@@ -306,12 +306,12 @@ class AmplitudeMeasurer(Measurer):
         check, unlike = self._against_bench(recording, fit, gap, curve, level)
         unsuitable = unsuited(recording, fit, curve, task.config)
         against = [*reasons_as_printed(fit, curve), *unsuitable, *unlike]
-        judged = verdict(fit, gap, against, self.source.question(recording))
-        bounded = all(reason.code == "beyond_curve" for reason in judged.withholding)
+        reasons = reasons_of(fit, gap, against, self.source.question(recording))
+        bounded = all(reason.code == "beyond_curve" for reason in reasons if reason.withholds)
         return Answer(
             recording.name,
             None if gap is None else gap.delta_rad,
-            judged,
+            reasons,
             groups,
             _numbers(fit, groups["posterior"], task.config.interval),
             check,
@@ -346,7 +346,7 @@ class AmplitudeMeasurer(Measurer):
         ]
         causes = [cause for item in differing for cause in COULD_BE[item["quantity"]]]
         told = [{key: value for key, value in item.items() if key != "z"} for item in differing]
-        reasons = [Reason("other_bench", values, withholds=True) for values in told]
+        reasons = [Reason("other_bench", values) for values in told]
         compared = joint_check(
             check["agrees"] and not differing,
             [*check["items"], *items],
@@ -453,13 +453,13 @@ def _noise_summary(noise: Noise) -> NoiseSummary:
     }
 
 
-def verdict(
+def reasons_of(
     fit: Fit,
     gap: Gap | None,
     unsuited: Sequence[Reason] = (),
     question: Reason | None = None,
-) -> Verdict:
-    """Outcome of one snapshot with its reasons, the gravest first.
+) -> list[Reason]:
+    """All that is to be known of one snapshot's answer, the gravest first.
 
     Parameters
     ----------
@@ -470,25 +470,19 @@ def verdict(
     question
         What to ask the user before anything else where δ is withheld.
     """
-    diagnostics = fit.posterior.diagnostics
-    failed = diagnostics.outcome == "withheld"
-    sampling = sampling_reasons(diagnostics, withhold=failed)
+    sampling = sampling_reasons(fit.posterior.diagnostics)
     notes = [Reason.of_text("mended", text) for text in fit.point.notes]
     notes += [] if gap is None else gap.notes
     against = [*unsuited, *(() if gap is None else gap.reasons)]
     if fit.check is not None and fit.check.reason:
-        against.append(Reason.of_text("second_sampler", fit.check.reason, withholds=True))
-    outcome = diagnostics.outcome
-    if notes and outcome == "converged":
-        outcome = "usable"
-    if against:
-        outcome = "withheld"
+        against.append(Reason.of_text("second_sampler", fit.check.reason))
     # What is made of draws that fail, fails with them: the cause comes first.
+    failed = fit.posterior.diagnostics.failures
     reasons = [*sampling, *against] if failed else [*against, *sampling]
     reasons += [*notes, *(Reason.of_text("recording", n) for n in fit.point.recording.notes)]
-    if question is not None and outcome == "withheld":
+    if question is not None and outcome_of(reasons) == "withheld":
         reasons.insert(0, question)
-    return Verdict(outcome, tuple(reasons))
+    return reasons
 
 
 def prepare(config: SnapshotConfig) -> AmplitudeMeasurer:
@@ -869,13 +863,13 @@ def reasons_as_printed(fit: Fit, curve: GapCurve | None) -> Iterator[Reason]:
             "optimum_amplitude_rpm": point.optimum.symbols[AMPLITUDE],
             "optimum_rmse_rpm": point.optimum.rmse_rpm,
         }
-        yield Reason("box_search_missed", values, withholds=True)
+        yield Reason("box_search_missed", values)
     without = point.optimum.model.baseline_harmonics == 0
     if without and curve is not None and curve.fingerprint is None:
         alone, beside = point.optimum.symbols[AMPLITUDE], amplitude_with_baseline_rpm(point)
         if abs(beside - alone) > WAVE_MATTERS * math.sqrt(fit.point.spread.sandwich[0, 0]):
             values = {"amplitude_rpm": alone, "with_baseline_rpm": beside}
-            yield Reason("no_baseline", values, withholds=True)
+            yield Reason("no_baseline", values)
 
 
 def has_pulses_of_optimum(box: BoxSearch, point: PointEstimate) -> bool:

@@ -19,7 +19,7 @@ from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
-from bayesbl.measurement.measurement import ExpectedSd, Measurement, Measurer, Reason, Task, Verdict
+from bayesbl.measurement.measurement import ExpectedSd, Measurement, Measurer, Reason, Task
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.checks import moves
 from bayesbl.recording.types import FloatArray, Recording
@@ -97,7 +97,7 @@ class AutoMeasurer(Measurer):
             reason
             for answer in direct.answers
             if answer.model_check["agrees"]
-            for reason in answer.verdict.withholding
+            for reason in answer.withholding
         ]
         if failed and not all(answer.is_withheld for answer in amplitude.answers):
             return replace(self._by_amplitude(amplitude, failed), beside=(direct,))
@@ -118,7 +118,7 @@ class AutoMeasurer(Measurer):
         """The amplitude's answer, which says why it is not the direct one."""
         told = [reason.stored for reason in because]
         note = Reason("by_amplitude_instead", {"because": told})
-        answers = [replace(a, verdict=_noted(a.verdict, note)) for a in amplitude.answers]
+        answers = [replace(a, reasons=(*a.reasons, note)) for a in amplitude.answers]
         return replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
 
 
@@ -129,22 +129,13 @@ def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | 
         return refusal  # what cannot be written or read is no matter of the route
 
 
-def _noted(verdict: Verdict, note: Reason) -> Verdict:
-    outcome = "usable" if verdict.outcome == "converged" else verdict.outcome
-    return Verdict(outcome, (*verdict.reasons, note))
-
-
 def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measurement:
     """The amplitude's answer, withheld where the direct route's check contradicts the bench."""
-    against = Reason("recording_contradicts_bench").withholding
+    against = Reason("recording_contradicts_bench")
     answers = [
         answer
         if seen.model_check["agrees"]
-        else replace(
-            answer,
-            verdict=Verdict("withheld", (against, *answer.verdict.reasons)),
-            model_check=seen.model_check,
-        )
+        else replace(answer, reasons=(against, *answer.reasons), model_check=seen.model_check)
         for seen, answer in zip(direct.answers, amplitude.answers, strict=True)
     ]
     return replace(amplitude, answers=answers)

@@ -282,7 +282,7 @@ def other_speed(recording: Recording, curve: GapCurve) -> Reason | None:
         "recording_rpm": speed,
         "relative_error": ratio**SPEED_POWER - 1.0,
     }
-    return Reason("other_speed", values, withholds=True)
+    return Reason("other_speed", values)
 
 
 def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> Reason | None:
@@ -301,7 +301,7 @@ def other_rotation(recording: Recording, fit: Fit, gear_ratio: float | None) -> 
         "speed_rpm": speed,
         "fitting_ratio": found_s * speed / 60.0,
     }
-    return Reason("other_rotation", values, withholds=True)
+    return Reason("other_rotation", values)
 
 
 def unsuited(

@@ -4,8 +4,6 @@ A bench is swept for what each recording needs (its rate, speed and length), and
 kept by content: the same bench with the same needs is read. All curves of a bench are of the same
 draws of it, so that its unknown parameters cancel in a change between recordings of other speeds
 and rates too.
-
-``result.nc`` has the band that every result shows, and the whole curve of a sweep.
 """
 
 from __future__ import annotations
@@ -66,8 +64,6 @@ ROW_PREFIX = "row_"
 BY_COEFFICIENTS = ("regression", "rounding")
 """Sources that are an uncertainty of the coefficients."""
 
-_COEFFICIENTS = table("coefficients (power) | rad / rpm^k | coefficient of A^k in the gap curve")
-
 
 def _source(name: str) -> Variable | None:
     if name.startswith(SOURCE_PREFIX):
@@ -83,48 +79,32 @@ def _source(name: str) -> Variable | None:
 
 CURVE = Group(
     "curve",
-    (
-        *table("""
-            delta_rad (amplitude) | rad | backlash gap, nominal
-            low_rad (amplitude) | rad | lower bound of the curve's band
-            high_rad (amplitude) | rad | upper bound of the curve's band
-            covariance? (power, power_) | (rad / rpm^k)^2 | covariance of the coefficients
-            coefficient_draws? (coefficient_draw, power) | rad / rpm^k
-                | draws of the coefficients; the curve's draws are those of its sources
-            knots_rpm? (knot) | rpm | amplitude of the impact ringing
-            correction? (knot) | 1 | departure of ln δ from the polynomial's
-            start_angle_sd_rpm? (knot) | rpm | scatter of the amplitude with the start angle
-        """),
-        *_COEFFICIENTS,
-    ),
+    table("""
+        coefficients (power) | rad / rpm^k | coefficient of A^k in the gap curve
+        knots_rpm (knot) | rpm | amplitude of the impact ringing
+        correction (knot) | 1 | departure of ln δ from the polynomial's
+        start_angle_sd_rpm (knot) | rpm | scatter of the amplitude with the start angle
+        log_frequency? (knot) | 1 | ln of ω in rad/s
+        log_decay? (knot) | 1 | ln of τ in 1/s
+        frequency_draws? (draw_bench, knot) | 1 | departures of ln ω for the bench draws
+        decay_draws? (draw_bench, knot) | 1 | departures of ln τ for the bench draws
+        scatter? (knot, row, column) | mixed | covariance of (A, ln ω, ln τ) over start angles
+        delta_rad (amplitude) | rad | backlash gap, nominal
+        low_rad (amplitude) | rad | lower bound of the curve's band
+        high_rad (amplitude) | rad | upper bound of the curve's band
+        covariance? (power, power_) | (rad / rpm^k)^2 | covariance of the coefficients
+        coefficient_draws? (coefficient_draw, power) | rad / rpm^k
+            | draws of the coefficients; the curve's draws are those of its sources
+    """),
     table("amplitude (amplitude) | rpm | amplitude of the impact ringing"),
     named=_source,
 )
-"""A curve, and how the draws of δ went through it.
+"""A curve; in a measurement, how the draws of δ went through it too.
 
 δ = Σ coefficients·A^k · exp(correction + Σ source), at A = ``curve_amplitude_rpm`` of the
 posterior, correction and sources linear in ln A between the knots, of each source the row that
 ``row_…`` names for the draw.
 """
-
-
-GAP_CURVE = Group(
-    "gap_curve",
-    (
-        *_COEFFICIENTS,
-        *table("""
-            knots_rpm (knot) | rpm | amplitude of the impact ringing
-            correction (knot) | 1 | departure of ln δ from the polynomial's
-            start_angle_sd_rpm (knot) | rpm | scatter of the amplitude with the start angle
-            log_frequency? (knot) | 1 | ln of ω in rad/s
-            log_decay? (knot) | 1 | ln of τ in 1/s
-            frequency_draws? (draw_bench, knot) | 1 | departures of ln ω for the bench draws
-            decay_draws? (draw_bench, knot) | 1 | departures of ln τ for the bench draws
-            scatter? (knot, row, column) | mixed | covariance of (A, ln ω, ln τ) over start angles
-        """),
-    ),
-    named=_source,
-)
 
 
 def curves_group(
@@ -161,28 +141,35 @@ def curve_group(
     rows: Mapping[str, NDArray[np.int64]] | None = None,
     range_rpm: tuple[float, float] | None = None,
 ) -> xr.Dataset:
-    """Group :data:`CURVE`: over a range, its own by default, with the band of its draws.
+    """Group :data:`CURVE`, with the band of its draws over a range, its own by default.
 
-    ``rows``: by source, which draw each draw of δ went through; all draws are stored then.
+    ``rows``: by source, which draw each draw of δ went through; ``None`` of a sweep, from which
+    :func:`curve_from_dataset` gives the whole curve back.
     """
-    values: dict[str, object] = {}
-    if rows is not None:
+    values, sources = attributes(CURVE, curve), curve.sources
+    if rows is None:
+        values |= attributes(CURVE, curve.ringing)
+    else:
+        # As figures and checks need them: a sweep keeps all digits.
+        sources = {name: draws.astype(np.float32) for name, draws in sources.items()}
+        values |= {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
         drawn = coefficient_draws(curve)
-        values = attributes(CURVE, curve)
         if drawn is not None:
             values |= {"coefficient_draws": drawn, "covariance": np.cov(drawn, rowvar=False)}
-        # As figures and checks need them: a sweep keeps all digits.
-        values |= {f"{SOURCE_PREFIX}{n}": d.astype(np.float32) for n, d in curve.sources.items()}
-        values |= {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
+    values |= {f"{SOURCE_PREFIX}{name}": draws for name, draws in sources.items()}
     amplitude = np.geomspace(*(range_rpm or curve.amplitude_range_rpm), AMPLITUDES)
     draws = curve.draw(BAND_DRAWS, np.random.default_rng(seed))
     table = np.stack([draws.gap(np.full(BAND_DRAWS, a)) for a in amplitude])
     low, high = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
     values |= {"delta_rad": curve.gap(amplitude), "low_rad": low, "high_rad": high}
-    result = dataset(
-        CURVE, {**values, "coefficients": curve.coefficients}, {"amplitude": amplitude}
-    )
-    result.attrs = {"name": curve.name, "warnings": list(curve.warnings), "level": level}
+    result = dataset(CURVE, values, {"amplitude": amplitude})
+    result.attrs = {
+        "name": curve.name,
+        "fingerprint": curve.fingerprint or "",
+        "warnings": list(curve.warnings),
+        "reference_speed_rpm": curve.reference_speed_rpm or 0.0,
+        "level": level,
+    }
     return result
 
 
@@ -201,22 +188,8 @@ def coefficient_draws(curve: GapCurve) -> FloatArray | None:
     return np.asarray(curve.coefficients + shares @ inverse.T)
 
 
-def curve_to_dataset(curve: GapCurve) -> xr.Dataset:
-    """The curve as a dataset; :func:`curve_from_dataset` gives it back."""
-    sources = {f"{SOURCE_PREFIX}{name}": draws for name, draws in curve.sources.items()}
-    ringing = attributes(GAP_CURVE, curve.ringing)
-    result = dataset(GAP_CURVE, {**attributes(GAP_CURVE, curve), **sources, **ringing})
-    result.attrs = {
-        "name": curve.name,
-        "fingerprint": curve.fingerprint or "",
-        "warnings": list(curve.warnings),
-        "reference_speed_rpm": curve.reference_speed_rpm or 0.0,
-    }
-    return result
-
-
 def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
-    """The curve that :func:`curve_to_dataset` stored, under a new name."""
+    """The curve that :func:`curve_group` stored of a sweep, under a new name."""
     found = {str(key): variable.values for key, variable in stored.variables.items()}
     own = {f.name: found[f.name] for f in fields(GapCurve) if f.name in found}
     return GapCurve(
@@ -247,14 +220,14 @@ def read_curve(path: str | Path) -> GapCurve:
         If the result holds no curve.
     """
     tree = read_tree(path)
-    if GAP_CURVE.name not in tree.children:
+    if CURVE.name not in tree.children:
         raise CurveError(
             "This result holds no gap curve.",
             file=path,
             found=f'a result of kind "{tree.attrs.get("kind")}"',
             expected="the result.nc of a sweep",
         )
-    return curve_from_dataset(tree[GAP_CURVE.name].to_dataset(), str(path))
+    return curve_from_dataset(tree[CURVE.name].to_dataset(), str(path))
 
 
 @dataclass(frozen=True, slots=True)
@@ -484,7 +457,7 @@ class NamedCurve(CurveSource):
     def question(self, recording: Recording) -> Reason | None:
         """Whether the speed is in another unit."""
         text = speed_in_another_unit(recording, self.curve.reference_speed_rpm)
-        return None if text is None else Reason.of_text("speed_unit", text, withholds=True)
+        return None if text is None else Reason.of_text("speed_unit", text)
 
     def curves(self, task: Task) -> list[GapCurve]:
         """The same for all."""

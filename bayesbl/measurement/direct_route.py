@@ -18,7 +18,7 @@ import xarray as xr
 from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE
-from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
+from bayesbl.bench.parameters import declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
@@ -32,6 +32,7 @@ from bayesbl.matching.signals import (
     GAP,
     REFERENCE_DELAY,
     SMALLEST_GAP_RAD,
+    START_ANGLE,
     Unknown,
     effect_unknowns,
     gap_unknown,
@@ -50,7 +51,7 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Task,
-    Verdict,
+    outcome_of,
     sampler_of,
     sampling_reasons,
     upper_bound,
@@ -62,6 +63,7 @@ from bayesbl.measurement.motion_verdict import (
     unknown_start,
     unseen_gap,
 )
+from bayesbl.measurement.summary_types import PredictiveCheckEntry
 from bayesbl.model_search.always_in import (
     Beside,
     Direction,
@@ -141,7 +143,7 @@ class DirectMatch:
     def model_check(self, recording: str, level: float) -> JointCheck:
         """Whether this recording may be one of the bench as believed.
 
-        What disagrees is said by the verdict, which it withholds δ by, or by the comparison.
+        What disagrees is said by a reason, which withholds δ, or by the comparison.
         """
         beyond = self.posterior.beyond_tolerance(recording, level)
         check = check_of_snapshot(self.joint, recording)
@@ -232,12 +234,12 @@ class DirectMeasurer(Measurer):
         generator = np.random.default_rng(seed)
         groups = direct_groups(posterior, recording, index, check, generator)
         gap = posterior.values(GAP, recording.name)
-        verdict = direct_verdict(found, index, notes, level)
-        contradicted = any(reason.code not in BOUNDED for reason in verdict.withholding)
+        reasons = direct_reasons(found, index, notes, level)
+        contradicted = any(r.code not in BOUNDED for r in reasons if r.withholds)
         return Answer(
             recording.name,
             gap,
-            verdict,
+            reasons,
             groups,
             _numbers(posterior, recording, index, check, groups, self.config.interval),
             found.model_check(recording.name, level),
@@ -458,68 +460,67 @@ def fit_directly(
     return DirectMatch(posterior, whole.rest.check, whole.joint, allows)
 
 
-def direct_verdict(
+def direct_reasons(
     found: DirectMatch, index: int, notes: Sequence[Reason] = (), level: float = 0.9
-) -> Verdict:
-    """Outcome of one snapshot with its reasons, the gravest first.
+) -> list[Reason]:
+    """All that is to be known of one snapshot's answer, the gravest first.
 
     ``index``: of its recording; ``notes``: what was done to it; ``level``: of the interval.
     """
-    diagnostics = found.posterior.diagnostics
     fit = found.posterior.fit
     recording = fit.model.recordings[index]
     gap = found.posterior.values(GAP, recording.name)
     repeating = found.repeating(recording.name)
     with_current = len(recording.signals) > 1
-    against = _withholding(
-        ("tolerance_decides", found.posterior.beyond_tolerance(recording.name, level)),
-    )
+    decides = found.posterior.beyond_tolerance(recording.name, level)
+    against = _told("tolerance_decides", decides)
     if contradicted := found.posterior.contradicted_together():
-        against.append(Reason("sheet_contradicted", {"names": contradicted[:4]}, withholds=True))
+        against.append(Reason("sheet_contradicted", {"names": contradicted[:4]}))
     if not (repeating or found.joint.explained or found.allows_for_misfit):
-        against.append(Reason("unexplained", withholds=True))
+        against.append(Reason("unexplained"))
     misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
     if misfit and found.joint.could_be:
         misfit["could_be"] = list(found.joint.could_be)
     if misfit and not found.allows_for_misfit:
         # What nothing explains pulls at values of the bench too: they are no cause of it.
-        against.insert(0, Reason("repeats_beyond_noise", misfit, withholds=True))
-    unseen = _withholding(("gap_unseen", unseen_gap(found.posterior, index)))
-    unseen = unseen or _withholding(("start_unknown", unknown_start(fit, index)))
-    outcome = "withheld" if against or unseen else diagnostics.outcome
-    sampling = sampling_reasons(diagnostics, withhold=outcome == "withheld")
+        against.insert(0, Reason("repeats_beyond_noise", misfit))
     # Where δ is not seen, its prior's range may decide: that needs no saying.
-    reasons = [*against, *(unseen or sampling)]
+    reasons = [
+        *against,
+        *(
+            _told("gap_unseen", unseen_gap(found.posterior, index))
+            or _told("start_unknown", unknown_start(fit, index))
+            or sampling_reasons(found.posterior.diagnostics)
+        ),
+    ]
+    answered = outcome_of(reasons) != "withheld"
     unknown = fit.model.unknowns[fit.model.index(GAP, recording.name)]
     ends = excluded_ends(found.posterior, recording.name)
-    if outcome != "withheld" and unknown.offset and ends == (False, True):
-        outcome = "usable"
+    if answered and unknown.offset and ends == (False, True):
         values = {"upper_rad": upper_bound(gap), "smallest_rad": SMALLEST_GAP_RAD}
         reasons.append(Reason("gap_not_told", values))
     lacking = bench_lacks(found.joint)
-    if outcome != "withheld" and lacking:
-        outcome = "usable"
+    if answered and lacking:
         reasons.append(Reason("bench_lacks", lacking))
-    if outcome != "withheld" and found.allows_for_misfit:
-        outcome = "usable"
+    if answered and found.allows_for_misfit:
         wider = float(found.posterior.model_widening[fit.model.index(GAP, recording.name)])
         code = "allows_for_misfit" if misfit else "negative_law"
         reasons.append(Reason(code, {**misfit, "times": wider}))
     if not with_current:
         reasons.append(Reason("no_current"))
     wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
-    if outcome != "withheld" and wider > 1.0 + MATTERS:
+    if answered and wider > 1.0 + MATTERS:
         reasons.append(Reason("widened", {"times": wider}))
     variance = float(edge_variances(found.posterior).mean())
-    if outcome != "withheld" and variance > 0.0:
+    if answered and variance > 0.0:
         reasons.append(Reason("soft_edges", {"sd_rad": math.sqrt(variance)}))
     reasons += [Reason.of_text("motion", text) for text in motion_notes(fit, index)]
-    return Verdict(outcome, (*reasons, *notes))
+    return [*reasons, *notes]
 
 
-def _withholding(*each: tuple[str, str | None]) -> list[Reason]:
-    """Reasons of code and sentence, for those that have one."""
-    return [Reason.of_text(code, text, withholds=True) for code, text in each if text is not None]
+def _told(code: str, text: str | None) -> list[Reason]:
+    """The reason of that code, where there is a sentence."""
+    return [] if text is None else [Reason.of_text(code, text)]
 
 
 def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dict[str, Any]:
@@ -561,12 +562,7 @@ def _numbers(
             "degrees_of_freedom": None,
         },
         "predictive_check": [
-            {
-                "channel": entry.channel,
-                "highest_order": entry.highest_order,
-                "ratio": entry.ratio,
-                "probability": entry.probability,
-            }
+            {key: getattr(entry, key) for key in PredictiveCheckEntry.__annotations__}
             for entry in check
         ],
     }
@@ -603,27 +599,27 @@ def result_name(unknown: Unknown) -> str:
     return DELTA if unknown.name == GAP else unknown.name
 
 
+OF_NO_BENCH = {
+    DELTA: shared.DELTA.meaning,
+    START_ANGLE: "load angle at the first sample, 0 hangs straight down",
+    REFERENCE_DELAY: "how much later the controller was given its reference than is recorded",
+}
+"""Unknowns that are neither of a bench file nor learned, by their names in results."""
+
+
 def unit_and_meaning(name: str) -> tuple[str, str]:
     """Unit and long name of an unknown by its name in results."""
     if name.startswith(DRIFT):
         unit, meaning = unit_and_meaning(name.removeprefix(DRIFT))
         return unit, f"change since the first snapshot of: {meaning}"
-    if name == DELTA:
-        return shared.DELTA.unit, shared.DELTA.meaning
-    if name == REFERENCE_DELAY:
-        return "s", "how much later the controller was given its reference than is recorded"
-    if name in PARAMETER_INFO:
-        return PARAMETER_INFO[name].unit or "1", PARAMETER_INFO[name].meaning
     block, _, own = name.partition("__")
     if block in (LEARNED_TORQUE, ENCODER_ERROR):
         what = block.replace("_", " ")
         if own.startswith("shift"):
             return "1", f"where the variable of the {what} is at the first sample, rad or s"
         return "rad" if block == ENCODER_ERROR else "N m", f"coefficient of the {what}: {own}"
-    if "__" in name:
-        item = declaration_of(name)
-        return item.unit or "1", f"{item.meaning} of {name.partition('__')[0]}"
-    return "rad", "load angle at the first sample, 0 hangs straight down"
+    meaning = OF_NO_BENCH.get(name) or declaration_of(name).meaning
+    return unit_of(name) or "1", f"{meaning} of {block}" if own else meaning
 
 
 def _unknown(*dims: str) -> Callable[[str], Variable]:

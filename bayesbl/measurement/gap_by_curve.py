@@ -153,7 +153,7 @@ def gaps(
         chosen, amplitude = draws.take(index), candidates[index]
         delta = chosen.gap(amplitude).reshape(chains, count)
         outside = curve.outside(amplitude).reshape(chains, count)
-        reasons = [Reason(CONTRADICTED).withholding] if contradiction else []
+        reasons = [Reason(CONTRADICTED)] if contradiction else []
         if not allow_extrapolation:
             reasons += _extrapolation(curve, outside, delta, level)
         result.append(
@@ -248,7 +248,7 @@ def _extrapolation(
         bound = max(float(np.quantile(delta_rad, level)), low)
     values = {"share": share, "low_rad": low, "high_rad": high, "level": level}
     values |= {"bound_rad": bound, "is_above": above}
-    return [Reason("beyond_curve", values, withholds=True)]
+    return [Reason("beyond_curve", values)]
 
 
 def _budget(chosen: CurveDraws, amplitude_rpm: FloatArray) -> dict[str, float]:

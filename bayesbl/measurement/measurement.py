@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain, repeat
 from typing import Any, Literal
 
@@ -120,6 +120,24 @@ UPPER_BOUND_LEVEL = 0.95
 """Of the one-sided bound that is given where a gap is not told from none."""
 
 
+OUTCOMES: Mapping[Outcome, str] = {
+    "converged": "",
+    "usable": """
+        sampling_doubt mended few_curve_draws by_amplitude_instead gap_not_told bench_lacks
+        allows_for_misfit negative_law play_not_told load_coasts""",
+    "withheld": """
+        sampling no_flank_change second_sampler ringing_contradicts_bench beyond_curve speed_unit
+        box_search_missed no_baseline other_speed other_rotation other_bench
+        recording_contradicts_bench repeats_beyond_noise unexplained sheet_contradicted
+        tolerance_decides gap_unseen start_unknown ramps_held nothing_told held_by_weight
+        skew_or_play positions_exchanged""",
+}
+"""Outcomes of an answer, the worst last, with the codes that bring it there, by whatever route.
+
+All other codes are of notes.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Reason:
     """Why an answer is withheld or limited, for :mod:`bayesbl.sentences` to say.
@@ -130,58 +148,43 @@ class Reason:
         A key of :data:`bayesbl.sentences.SENTENCES`.
     values
         Numbers and names that its sentence needs.
-    withholds
-        Whether it withholds the answer.
     """
 
     code: str
     values: Mapping[str, Any] = field(default_factory=dict)
-    withholds: bool = False
 
     @classmethod
-    def of_text(cls, code: str, text: str, *, withholds: bool = False) -> Reason:
+    def of_text(cls, code: str, text: str) -> Reason:
         """One that a room below has already put into a sentence."""
-        return cls(code, {"text": text}, withholds)
+        return cls(code, {"text": text})
+
+    @property
+    def withholds(self) -> bool:
+        """Whether it withholds the answer."""
+        return outcome_of([self]) == "withheld"
 
     @property
     def stored(self) -> dict[str, Any]:
         """As the summary holds it, without its sentence."""
         return {"code": self.code, **self.values}
 
-    @property
-    def withholding(self) -> Reason:
-        """The same, withholding the answer."""
-        return replace(self, withholds=True)
 
-
-def sampling_reasons(diagnostics: Diagnostics, *, withhold: bool) -> list[Reason]:
-    """Why draws are not simply converged, which may withhold the answer."""
+def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
+    """Why draws are not simply converged: failures withhold the answer, doubts limit it."""
     codes = chain([diagnostics.code], repeat("sampling"))
-    told = zip(codes, diagnostics.reasons, strict=False)
-    return [Reason.of_text(code, text, withholds=withhold) for code, text in told]
+    failed = zip(codes, diagnostics.failures, strict=False)
+    told = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
+    return [Reason.of_text(code, text) for code, text in told]
+
+
+def outcome_of(reasons: Iterable[Reason]) -> Outcome:
+    """Of an answer that has these."""
+    codes = {reason.code for reason in reasons}
+    return [o for o, bring in OUTCOMES.items() if o == "converged" or codes & {*bring.split()}][-1]
 
 
 NO_CURVE = Reason("no_curve")
 """There is no δ for want of a curve; the ringing alone is an answer."""
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """Whether an answer can be trusted.
-
-    Attributes
-    ----------
-    reasons
-        All that is to be known of the answer, the gravest first.
-    """
-
-    outcome: Outcome = "converged"
-    reasons: tuple[Reason, ...] = ()
-
-    @property
-    def withholding(self) -> tuple[Reason, ...]:
-        """Why the answer is withheld; empty where it is not."""
-        return tuple(reason for reason in self.reasons if reason.withholds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +196,8 @@ class Answer:
     delta_rad
         Draws of δ, shape (chain, draw), paired by draw between the answers of a measurement;
         ``None`` without a curve.
+    reasons
+        All that is to be known of the answer, the gravest first.
     groups
         What is stored of it, by name of the group.
     numbers
@@ -205,16 +210,26 @@ class Answer:
 
     name: str
     delta_rad: FloatArray | None
-    verdict: Verdict = Verdict()
+    reasons: Sequence[Reason] = ()
     groups: Mapping[str, xr.Dataset] = field(default_factory=dict)
     numbers: Mapping[str, Any] = field(default_factory=dict)
     model_check: JointCheck = field(default_factory=joint_check)
     upper_bound_rad: float | None = None
 
     @property
+    def outcome(self) -> Outcome:
+        """Whether it can be trusted."""
+        return outcome_of(self.reasons)
+
+    @property
+    def withholding(self) -> list[Reason]:
+        """Why it is withheld; empty where it is not."""
+        return [reason for reason in self.reasons if reason.withholds]
+
+    @property
     def is_withheld(self) -> bool:
         """Whether δ must not be read."""
-        return bool(self.verdict.withholding)
+        return self.outcome == "withheld"
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,8 +285,7 @@ class Measurement:
         """
         if self.change_reason is not None:
             return "withheld"
-        ordered: list[Outcome] = ["converged", "usable", "withheld"]
-        worst = max((answer.verdict.outcome for answer in self.answers), key=ordered.index)
+        worst = outcome_of(reason for answer in self.answers for reason in answer.reasons)
         return "no_curve" if self.without_gap and worst != "withheld" else worst
 
     @property

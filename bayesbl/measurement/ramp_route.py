@@ -38,7 +38,7 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Task,
-    Verdict,
+    outcome_of,
     sampler_of,
     sampling_reasons,
     upper_bound,
@@ -59,7 +59,7 @@ from bayesbl.ramps.torque_cycles import Cycle, Ramps, find_ramps, left_rad
 from bayesbl.recording.checks import require_alive, require_channels
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, FloatArray, Recording, Source
-from bayesbl.results.variables import Group, dataset, table
+from bayesbl.results.variables import Group, attributes, columns, dataset, table
 
 HELD = 4.0
 """Times ``held_windup_rad`` that ramps leave beyond the dead zone, at most.
@@ -303,10 +303,9 @@ class RampMeasurer(Measurer):
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
         why = against(flanks)
-        outcome = "withheld" if why is not None else play.diagnostics.outcome
-        withheld = outcome == "withheld"
         reasons = [why] if why else []
-        reasons += sampling_reasons(play.diagnostics, withhold=withheld)
+        reasons += sampling_reasons(play.diagnostics)
+        withheld = outcome_of(reasons) == "withheld"
         given = self.config.joint.gear_ratio is not None
         reasons += notes_on(files, flanks, draws, ratio_given=given, elsewhere=elsewhere)
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
@@ -315,9 +314,9 @@ class RampMeasurer(Measurer):
         answer = Answer(
             recording.name,
             gap,
-            Verdict(outcome, tuple(reasons)),
+            reasons,
             groups,
-            _numbers(flanks, stated_nm, groups, self.config.interval, is_withheld=withheld),
+            _numbers(flanks, groups, self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if told_from_none or withheld else upper_bound(gap),
         )
         return answer, HeldCompliance(draws, found)
@@ -365,7 +364,7 @@ def against(flanks: Flanks) -> Reason | None:
         "needed_nm": flanks.needed_nm,
         "friction_nm": level.friction_nm,
     }
-    return Reason("ramps_held", values, withholds=True)
+    return Reason("ramps_held", values)
 
 
 def notes_on(
@@ -433,7 +432,6 @@ def _on_positions(files: Sequence[Ramps], flanks: Flanks, *, elsewhere: bool) ->
 
 def _numbers(
     flanks: Flanks,
-    stated_nm: float,
     groups: Mapping[str, xr.Dataset],
     of: IntervalConfig,
     *,
@@ -449,11 +447,9 @@ def _numbers(
     used = [file for file in level.files if file]
     return {
         **{name: found[name] for name in QUANTITIES},
-        "lost_motion_torque_nm": stated_nm,
+        **{str(n): float(v) for n, v in groups["cycles"].items() if not v.dims},
         "preload_torque_nm": found.get(PRELOAD),
         "preloaded": flanks.probability_of_play <= 0.5 and not is_withheld,
-        "probability_of_play": flanks.probability_of_play,
-        "relative_compliance": flanks.relative_compliance,
         "ramps": {
             "positions": len(used),
             "cycles": len(level.cycles),
@@ -736,15 +732,13 @@ def ramp_groups(
 def _cycles(files: Sequence[Ramps], flanks: Flanks, stated_nm: float) -> xr.Dataset:
     used = [] if flanks.level is None else flanks.level.cycles
     each = [(n, c) for n, file in enumerate(files) for c in file.cycles]
-    names = ("amplitude_nm", "width_rad", "range_rad", "elastic_nm", "friction_nm")
     return dataset(
         CYCLES,
         {
+            **columns(CYCLES, [cycle for _, cycle in each]),
+            **attributes(CYCLES, flanks),
             "file": np.array([n for n, _ in each], dtype=float),
-            **{name: np.array([getattr(c, name) for _, c in each]) for name in names},
             "used": np.array([any(c is other for other in used) for _, c in each], dtype=float),
-            "relative_compliance": flanks.relative_compliance,
-            "probability_of_play": flanks.probability_of_play,
             "lost_motion_torque_nm": stated_nm,
         },
     )

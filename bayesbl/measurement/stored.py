@@ -133,7 +133,7 @@ def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
     """Why answers are withheld: each reason once, with the recordings that it holds for."""
     found: dict[str, tuple[Reason, list[str]]] = {}
     for answer in measured.answers:
-        for reason in answer.verdict.withholding:
+        for reason in answer.withholding:
             found.setdefault(json_text(reason.stored), (reason, []))[1].append(answer.name)
     reasons = [
         reason.stored | ({} if len(names) == len(measured.answers) else {"recordings": names})
@@ -160,7 +160,7 @@ def _answered(measured: Measurement, number: int, config: SnapshotConfig) -> dic
 
 
 def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[str, Any]:
-    withholding = [reason.stored for reason in answer.verdict.withholding]
+    withholding = [reason.stored for reason in answer.withholding]
     given = None if answer.is_withheld else answer.delta_rad
     common = common_numbers(answer.groups)
     no_noise_of_speed = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
@@ -176,10 +176,9 @@ def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[
         "delta_upper_bound_rad": answer.upper_bound_rad,
         "diagnostics": {
             **common["diagnostics"],
-            "outcome": answer.verdict.outcome,
+            "outcome": answer.outcome,
             "reasons": [
-                {**reason.stored, "withholds": reason.withholds}
-                for reason in answer.verdict.reasons
+                {**reason.stored, "withholds": reason.withholds} for reason in answer.reasons
             ],
         },
         "reason": one_of(withholding),

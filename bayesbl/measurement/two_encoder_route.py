@@ -22,7 +22,7 @@ from bayesbl.measurement.measurement import (
     Measurer,
     Reason,
     Task,
-    Verdict,
+    outcome_of,
 )
 from bayesbl.progress import of_stage
 from bayesbl.recording.checks import require_alive, require_channels
@@ -35,8 +35,8 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.intervals import interval
-from bayesbl.results.variables import Group, dataset, table
-from bayesbl.sampling.convergence import Diagnostics, Outcome, rank_r_hat_and_ess
+from bayesbl.results.variables import Group, attributes, dataset, table
+from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission, hidden_rad
 
@@ -109,8 +109,6 @@ TRANSMISSION = Group(
 )
 
 GROUPS = (POSTERIOR, *shared.OF_EVERY_ROUTE, TRANSMISSION)
-
-SCALARS = ("probability_of_play", "counted", "reversals")
 
 QUANTITIES = (
     "play_rad",
@@ -203,17 +201,15 @@ class TwoEncoderMeasurer(Measurer):
     def _answer(self, recording: Recording, found: Transmission) -> Answer:
         # The gravest first.
         reasons = sorted(self._findings(found), key=lambda reason: not reason.withholds)
-        withheld = any(reason.withholds for reason in reasons)
+        withheld = outcome_of(reasons) == "withheld"
         sure = found.probability_of_play >= UPPER_BOUND_LEVEL
-        sound = sure and not _misfit_lasts(found)
-        outcome: Outcome = "withheld" if withheld else "converged" if sound else "usable"
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
         groups = groups_of(found, recording, at_output=self._is_at_output(found))
         upper = upper_bound_rad(found)
         return Answer(
             recording.name,
             found.draws["delta_rad"],
-            Verdict(outcome, tuple(reasons)),
+            reasons,
             groups,
             _numbers(found, groups["posterior"], self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if sure or withheld else upper,
@@ -231,7 +227,7 @@ class TwoEncoderMeasurer(Measurer):
         lost_track = float(np.std(found.draws["channel_skew_s"])) > LONGEST_SKEW_S
         if lost_track or found.probability_of_play < UPPER_BOUND_LEVEL:
             if lost_track or upper > TOO_WIDE * float(np.ptp(found.position_rad)):
-                yield Reason("nothing_told", {"upper_mrad": 1e3 * upper}, withholds=True)
+                yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
             else:
                 yield Reason(
                     "play_not_told",
@@ -242,10 +238,10 @@ class TwoEncoderMeasurer(Measurer):
                     },
                 )
         if found.gravity_holds > HELD_BY_WEIGHT and found.probability_of_play < UPPER_BOUND_LEVEL:
-            yield Reason("held_by_weight", {"share": found.gravity_holds}, withholds=True)
+            yield Reason("held_by_weight", {"share": found.gravity_holds})
         if found.skew_or_play:
             skew_ms = 1e3 * float(np.median(found.draws["channel_skew_s"]))
-            yield Reason("skew_or_play", {"skew_ms": skew_ms}, withholds=True)
+            yield Reason("skew_or_play", {"skew_ms": skew_ms})
         if found.reversals < FEW_REVERSALS:
             yield Reason("few_reversals", {"count": found.reversals})
         if found.friction_nm is None:
@@ -258,7 +254,7 @@ class TwoEncoderMeasurer(Measurer):
             middle = float(np.median(seen))
             if abs(np.log(middle * stated)) < SAME_RATIO < abs(np.log(stated)):
                 values = {"stated": stated, "seen": middle}
-                yield Reason("positions_exchanged", values, withholds=True)
+                yield Reason("positions_exchanged", values)
             elif self._is_at_output(found):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):
@@ -331,14 +327,11 @@ def groups_of(
         "transmission": dataset(
             TRANSMISSION,
             {
-                "position_rad": found.position_rad,
+                **attributes(TRANSMISSION, found),
                 "forward": (found.paths.binned(found.paths.speed) > 0.0).astype(float),
-                "lag_rad": found.lag_rad,
                 "model_rad": found.modelled_rad,
-                "curve_rad": found.curve_rad,
                 "harmonic_order": np.array([float(n) for _, n in found.harmonics]),
                 "harmonic_of_load": np.array([float(s == "load") for s, _ in found.harmonics]),
-                **{name: float(getattr(found, name)) for name in SCALARS},
                 "noise_sd_rad": noise.white_rad,
                 "drift_sd_rad": noise.drift_rad,
                 "drift_s": noise.drift_s,
@@ -351,7 +344,7 @@ def _sampled(found: Transmission) -> Diagnostics:
     """Of draws that are independent of one another."""
     chains, draws = found.draws["lost_motion_rad"].shape
     r_hat, ess = rank_r_hat_and_ess({"lost_motion_rad": found.draws["lost_motion_rad"]})
-    return Diagnostics(r_hat, ess, 1.0, draws, np.ones(chains), "converged", ())
+    return Diagnostics(r_hat, ess, 1.0, draws, np.ones(chains))
 
 
 def _budget(found: Transmission) -> dict[str, float]:

@@ -39,10 +39,9 @@ are
 each a median with the standard deviation of its logarithm. With two dates they alone say how wide a
 forecast is, and with any number how soon wear may change that was steady so far.
 
-**Stored.** Group :data:`WEAR` of ``result.nc``: ``date`` of every snapshot, whether it is ``used``
-(taken since the last repair), and the draws of :class:`bayesbl.measurement.wear.Wear`, where there
-is a rate. Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with
-``drift_widens`` where the gaps drift, ``width_over_prior`` of the date.
+**Stored.** :data:`DATES` and, where there is a rate, :data:`WEAR` as one group of ``result.nc``.
+Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with ``drift_widens``
+where the gaps drift, ``width_over_prior`` of the date.
 
 ``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.
@@ -69,7 +68,7 @@ from bayesbl.measurement.summary_types import RateInterval, WearSummary
 from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
-from bayesbl.results.variables import Group, attributes, dataset, table
+from bayesbl.results.variables import Group, dataset, table
 
 HAZARD = 1.5
 """Changes of regime to be expected while the age grows e-fold."""
@@ -258,45 +257,39 @@ _SMOOTH = 1e4
 """More jumps than this between the gap and its limit are as good as none."""
 
 
-@dataclass(frozen=True, slots=True)
-class Wear:
-    """Wear of one joint since its last repair; arrays have the shape (chain, draw) of the gaps.
+WEAR = Group(
+    "wear",
+    table("""
+        law (chain, draw) | 1 | kind of the law at the last snapshot, from 0
+        law_shape (law_parameter, chain, draw) | 1 | age, starts, exponents, factors of the law
+        first_rad (chain, draw) | rad | gap at the first snapshot in use, from all of them
+        current_rad (chain, draw) | rad | gap at the last snapshot, from all of them
+        expected_growth_rad (chain, draw) | rad | mean growth between them by the law
+        rate_now_rad_per_year (chain, draw) | rad/year | rate at the last snapshot by the law
+        scatter_rad_per_root_year (chain, draw) | rad/year^0.5 | irregular wear
+        trend_rad_per_year (chain, draw) | rad/year | slope of a straight line, of either sign
+        years_to_limit? (chain, draw) | year | time from the last snapshot to the limit
+        changes_ahead? (chain, draw) | 1 | 1 where wear changes before the limit is reached
+    """),
+)
+"""Wear of one joint since its last repair; chains and draws are those of the gaps.
 
-    Attributes
-    ----------
-    law
-        Number of its kind at the last snapshot in :data:`bayesbl.measurement.wear.KINDS`.
-    law_shape
-        :attr:`bayesbl.measurement.wear.Laws.rows`, (law_parameter, chain, draw).
-    first_rad, current_rad
-        Gap at the first and at the last snapshot, given all of them.
-    expected_growth_rad
-        Δ, the mean growth over the span by the law.
-    rate_now_rad_per_year
-        Mean rate by the law at the last snapshot.
-    scatter_rad_per_root_year
-        σ over the root of the span.
-    years_to_limit
-        From the last snapshot until δ first reaches the limit, 0 where it has, at most
-        ``LONGEST_YEARS``; ``None`` without a limit.
-    changes_ahead
-        1 where wear changes between the last snapshot and the limit, which nothing measured can
-        show; ``None`` without a limit.
-    width_over_prior
-        Width of the 90 % interval of ln years_to_limit over that with the same gap and mean rate
-        but laws as believed beforehand; ``None`` where hardly a draw has the limit ahead.
-    """
+``law`` is a number in :data:`KINDS`, ``law_shape`` is :attr:`Laws.rows`, ``expected_growth_rad`` Δ,
+and ``scatter_rad_per_root_year`` σ over the root of the span. ``years_to_limit`` is 0 where δ is
+beyond the limit, at most ``LONGEST_YEARS``; it and ``changes_ahead``, which nothing measured can
+show, are there where there is a limit. The attribute ``width_over_prior`` is the width of the 90 %
+interval of ln years_to_limit over that with the same gap and mean rate but laws as believed
+beforehand; it is missing where hardly a draw has the limit ahead.
+"""
 
-    law: NDArray[np.int_]
-    law_shape: FloatArray
-    first_rad: FloatArray
-    current_rad: FloatArray
-    expected_growth_rad: FloatArray
-    rate_now_rad_per_year: FloatArray
-    scatter_rad_per_root_year: FloatArray
-    years_to_limit: FloatArray | None
-    changes_ahead: FloatArray | None
-    width_over_prior: float | None
+DATES = Group(
+    WEAR.name,
+    table("""
+        date (dated) | text | date of snapshot
+        used (dated) | 1 | 1 where taken since the last repair
+    """),
+)
+"""What the group :data:`WEAR` holds of dated snapshots, whether there is a rate or not."""
 
 
 def fall(delta_rad: FloatArray) -> tuple[int, float, float] | None:
@@ -344,10 +337,11 @@ def wear(
     *,
     limit_rad: float | None = None,
     age_years: float | None = None,
-) -> Wear | None:
-    """Law, rate, present gap and time to the limit from snapshots without a repair between them.
+) -> xr.Dataset | None:
+    """Law, rate, present gap and time to the limit, from snapshots without a repair between them.
 
-    ``None`` where less than ``LEAST_SHARE_GROWING`` of the draws grow: the gap shrank.
+    As group :data:`WEAR`; ``None`` where less than ``LEAST_SHARE_GROWING`` of the draws grow: the
+    gap shrank.
 
     Parameters
     ----------
@@ -386,32 +380,32 @@ def wear(
     place[np.setdiff1d(place, grows)] = generator.choice(grows, count - grows.size)
     laws = problem.laws(normal[:, place]).and_ahead(generator)
     first, growth, current, scatter = (x[place] for x in (first, growth, current, scatter))
-    years_to_limit, changes_ahead, width = None, None, None
+    before = np.full(count, 1.0 - 1e-3)
+    values = {
+        "law": laws.kind(),
+        "law_shape": laws.rows,
+        "first_rad": first,
+        "current_rad": current,
+        "expected_growth_rad": growth,
+        "rate_now_rad_per_year": growth * (1.0 - laws.grown(before)) / (1e-3 * span),
+        "scatter_rad_per_root_year": scatter / np.sqrt(span),
+    }
+    attrs = {}
     if limit_rad is not None:
         needed = _growth_needed(limit_rad - current, scatter**2 / growth, generator)
         believed = problem.laws(generator.standard_normal(normal.shape)).and_ahead(generator)
         longest = 1.0 + LONGEST_YEARS / span
         spans, prior = (x.time_of(1.0 + needed / growth, longest) for x in (laws, believed))
         is_ahead = needed > 0.0
-        years_to_limit = np.where(is_ahead, span * (spans - 1.0), 0.0)
-        changes_ahead = np.where(is_ahead & laws.changes_before(spans), 1.0, 0.0)
+        values["years_to_limit"] = np.where(is_ahead, span * (spans - 1.0), 0.0)
+        values["changes_ahead"] = np.where(is_ahead & laws.changes_before(spans), 1.0, 0.0)
         if is_ahead.mean() > LEAST_SHARE_GROWING:
             width = _log_width(spans[is_ahead] - 1.0) / _log_width(prior[is_ahead] - 1.0)
-    before = np.full(count, 1.0 - 1e-3)
-    rate = growth * (1.0 - laws.grown(before)) / (1e-3 * span)
-    dims = delta_rad.shape[1:]
-    return Wear(
-        laws.kind().reshape(dims),
-        laws.rows.reshape(-1, *dims),
-        first.reshape(dims),
-        current.reshape(dims),
-        growth.reshape(dims),
-        rate.reshape(dims),
-        (scatter / np.sqrt(span)).reshape(dims),
-        None if years_to_limit is None else years_to_limit.reshape(dims),
-        None if changes_ahead is None else changes_ahead.reshape(dims),
-        width,
-    )
+            attrs["width_over_prior"] = width
+    draws = delta_rad.shape[1:]
+    values = {name: v.reshape(*v.shape[:-1], *draws) for name, v in values.items()}
+    values["trend_rad_per_year"] = trend(delta_rad, years)
+    return dataset(WEAR, values).assign_attrs(attrs)
 
 
 def _log_width(times: FloatArray) -> float:
@@ -577,32 +571,13 @@ def date_after(first: Date, years: float) -> Date | None:
     return first + timedelta(days=round(years * DAYS_PER_YEAR))
 
 
-WEAR = Group(
-    "wear",
-    table("""
-        date (dated) | text | date of snapshot
-        used (dated) | 1 | 1 where taken since the last repair
-        trend_rad_per_year? (chain, draw) | rad/year | slope of a straight line, of either sign
-        law? (chain, draw) | 1 | kind of the law at the last snapshot, from 0
-        law_shape? (law_parameter, chain, draw) | 1 | age, starts, exponents, factors of the law
-        first_rad? (chain, draw) | rad | gap at the first snapshot in use, from all of them
-        current_rad? (chain, draw) | rad | gap at the last snapshot, from all of them
-        expected_growth_rad? (chain, draw) | rad | mean growth between them by the law
-        rate_now_rad_per_year? (chain, draw) | rad/year | rate at the last snapshot by the law
-        scatter_rad_per_root_year? (chain, draw) | rad/year^0.5 | irregular wear
-        years_to_limit? (chain, draw) | year | time from the last snapshot to the limit
-        changes_ahead? (chain, draw) | 1 | 1 where wear changes before the limit is reached
-    """),
-)
-
-
 def wear_of(
     config: CompareConfig,
     answers: Sequence[Answer],
     seed: np.random.SeedSequence,
     change_reason: Reason | None = None,
 ) -> tuple[xr.Dataset | None, Reason | None]:
-    """Group :data:`WEAR` of a comparison, and why it has no rate.
+    """Group :data:`WEAR` of a comparison, with its :data:`DATES`, and why it has no rate.
 
     ``None`` where not every recording has a date. ``change_reason`` is why the change of the gap is
     withheld, which withholds its rate too.
@@ -612,7 +587,9 @@ def wear_of(
         return None, None
     used = since_repair([recording.repaired for recording in config.recordings])
     since, chosen = dates[used], answers[used]
-    group = wear_group(dates, used)
+    taken = np.zeros(len(dates))
+    taken[used] = 1.0
+    group = dataset(DATES, {"date": [d.isoformat() for d in dates], "used": taken})
     if config.joint.decide_before is not None:
         group.attrs["decide_before"] = config.joint.decide_before.isoformat()
     if since[0] == since[-1]:
@@ -636,13 +613,12 @@ def wear_of(
     found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
     if found is None:
         return group, Reason("gap_shrank")
-    slope = trend(drawn, years)
-    group = wear_group(dates, used, found, slope).assign_attrs(group.attrs)
-    if found.width_over_prior is not None:
-        group.attrs["width_over_prior"] = found.width_over_prior
+    group = group.merge(found).assign_attrs({**group.attrs, **found.attrs})
     if config.wear.relative_sd_per_date > 0.0:
         group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
-        group.attrs["drift_widens"] = float(slope.std() / trend(measured, years).std())
+        group.attrs["drift_widens"] = float(
+            trend(drawn, years).std() / trend(measured, years).std()
+        )
     return group, None
 
 
@@ -652,19 +628,6 @@ def _drifting(
     """Draws of gaps that temperature, grease and the like may have moved, each date by itself."""
     moved = np.random.default_rng(seed).standard_normal(delta_rad.shape)
     return np.asarray(delta_rad * np.exp(relative_sd * moved))
-
-
-def wear_group(
-    dates: Sequence[Date],
-    used: slice,
-    found: Wear | None = None,
-    slope_rad_per_year: FloatArray | None = None,
-) -> xr.Dataset:
-    """Group :data:`WEAR`; without ``found`` there is no rate."""
-    chosen = np.zeros(len(dates))
-    chosen[used] = 1.0
-    values = {"date": [d.isoformat() for d in dates], "used": chosen, **attributes(WEAR, found)}
-    return dataset(WEAR, values | {"trend_rad_per_year": slope_rad_per_year})
 
 
 def used_dates(group: xr.Dataset) -> list[Date]:

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effects import EFFECTS, effect_named, sampled_lateness_s, search_scale
+from bayesbl.bench.effects import EFFECTS, effect_named, parameters_on, sampled_lateness_s
 from bayesbl.bench.kernel import RPM, Slot
 from bayesbl.bench.parameters import (
     BENCH_PARAMETERS,
@@ -175,10 +175,7 @@ class Direction:
     @property
     def is_not_negative(self) -> bool:
         """Whether the simulator takes no negative size."""
-        name, _, parameter = self.slot.partition("__")
-        return bool(parameter) and any(
-            a.not_negative for a in effect_named(name).amplitudes if a.name == parameter
-        )
+        return simulated_range(self.slot)[0] >= 0.0
 
 
 def directions(bench: Bench, stated: Mapping[str, float]) -> list[Direction]:
@@ -236,8 +233,8 @@ def _directions(bench: Bench, stated: Mapping[str, float]) -> Iterator[Direction
 def _usual(bench: Bench, name: str) -> float:
     """Usual size of an effect."""
     effect = effect_named(name)
-    item = effect.main_amplitude
-    return search_scale(bench, effect, item) * abs(item.typical)
+    main = effect.main_amplitude.name
+    return next(abs(p.typical) for p in parameters_on(bench, effect) if p.name == main)
 
 
 def _stated_sd(effect: BenchEffect, name: str) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import PHASE, Effect, EffectParameter, Resonance, Role
-from bayesbl.bench.effects import EFFECTS, effect_named, search_scale
+from bayesbl.bench.effects import EFFECTS, effect_named, parameters_on
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
@@ -104,16 +104,28 @@ class Candidate:
         """Of its unknowns, that no other candidate beside it may have."""
         return frozenset(unknown.key for unknown in self.unknowns)
 
-    @property
-    def law(self) -> tuple[str, str | None]:
-        """Name and recording."""
-        return self.name, self.recording
+    def bars(self, other: Candidate) -> bool:
+        """Whether another has no place beside it.
 
-    @property
-    def held_law(self) -> tuple[str, str | None] | None:
-        """The law that this one is, but for one term; ``None`` of most."""
+        It is the same, shares an unknown or is the same law but for one term; or its order is a
+        low multiple of this one's, and may be its harmonic: a real ripple has several orders, a
+        bench one of each effect, so beside it another effect at a harmonic has no rival and would
+        be named whatever it is.
+        """
+        order, own = other.order, self.order
+        return (
+            other.label == self.label
+            or bool(self.unknown_keys & other.unknown_keys)
+            or self._holds(other)
+            or other._holds(self)
+            or (order is not None and own is not None and order / own in HARMONICS)
+        )
+
+    def _holds(self, other: Candidate) -> bool:
+        """Whether the other's law is this one but for one term."""
         law = effect_named(self.name).torque if self.kind == "effect" else None
-        return None if law is None or law.contains is None else (law.contains, self.recording)
+        same_place = other.recording == self.recording
+        return law is not None and law.contains == other.name and same_place
 
     @property
     def is_periodic(self) -> bool:
@@ -275,8 +287,7 @@ def candidates(
 
 
 def _plain(bench: Bench, effect: Effect) -> Candidate:
-    parameters = [p.scaled(search_scale(bench, effect, p)) for p in effect.parameters]
-    sought = [p for p in parameters if effect.sought_alone in (None, p.name)]
+    sought = [p for p in parameters_on(bench, effect) if effect.sought_alone in (None, p.name)]
     unknowns = tuple(_unknown(effect, p, _lowest(p), p.high) for p in sought)
     neutral = np.array([p.neutral for p in sought])
     candidate = Candidate(
@@ -285,7 +296,7 @@ def _plain(bench: Bench, effect: Effect) -> Candidate:
         unknowns,
         neutral,
         effect=_neutral_effect(effect),
-        usual=_usual(bench, effect, sought),
+        usual=_usual(sought),
     )
     if effect.resonance is not None:
         places = tuple(_resonances(bench, effect, effect.resonance))
@@ -344,14 +355,9 @@ def _near(
             yield unknown
 
 
-def _usual(bench: Bench, effect: Effect, parameters: Sequence[EffectParameter]) -> FloatArray:
-    """Usual sizes of an effect's parameters on a bench."""
-    return np.array(
-        [
-            abs(search_scale(bench, effect, p) * p.typical) if p.is_amplitude else math.nan
-            for p in parameters
-        ]
-    )
+def _usual(parameters: Sequence[EffectParameter]) -> FloatArray:
+    """Usual sizes of an effect's parameters, those of a bench."""
+    return np.array([abs(p.typical) if p.is_amplitude else math.nan for p in parameters])
 
 
 def _lowest(parameter: EffectParameter) -> float:
@@ -369,8 +375,7 @@ def _periodic(
     motor_angle_known: bool,
 ) -> list[Candidate]:
     """One candidate per whole order seen: what turns with the motor repeats with it."""
-    (amplitude,) = effect.amplitudes
-    amplitude = amplitude.scaled(search_scale(bench, effect, amplitude))
+    (amplitude,) = (p for p in parameters_on(bench, effect) if p.is_amplitude)
     owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
     hypotheses = []
     for order in peaks:
@@ -381,7 +386,7 @@ def _periodic(
         at_peak = _neutral_effect(effect, order=order)
         neutral = np.zeros(len(unknowns))
         usual = np.full(len(unknowns), math.nan)
-        usual[0] = _usual(bench, effect, [amplitude])[0]
+        usual[0] = abs(amplitude.typical)
         hypotheses.append(
             Candidate(effect.name, "effect", tuple(unknowns), neutral, effect=at_peak, usual=usual)
         )
@@ -416,13 +421,12 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
     effect = effect_named("motor_torque_offset")
     if any(present.name == effect.name for present in bench.effects):
         return None
-    (torque,) = effect.parameters
-    torque = torque.scaled(search_scale(bench, effect, torque))
+    (torque,) = parameters_on(bench, effect)
     name = f"{effect.name}__{torque.name}"
     unknowns = tuple(
         Unknown(name, torque.low, torque.high, recording=seen.name) for seen in recordings
     )
-    usual = np.repeat(_usual(bench, effect, [torque]), len(unknowns))
+    usual = np.repeat(abs(torque.typical), len(unknowns))
     return Candidate(
         effect.name,
         "effect",
@@ -431,13 +435,3 @@ def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | N
         effect=_neutral_effect(effect),
         usual=usual,
     )
-
-
-def is_harmonic(candidate: Candidate, present: Sequence[Candidate]) -> bool:
-    """Whether its order is a low multiple of that of something present, and may be its harmonic.
-
-    A real ripple has several orders, a bench one of each effect: beside it another effect at a
-    harmonic has no rival and would be named whatever it is.
-    """
-    order, orders = candidate.order, [other.order for other in present]
-    return order is not None and any(o is not None and order / o in HARMONICS for o in orders)

@@ -30,7 +30,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import GAP, SimulatedSignals
 from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside
-from bayesbl.model_search.catalogue import Candidate, is_harmonic, order_peaks
+from bayesbl.model_search.catalogue import Candidate, order_peaks
 from bayesbl.model_search.constants import (
     FORM_SHARE,
     HOPEFUL_SHARE,
@@ -363,7 +363,7 @@ class SetSearch:
         if rest.explains:
             return rest
         explanation = explanation.with_derivatives()
-        view, _ = self._linearised(explanation, tuple(self._open(explanation)))
+        view, _ = self._linearised(explanation, self._open(explanation))
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
@@ -423,7 +423,7 @@ class SetSearch:
         if is_known:
             self._explored.add(keys)
         explanation = base.explanation.with_derivatives()
-        view, shapes = self._linearised(explanation, tuple(self._open(explanation)))
+        view, shapes = self._linearised(explanation, self._open(explanation))
         offset = base.log_evidence - base.posterior.log_evidence
         labels = {c.label for c in self._candidates.values()}
         posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
@@ -455,18 +455,10 @@ class SetSearch:
             if fitted is not None:
                 self._add(fitted, base)
 
-    def _open(self, base: Explanation) -> Iterator[Candidate]:
+    def _open(self, base: Explanation) -> list[Candidate]:
         """What may stand beside a set."""
-        laws = {c.law for c in base.candidates}
-        held = {c.held_law for c in base.candidates}
-        taken = {key for c in base.candidates for key in c.unknown_keys}
-        for candidate in self._candidates.values():
-            if candidate.label in base.names or taken & candidate.unknown_keys:
-                continue
-            if candidate.law in held or candidate.held_law in laws:
-                continue
-            if not is_harmonic(candidate, base.candidates):
-                yield candidate
+        every = self._candidates.values()
+        return [c for c in every if not any(own.bars(c) for own in base.candidates)]
 
     def _add(self, explanation: Explanation, base: FittedSet | None = None) -> FittedSet:
         """A set with its evidence; the better one of two fits.
@@ -548,15 +540,17 @@ class SetSearch:
     def _excluded(self, candidate: Candidate) -> frozenset[str]:
         """Labels of what cannot stand beside a candidate."""
         names = {u.name for u in candidate.unknowns}
-        excluded = set()
-        for other in self._candidates.values():
-            shares = bool(candidate.unknown_keys & other.unknown_keys) or (
+        return frozenset(
+            other.label
+            for other in self._candidates.values()
+            if other.label != candidate.label
+            if candidate.bars(other)
+            # In all recordings and in one of them: as good as in two by themselves.
+            or (
                 None in (candidate.recording, other.recording)
-                and bool(names & {u.name for u in other.unknowns})
+                and names & {u.name for u in other.unknowns}
             )
-            if shares or other.law == candidate.held_law or is_harmonic(other, [candidate]):
-                excluded.add(other.label)
-        return frozenset(excluded - {candidate.label})
+        )
 
 
 def weighed(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from bayesbl.errors import ConfigError
+from bayesbl.units import unit_of
 
 AMPLITUDE = "amplitude_rpm"
 START = "start_time_s"
@@ -22,27 +23,31 @@ ROTATION = "rotation_period_s"
 
 @dataclass(frozen=True, slots=True)
 class Symbol:
-    """One symbol of the paper's eq. 6: its name here, in the paper, its unit and meaning."""
+    """One symbol of the paper's eq. 6: its name here and in the paper, and its meaning."""
 
     name: str
     paper: str
-    unit: str
     long_name: str
+
+    @property
+    def unit(self) -> str:
+        """As its name ends."""
+        return unit_of(self.name)
 
 
 SYMBOLS: Mapping[str, Symbol] = MappingProxyType(
     {
         s.name: s
         for s in (
-            Symbol(AMPLITUDE, "A", "rpm", "amplitude of the impact ringing"),
-            Symbol(START, "t_0", "s", "start of the first positive pulse"),
-            Symbol(DECAY, "τ", "1/s", "decay rate of the ringing"),
-            Symbol(FREQUENCY, "ω", "rad/s", "angular frequency of the ringing"),
-            Symbol(MEAN, "v_t", "rpm", "mean motor speed"),
-            Symbol(WINDOW_START, "t_1", "s", "start of the pulse window"),
-            Symbol(WINDOW_END, "t_2", "s", "end of the pulse window"),
-            Symbol(SEPARATION, "T", "s", "time from a negative pulse to the positive one after it"),
-            Symbol(ROTATION, "T_w", "s", "period of one load rotation"),
+            Symbol(AMPLITUDE, "A", "amplitude of the impact ringing"),
+            Symbol(START, "t_0", "start of the first positive pulse"),
+            Symbol(DECAY, "τ", "decay rate of the ringing"),
+            Symbol(FREQUENCY, "ω", "angular frequency of the ringing"),
+            Symbol(MEAN, "v_t", "mean motor speed"),
+            Symbol(WINDOW_START, "t_1", "start of the pulse window"),
+            Symbol(WINDOW_END, "t_2", "end of the pulse window"),
+            Symbol(SEPARATION, "T", "time from a negative pulse to the positive one after it"),
+            Symbol(ROTATION, "T_w", "period of one load rotation"),
         )
     }
 )

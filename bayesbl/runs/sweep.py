@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from typing import Literal, TypedDict
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -14,23 +14,22 @@ from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.curve.sweep import SweepRow, SweepSettings, degree_reports, swept_curve
+from bayesbl.curve.sweep import DegreeSummary, SweepRow, SweepSettings, degree_reports, swept_curve
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import (
-    GAP_CURVE,
+    CURVE,
     MOST_KEPT,
     SOURCE_PREFIX,
     STORE,
     SweepProblem,
     curve_group,
-    curve_to_dataset,
 )
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, attributes, columns, dataset, labels, table
+from bayesbl.results.variables import Group, attributes, dataset, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
@@ -116,14 +115,6 @@ def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
     return np.asarray(np.interp(gap_rad, curve.gap(grid), grid))
 
 
-class DegreeSummary(TypedDict):
-    """How well a polynomial of one degree describes the sweep."""
-
-    rms_departure: float
-    largest_departure: float
-    log_evidence: float
-
-
 class SweepSummary(Head):
     """``summary.json`` of a sweep."""
 
@@ -142,11 +133,11 @@ class SweepSummary(Head):
 def summarise(tree: xr.DataTree) -> SweepSummary:
     """``summary.json`` of a sweep."""
     sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
-    stored = tree["gap_curve"].to_dataset()
+    stored = tree[CURVE.name].to_dataset()
     return {
         "kind": "sweep",
         **head(tree),
-        "curve": tree["curve"].attrs["name"],
+        "curve": stored.attrs["name"],
         "coefficients": stored["coefficients"].values.tolist(),
         "degree": int(tree.attrs["degree"]),
         "gap_rad": [float(sweep["gap_rad"][0]), float(sweep["gap_rad"][-1])],
@@ -160,15 +151,13 @@ def summarise(tree: xr.DataTree) -> SweepSummary:
         "largest_departure_from_published": float(
             np.abs(sweep["amplitude_over_published"] - 1.0).max()
         ),
-        "degrees": {
-            str(int(d)): {
-                "rms_departure": float(degrees["rms_departure"].sel(degree=d)),
-                "largest_departure": float(degrees["largest_departure"].sel(degree=d)),
-                "log_evidence": float(degrees["log_evidence"].sel(degree=d)),
-            }
-            for d in degrees["degree"].values
-        },
+        "degrees": {str(int(d)): _of_degree(degrees.sel(degree=d)) for d in degrees["degree"]},
     }
+
+
+def _of_degree(stored: xr.Dataset) -> Any:
+    """The keys of :class:`DegreeSummary`."""
+    return {str(name): float(value) for name, value in stored.items()}
 
 
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
@@ -211,6 +200,8 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     rows.keep_latest(count=MOST_KEPT)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
+    degrees = degree_reports(nominal)
+    by_degree = np.transpose([[*of.values()] for of in degrees.values()])
     report = of_stage(options.progress, "Simulating bench draws")
     swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, report)
     # Of the sweep's sampling and the bench's speed.
@@ -234,10 +225,13 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     tree = xr.DataTree.from_dict(
         {
             "sweep": sweep_group(nominal, problem.model),
-            "degrees": dataset(DEGREES, columns(DEGREES, degree_reports(nominal))),
+            "degrees": dataset(
+                DEGREES,
+                dict(zip(DegreeSummary.__annotations__, by_degree, strict=True)),
+                {"degree": list(degrees)},
+            ),
             "examples": example_group(bench, problem.settings),
-            "curve": curve_group(curve, config.interval.level, band_seed),
-            GAP_CURVE.name: curve_to_dataset(curve),
+            CURVE.name: curve_group(curve, config.interval.level, band_seed),
         }
     )
     if swept is not None:

@@ -76,12 +76,10 @@ class Diagnostics:
         Steps each ensemble made after burn-in.
     acceptance
         Mean accepted share of proposals per ensemble, shape (e,).
-    outcome
-        ``converged``; ``usable`` with the warnings given; ``withheld`` where δ must not be used.
-    reasons
-        Why it is not simply converged, in sentences.
+    failures, doubts
+        Why δ must not be used, and why it is to be used with care, in sentences.
     code
-        Of the first of them, for programs.
+        Of the first failure, for programs.
     """
 
     r_hat: Mapping[str, float]
@@ -89,9 +87,19 @@ class Diagnostics:
     autocorrelation_steps: float
     steps: int
     acceptance: FloatArray
-    outcome: Outcome
-    reasons: tuple[str, ...]
+    failures: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     code: str = "sampling"
+
+    @property
+    def outcome(self) -> Outcome:
+        """``usable`` with the doubts given; ``withheld`` where δ must not be used."""
+        return "withheld" if self.failures else "usable" if self.doubts else "converged"
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why it is not simply converged, the gravest first."""
+        return self.failures + self.doubts
 
 
 def rank_r_hat_and_ess(
@@ -206,14 +214,13 @@ def judge(
             f"(probability {other_answer.share:.0%} against the chosen one). Record more "
             "rotations, or use a curve swept for this bench, which can tell them apart."
         )
-    outcome: Outcome = "withheld" if failures else "usable" if doubts else "converged"
     return Diagnostics(
         r_hat,
         ess_bulk,
         autocorrelation_steps,
         steps,
         acceptance,
-        outcome,
-        tuple(failures + doubts),
+        tuple(failures),
+        tuple(doubts),
         NoFlankChange.code if is_weak else "sampling",
     )

@@ -113,7 +113,7 @@ def without_variable(file: Open, rng: np.random.Generator) -> None:
 
 def answer_variables(file: Open) -> list[str]:
     """The numbers that an answer is made of."""
-    wanted = ("/posterior/", "/optimum/", "/change/", "/gap/", "/gap_curve/", "/wear/", "/row_")
+    wanted = ("/posterior/", "/optimum/", "/change/", "/gap/", "/curve/", "/wear/", "/row_")
     wanted += ("/diagnostics/",)
     found = [n for n in variables(file, "f") if any(part in f"/{n}" for part in wanted)]
     return found or variables(file, "f")

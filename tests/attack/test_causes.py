@@ -151,7 +151,7 @@ def test_a_changed_curve_is_refused(change: str, originals: Originals, findings:
         import h5py
 
         with h5py.File(originals.copy("sweep", place) / "result.nc", "r+") as file:
-            curve = file["gap_curve"]
+            curve = file["curve"]
             if change == "a variable missing":
                 del curve["coefficients"]
             elif change == "an answer NaN":

@@ -21,9 +21,9 @@ from bayesbl.config.loading import config_from_options, load_config
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.matching.observed import observed
-from bayesbl.measurement.amplitude_route import verdict
+from bayesbl.measurement.amplitude_route import reasons_of
 from bayesbl.measurement.compatibility import require_plausible_limit, same_files
-from bayesbl.measurement.curves import curve_from_dataset, curve_to_dataset
+from bayesbl.measurement.curves import curve_from_dataset, curve_group
 from bayesbl.measurement.measurement import Reason
 from bayesbl.recording.channels import MOTOR_SPEED
 from bayesbl.recording.checks import ready_for_fit, require_alive, speed_in_another_unit
@@ -195,24 +195,24 @@ def test_the_direct_route_asks_for_the_unit_too():
 
 
 def test_a_withheld_answer_asks_for_the_unit_before_all_else():
-    diagnostics = SimpleNamespace(outcome="converged", reasons=(), code="sampling")
+    diagnostics = SimpleNamespace(failures=(), doubts=(), code="sampling")
     point = SimpleNamespace(notes=(), recording=SimpleNamespace(notes=()))
     fit = SimpleNamespace(
         posterior=SimpleNamespace(diagnostics=diagnostics), check=None, point=point
     )
-    beyond = SimpleNamespace(notes=(), reasons=(Reason("beyond_curve", withholds=True),))
-    question = Reason.of_text("speed_unit", "Is the unit right?", withholds=True)
-    found = verdict(fit, beyond, question=question)
-    assert [reason.code for reason in found.withholding] == ["speed_unit", "beyond_curve"]
+    beyond = SimpleNamespace(notes=(), reasons=(Reason("beyond_curve"),))
+    question = Reason.of_text("speed_unit", "Is the unit right?")
+    found = reasons_of(fit, beyond, question=question)
+    assert [reason.code for reason in found] == ["speed_unit", "beyond_curve"]
     inside = SimpleNamespace(notes=(), reasons=())
-    assert verdict(fit, inside, question=question).reasons == ()
+    assert not reasons_of(fit, inside, question=question)
 
 
-def test_a_curve_keeps_its_speed_in_its_file():
-    curve = published_curve(draws=10)
-    assert curve_from_dataset(curve_to_dataset(curve), "x").reference_speed_rpm == 2000.0
-    unknown = replace(curve, reference_speed_rpm=None)
-    assert curve_from_dataset(curve_to_dataset(unknown), "x").reference_speed_rpm is None
+@pytest.mark.parametrize("speed_rpm", [2000.0, None])
+def test_a_curve_keeps_its_speed_in_its_file(speed_rpm):
+    curve = replace(published_curve(draws=10), reference_speed_rpm=speed_rpm)
+    stored = curve_group(curve, 0.9, np.random.SeedSequence(1))
+    assert curve_from_dataset(stored, "x").reference_speed_rpm == speed_rpm
 
 
 @pytest.mark.parametrize(

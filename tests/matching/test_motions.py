@@ -21,7 +21,7 @@ from bayesbl.matching.observed import observed
 from bayesbl.matching.planning import Strokes, ranked_motions
 from bayesbl.matching.predictive_check import disagreements
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
-from bayesbl.measurement.direct_route import direct_unknowns, direct_verdict, fit_directly
+from bayesbl.measurement.direct_route import direct_reasons, direct_unknowns, fit_directly
 from bayesbl.measurement.motion_verdict import unknown_start
 from bayesbl.noise.channel_noise import estimate_channel_noise, estimate_fast_noise
 from bayesbl.noise.process import NoiseModel
@@ -197,7 +197,7 @@ def test_a_reference_that_a_drive_holds_is_found_so() -> None:
     seed = np.random.SeedSequence(1)
     found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed)
     assert abs(z_of(found.posterior.fit)) < 4.0
-    assert any("held" in sentence(note.stored) for note in direct_verdict(found, 0).reasons)
+    assert any("held" in sentence(note.stored) for note in direct_reasons(found, 0))
 
 
 def test_what_begins_unknown_is_left_out() -> None:
@@ -231,9 +231,7 @@ def test_a_motion_without_a_change_of_flank_tells_no_gap() -> None:
     seed = np.random.SeedSequence(1)
     found = fit_directly(BENCH, [seen], RANGE_RAD, {}, sampler, seed)
     assert not flank_changes(found.posterior.fit, 0)
-    verdict = direct_verdict(found, 0)
-    assert verdict.outcome == "withheld"
-    (reason,) = verdict.withholding
+    (reason,) = (one for one in direct_reasons(found, 0) if one.withholds)
     assert reason.code == "gap_unseen"
     assert "never passes from one tooth flank" in sentence(reason.stored)
     assert "bayesbl plan" in sentence(reason.stored)

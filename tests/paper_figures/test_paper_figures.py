@@ -55,7 +55,7 @@ OF_DRAWS = {
     # Some 600 draws in the highest bin, half of them copies: 5 % each, over 88 bins.
     "shared_curve": {"density_per_mrad": 0.18, "interval_mrad": 0.012},
     "figure_6": {"*": 0.01},
-    "figure_8": {"curve/*": 3e-3, "gap_curve/*": 3e-3, "gap_curve/coefficients": 0.02},
+    "figure_8": {"curve/*": 3e-3, "curve/coefficients": 0.02},
     "figure_9": {
         "amplitude/predictive/low_rpm": 3e-3,
         "amplitude/predictive/high_rpm": 3e-3,

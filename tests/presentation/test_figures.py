@@ -359,7 +359,7 @@ def test_eq_4_is_shown_for_the_bench_that_it_was_made_for_alone(swept):
 def test_every_source_of_the_curve_has_its_band(swept):
     bands = source_bands(swept)
     assert set(bands) == {"regression", "lack_of_fit", "bench"}
-    stored = swept["gap_curve"]["source_bench"].values
+    stored = swept["curve"]["source_bench"].values
     inside = (100.0 * np.expm1(stored) >= bands["bench"][0]) & (
         100.0 * np.expm1(stored) <= bands["bench"][1]
     )
@@ -375,15 +375,15 @@ def test_every_source_of_the_curve_has_its_band(swept):
 
 def test_a_source_that_is_not_known_is_drawn_and_named_too(swept):
     more = swept.copy()
-    stored = swept["gap_curve"].to_dataset()
+    stored = swept["curve"].to_dataset()
     draws = stored["source_regression"].rename(draw_regression="draw_oil_warmth")
-    more["gap_curve"] = xr.DataTree(stored.assign(source_oil_warmth=draws))
+    more["curve"] = xr.DataTree(stored.assign(source_oil_warmth=draws))
     assert "oil warmth" in texts(curve(more))
 
 
 def test_departures_are_those_of_the_sweep_and_of_eq_4_from_the_curve(swept):
     departure = departures_from_curve(swept)
-    stored = curve_from_dataset(swept["gap_curve"].to_dataset(), "")
+    stored = curve_from_dataset(swept["curve"].to_dataset(), "")
     amplitude = swept["sweep"]["amplitude_rpm"].values
     back = stored.gap(amplitude) * (1.0 + departure / 100.0)
     assert np.allclose(back, swept["sweep"]["gap_rad"].values[:, None], rtol=1e-12)

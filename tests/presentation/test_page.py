@@ -21,7 +21,7 @@ from stored_measurement import judged
 import bayesbl
 from bayesbl import cli
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.measurement.wear import summarise_wear, trend, wear_group, years_between
+from bayesbl.measurement.wear import DATES, summarise_wear, years_between
 from bayesbl.measurement.wear import wear as wear_in_time
 from bayesbl.presentation import answer, words
 from bayesbl.presentation import wear as worn
@@ -30,6 +30,7 @@ from bayesbl.presentation.page.build import page, prose
 from bayesbl.presentation.result_object import result_of
 from bayesbl.presentation.subjects import SUBJECTS
 from bayesbl.results.store import read_tree, write_tree
+from bayesbl.results.variables import dataset
 from bayesbl.runs.kinds import summarise
 
 HOSTILE = "<script>alert('δ')</script> & \"July\""
@@ -435,7 +436,8 @@ def test_the_page_of_dated_snapshots_has_gap_rate_and_date_before_anything_else(
     gaps = tree["gap"]["delta_rad"].values
     years = np.array([years_between(days[0], day) for day in days])
     found = wear_in_time(gaps, years, np.random.SeedSequence(1), limit_rad=1.2e-3)
-    group = wear_group(days, slice(0, 2), found, trend(gaps, years))
+    dates = dataset(DATES, {"date": [day.isoformat() for day in days], "used": [1.0, 1.0]})
+    group = dates.merge(found)
     tree["wear"] = xr.DataTree(group)
     wear = summarise_wear(group, names, IntervalConfig(), 1.2e-3)
     tree.attrs["summary"] = json.dumps(summary | {"wear": {**wear, "reason": None}})

@@ -154,6 +154,11 @@ _POWERS = {
 """Of torque and speed in each unit."""
 
 
+def parameters_on(bench: Bench, effect: Effect) -> tuple[EffectParameter, ...]:
+    """An effect's parameters with the ranges, the grid and the usual sizes of a joint."""
+    return tuple(p.scaled(search_scale(bench, effect, p)) for p in effect.parameters)
+
+
 def search_scale(bench: Bench, effect: Effect, parameter: EffectParameter) -> float:
     """By what the range and the grid of a catalogue's parameter are multiplied on a bench, a pure
     number: 1 on the reference bench.

@@ -25,11 +25,7 @@ MOTOR_COULOMB_FRICTION = Effect(
     name="motor_coulomb_friction",
     sentence="Dry friction at the motor that does not depend on speed.",
     equation="J_m dω_m/dt: − T_c sign ω_m",
-    parameters=(
-        amplitude(
-            "torque_nm", "N m", "friction torque T_c", high=2.0, typical=0.2, not_negative=True
-        ),
-    ),
+    parameters=(amplitude("torque_nm", "friction torque T_c", high=2.0, typical=0.2),),
     enters="motor",
     depends_on=("direction",),
     data="constant current offset that changes sign with the direction",
@@ -48,16 +44,7 @@ MOTOR_VISCOUS_FRICTION = Effect(
     name="motor_viscous_friction",
     sentence="Friction at the motor in proportion to speed.",
     equation="J_m dω_m/dt: − b ω_m",
-    parameters=(
-        amplitude(
-            "coefficient_nm_s_per_rad",
-            "N m s/rad",
-            "coefficient b",
-            high=0.02,
-            typical=1e-3,
-            not_negative=True,
-        ),
-    ),
+    parameters=(amplitude("coefficient_nm_s_per_rad", "coefficient b", high=0.02, typical=1e-3),),
     enters="motor",
     depends_on=("speed",),
     data="current offset that grows with the reference speed; a little more damping of the ringing",
@@ -78,23 +65,9 @@ MOTOR_STRIBECK_FRICTION = Effect(
     sentence="Extra friction at low speed that fades as the lubricant film builds up.",
     equation="J_m dω_m/dt: − T_s exp(−(ω_m/ω_s)²) sign ω_m",
     parameters=(
-        amplitude(
-            "torque_nm",
-            "N m",
-            "extra torque at standstill T_s",
-            high=2.0,
-            typical=0.3,
-            not_negative=True,
-        ),
+        amplitude("torque_nm", "extra torque at standstill T_s", high=2.0, typical=0.3),
         shape(
-            "speed_rad_per_s",
-            "rad/s",
-            "fading speed ω_s",
-            low=1.0,
-            high=500.0,
-            neutral=50.0,
-            typical=200.0,
-            positive_scale=True,
+            "speed_rad_per_s", "fading speed ω_s", low=1.0, high=500.0, neutral=50.0, typical=200.0
         ),
     ),
     enters="motor",
@@ -124,14 +97,7 @@ MOTOR_QUADRATIC_DRAG = Effect(
     sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
     equation="J_m dω_m/dt: − c |ω_m| ω_m",
     parameters=(
-        amplitude(
-            "coefficient_nm_s2_per_rad2",
-            "N m s²/rad²",
-            "drag coefficient c",
-            high=1e-4,
-            typical=5e-6,
-            not_negative=True,
-        ),
+        amplitude("coefficient_nm_s2_per_rad2", "drag coefficient c", high=1e-4, typical=5e-6),
     ),
     enters="motor",
     depends_on=("speed",),
@@ -155,7 +121,6 @@ FRICTION_ASYMMETRY = Effect(
     parameters=(
         amplitude(
             "coefficient_nm_s_per_rad",
-            "N m s/rad",
             "half the difference of the coefficients, forward less reverse",
             low=-0.01,
             high=0.01,
@@ -184,10 +149,9 @@ FRICTION_DRIFT = Effect(
     sentence="Motor friction that changes during the recording as the joint warms up.",
     equation="J_m dω_m/dt: − (T₀ + r t) sign ω_m",
     parameters=(
-        amplitude("torque_nm", "N m", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1),
+        amplitude("torque_nm", "friction at the start T₀", low=-2.0, high=2.0, typical=0.1),
         amplitude(
             "rate_nm_per_s",
-            "N m/s",
             "change r",
             low=-0.05,
             high=0.05,
@@ -217,16 +181,7 @@ GEAR_MESH_FRICTION = Effect(
     name="gear_mesh_friction",
     sentence="Loss in the gear in proportion to the torque it passes on.",
     equation="J_m dω_m/dt: − μ |τ_s|/N sign ω_m",
-    parameters=(
-        amplitude(
-            "coefficient",
-            "",
-            "share of the torque lost μ",
-            high=0.5,
-            typical=0.05,
-            not_negative=True,
-        ),
-    ),
+    parameters=(amplitude("coefficient", "share of the torque lost μ", high=0.5, typical=0.05),),
     enters="motor",
     depends_on=("transmitted_torque", "direction"),
     data="current at twice the load rotation: more where gravity is lifted or held back",
@@ -247,11 +202,7 @@ LOAD_COULOMB_FRICTION = Effect(
     name="load_coulomb_friction",
     sentence="Dry friction at the load, beyond the gap.",
     equation="J_l dω_l/dt: − T_c sign ω_l",
-    parameters=(
-        amplitude(
-            "torque_nm", "N m", "friction torque T_c", high=200.0, typical=15.0, not_negative=True
-        ),
-    ),
+    parameters=(amplitude("torque_nm", "friction torque T_c", high=200.0, typical=15.0),),
     enters="load",
     depends_on=("direction",),
     data="pulses move away from half a rotation apart and change in size; current offset",
@@ -265,16 +216,7 @@ LOAD_VISCOUS_FRICTION = Effect(
     name="load_viscous_friction",
     sentence="Friction at the load in proportion to its speed.",
     equation="J_l dω_l/dt: − b ω_l",
-    parameters=(
-        amplitude(
-            "coefficient_nm_s_per_rad",
-            "N m s/rad",
-            "coefficient b",
-            high=100.0,
-            typical=10.0,
-            not_negative=True,
-        ),
-    ),
+    parameters=(amplitude("coefficient_nm_s_per_rad", "coefficient b", high=100.0, typical=10.0),),
     enters="load",
     depends_on=("speed",),
     data="as load Coulomb friction, in proportion to the reference speed",

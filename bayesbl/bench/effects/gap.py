@@ -26,15 +26,7 @@ BACKLASH = Effect(
     sentence="The gap itself, where the nominal bench has none.",
     equation="δ → δ + gap",
     parameters=(
-        amplitude(
-            "gap_rad",
-            "rad",
-            "half the clearance, at the load",
-            low=1e-4,
-            high=4e-3,
-            typical=4e-4,
-            not_negative=True,
-        ),
+        amplitude("gap_rad", "half the clearance, at the load", low=1e-4, high=4e-3, typical=4e-4),
     ),
     enters="shaft",
     depends_on=("twist",),
@@ -53,15 +45,7 @@ BACKLASH = Effect(
 
 
 def _share(name: str, meaning: str, typical: float) -> EffectParameter:
-    return amplitude(
-        name,
-        "",
-        meaning,
-        low=-0.5,
-        high=0.5,
-        typical=typical,
-        smaller_than=1.0,
-    )
+    return amplitude(name, meaning, low=-0.5, high=0.5, typical=typical, smaller_than=1.0)
 
 
 # Teeth that wear where they work, or run-out. δ is the mean over a load rotation; the shares are

@@ -15,11 +15,9 @@ from bayesbl.bench.effect_declaration import (
 
 _LAG = amplitude(
     "time_s",
-    "s",
     "time constant T",
     high=0.01,
     typical=1e-3,
-    not_negative=True,
     sought_from=2e-4,  # shorter ones hardly show and cost the simulator tiny steps
 )
 
@@ -73,16 +71,13 @@ SAMPLED_CONTROL = Effect(
     parameters=(
         amplitude(
             "period_s",
-            "s",
             "period T of the speed controller",
             high=4e-3,
             typical=1e-3,
-            not_negative=True,
             sought_from=1e-4,  # at the usual noise shorter ones do not show, and cost time
         ),
         shape(
             "delay_periods",
-            "",
             "computing and dead time d in periods",
             low=-1.0,
             high=128.0,  # 8 ms of a bus at 62.5 µs, the shortest period of a drive
@@ -95,7 +90,6 @@ SAMPLED_CONTROL = Effect(
         ),
         shape(
             "instant_share",
-            "",
             "share s of the speed that is read of the instant",
             high=1.0,
             typical=0.5,
@@ -113,7 +107,6 @@ _NOTHING: Law = lambda motion, bench, given: np.zeros_like(motion.speed)  # noqa
 def _skew(name: str, typical: float) -> EffectParameter:
     return amplitude(
         name,
-        "s",
         "time by which this channel lags the true signal",
         low=-0.01,
         high=0.01,
@@ -152,11 +145,9 @@ SPEED_AVERAGING = Effect(
     parameters=(
         amplitude(
             "time_s",
-            "s",
             "time T that the speed is averaged over",
             high=0.02,
             typical=4e-3,
-            not_negative=True,
             sought_from=2e-4,  # shorter ones do not show
         ),
     ),

@@ -31,7 +31,6 @@ GEAR_TRANSMISSION_ERROR = Effect(
     parameters=(
         amplitude(
             "angle_rad",
-            "rad",
             "amplitude a at the load",
             low=-1e-3,
             high=1e-3,
@@ -72,7 +71,6 @@ ENCODER_ECCENTRICITY = Effect(
     parameters=(
         amplitude(
             "angle_rad",
-            "rad",
             "amplitude e",
             low=-0.02,
             high=0.02,

@@ -16,9 +16,7 @@ STIFFNESS_HARDENING = Effect(
     name="stiffness_hardening",
     sentence="The shaft stiffens as it is wound up.",
     equation="τ_s + k₃ e³, e the compression beyond the gap",
-    parameters=(
-        amplitude("stiffness_nm_per_rad3", "N m/rad³", "k₃", low=-1e9, high=1e10, typical=1e9),
-    ),
+    parameters=(amplitude("stiffness_nm_per_rad3", "k₃", low=-1e9, high=1e10, typical=1e9),),
     enters="shaft",
     depends_on=("twist",),
     data="ringing faster under high load torque than under low",
@@ -38,7 +36,6 @@ CONTACT_EXPONENT = Effect(
     parameters=(
         amplitude(
             "excess",
-            "",
             "exponent of the flanks' torque over compression, less 1, m",
             low=-0.3,
             high=0.6,
@@ -60,16 +57,7 @@ CONTACT_SOFTNESS = Effect(
     name="contact_softness",
     sentence="The edges of the gap are soft.",
     equation="K_s max(0, |Δθ| − δ) → its mean over a logistic δ of variance v",
-    parameters=(
-        amplitude(
-            "variance_rad2",
-            "rad²",
-            "variance of the edge v",
-            high=1e-7,
-            typical=1e-9,
-            not_negative=True,
-        ),
-    ),
+    parameters=(amplitude("variance_rad2", "variance of the edge v", high=1e-7, typical=1e-9),),
     enters="shaft",
     depends_on=("twist",),
     data="impacts that begin softly, most beside a small gap",
@@ -86,12 +74,7 @@ CONTACT_DAMPING = Effect(
     equation="τ_s + λ K_s |e| ė, e the compression beyond the gap",
     parameters=(
         amplitude(
-            "factor_s_per_rad",
-            "s/rad",
-            "damping over stiffness and compression λ",
-            high=5.0,
-            typical=0.5,
-            not_negative=True,
+            "factor_s_per_rad", "damping over stiffness and compression λ", high=5.0, typical=0.5
         ),
     ),
     enters="shaft",
@@ -109,14 +92,7 @@ CONTACT_RELEASE = Effect(
     sentence="Teeth that part let go of one another.",
     equation="(1 − s) τ_s wherever τ_s pulls the flanks together",
     parameters=(
-        amplitude(
-            "share",
-            "",
-            "part of the pull that is not there s",
-            high=1.0,
-            typical=0.58,
-            not_negative=True,
-        ),
+        amplitude("share", "part of the pull that is not there s", high=1.0, typical=0.58),
     ),
     enters="shaft",
     depends_on=("twist",),
@@ -134,11 +110,9 @@ GAP_DAMPING = Effect(
     parameters=(
         amplitude(
             "coefficient_nm_s_per_rad",
-            "N m s/rad",
             "damping torque over twist speed d",
             high=1000.0,
             typical=10.0,
-            not_negative=True,
         ),
     ),
     enters="shaft",
@@ -158,7 +132,6 @@ FLANK_ASYMMETRY = Effect(
     parameters=(
         amplitude(
             "share",
-            "",
             "half the difference of the two stiffnesses over their mean a",
             low=-0.6,
             high=0.6,
@@ -195,16 +168,14 @@ SHAFT_HYSTERESIS = Effect(
     ),
     equation="τ_s + T z, dz/dt = (Δω/θ_p)(1 − z sign Δω), also inside the gap",
     parameters=(
-        amplitude("torque_nm", "N m", "friction torque T", high=200.0, typical=20.0),
+        amplitude("torque_nm", "friction torque T", high=200.0, typical=20.0),
         shape(
             "angle_rad",
-            "rad",
             "twist that builds it up θ_p",
             low=1e-5,
             high=1e-2,
             neutral=1e-3,
             typical=1e-3,
-            positive_scale=True,
         ),
     ),
     enters="shaft",
@@ -223,7 +194,6 @@ SHAFT_HYSTERESIS = Effect(
         usual=0.2,
         scanned="angle_rad",
         grid=tuple(np.geomspace(1e-5, 1e-2, 13)),
-        not_negative=True,
         bench_parameters=("shaft_stiffness_nm_per_rad",),
     ),
 )

@@ -7,19 +7,13 @@ from bayesbl.bench.effect_declaration import Effect, EffectParameter, Resonance,
 
 def _compliance(meaning: str, high: float, typical: float) -> EffectParameter:
     return amplitude(
-        "compliance_rad_per_nm",
-        "rad/(N m)",
-        f"{meaning}, one over its stiffness",
-        high=high,
-        typical=typical,
-        not_negative=True,
+        "compliance_rad_per_nm", f"{meaning}, one over its stiffness", high=high, typical=typical
     )
 
 
 def _damping(symbol: str, high: float, typical: float) -> EffectParameter:
     return shape(
         "damping_time_s",
-        "s",
         f"damping over stiffness {symbol}",
         high=high,
         typical=typical,
@@ -44,13 +38,11 @@ BELT = Effect(
         _damping("t_b", high=2e-3, typical=2e-4),
         shape(
             "reducer_share",
-            "",
             "share s of the motor's inertia that is behind the belt",
             low=0.05,
             high=0.95,
             typical=0.3,
             neutral=0.3,
-            positive_scale=True,
             bounded=True,
         ),
     ),
@@ -82,18 +74,15 @@ ARM = Effect(
         _damping("t_a", high=1e-2, typical=1e-3),
         shape(
             "inertia_share",
-            "",
             "share s of the load's inertia that is behind the spring",
             low=0.05,
             high=0.95,
             typical=0.4,
             neutral=0.4,
-            positive_scale=True,
             bounded=True,
         ),
         shape(
             "gravity_share",
-            "",
             "share g of gravity's torque that is behind the spring",
             high=1.0,
             typical=0.5,
@@ -128,13 +117,11 @@ BASE = Effect(
         _damping("t_f", high=1e-2, typical=1e-3),
         shape(
             "inertia_kg_m2",
-            "kg m²",
             "inertia of the base J_f about the joint's axis",
             low=0.05,
             high=1e4,
             typical=60.0,
             neutral=60.0,
-            positive_scale=True,
         ),
     ),
     enters="shaft",

@@ -24,7 +24,7 @@ MOTOR_TORQUE_OFFSET = Effect(
     equation="J_m dω_m/dt: − T",
     parameters=(
         amplitude(
-            "torque_nm", "N m", "torque against forward rotation T", low=-2.0, high=2.0, typical=0.2
+            "torque_nm", "torque against forward rotation T", low=-2.0, high=2.0, typical=0.2
         ),
     ),
     enters="motor",
@@ -46,12 +46,7 @@ LOAD_TORQUE_OFFSET = Effect(
     equation="J_l dω_l/dt: − T",
     parameters=(
         amplitude(
-            "torque_nm",
-            "N m",
-            "torque against forward rotation T",
-            low=-200.0,
-            high=200.0,
-            typical=15.0,
+            "torque_nm", "torque against forward rotation T", low=-200.0, high=200.0, typical=15.0
         ),
     ),
     enters="load",
@@ -72,9 +67,7 @@ GRAVITY_PHASE = Effect(
     sentence="Gravity's direction is not where the load angle's zero says.",
     equation="J_l dω_l/dt: − m_c cos θ_l",
     parameters=(
-        amplitude(
-            "torque_nm", "N m", "torque at θ_l = 0, m_c", low=-200.0, high=200.0, typical=30.0
-        ),
+        amplitude("torque_nm", "torque at θ_l = 0, m_c", low=-200.0, high=200.0, typical=30.0),
     ),
     enters="load",
     depends_on=("load_angle",),
@@ -98,13 +91,7 @@ MOTOR_TORQUE_RIPPLE = Effect(
     equation="J_m dω_m/dt: − a sin(n θ_m + φ)",
     parameters=(
         amplitude(
-            "torque_nm",
-            "N m",
-            "amplitude a",
-            low=-1.0,
-            high=1.0,
-            typical=0.05,
-            repeats="whole_orders",
+            "torque_nm", "amplitude a", low=-1.0, high=1.0, typical=0.05, repeats="whole_orders"
         ),
         order(typical=6.0),
         phase(typical=0.7),

@@ -299,7 +299,7 @@ class FreeMotionView:
             shared[WIDTH] = (start.get(WIDTH, first), low, high)
         for name in effects:
             for item in effect_named(name).parameters:
-                lower = 0.0 if TORQUE_LAWS[name].not_negative else -np.inf
+                lower = 0.0 if item.not_negative else -np.inf
                 upper = np.inf if item.unit else item.high
                 if not item.is_amplitude:
                     lower, upper = (share * self._speed for share in SHAPE_RANGE)

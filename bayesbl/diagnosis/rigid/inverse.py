@@ -16,7 +16,7 @@ of the recordings' own, so that a machine of any size has the same answer.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -27,7 +27,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
-from bayesbl.bench.effect_declaration import ORDER, PHASE, Effect, RigidLaw, direction
+from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw, direction
 from bayesbl.bench.effects import EFFECTS, effect_named
 from bayesbl.bench.kernel import LEARNED_HARMONICS
 from bayesbl.bench.learned import Variable, variable_of
@@ -97,21 +97,14 @@ SKEW = "channel_time_skew"
 TORQUE_CONSTANT = "torque_constant_nm_per_a"
 
 
-def _laws(every: Iterable[tuple[Effect, RigidLaw | None]]) -> Mapping[str, RigidLaw]:
-    """Laws by the names of their effects; an amplitude that is never negative stays so here."""
-    found = {}
-    for effect, law in every:
-        if law is not None:
-            amplitude = effect.parameter(law.amplitude)
-            not_negative = law.not_negative or amplitude.not_negative
-            found[effect.name] = replace(law, not_negative=not_negative)
-    return MappingProxyType(found)
-
-
-TORQUE_LAWS = _laws((effect, effect.torque) for effect in EFFECTS)
+TORQUE_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
+    {effect.name: effect.torque for effect in EFFECTS if effect.torque is not None}
+)
 """Of effects in the torque at the motor, N m."""
 
-POSITION_LAWS = _laws((effect, effect.position) for effect in EFFECTS)
+POSITION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
+    {effect.name: effect.position for effect in EFFECTS if effect.position is not None}
+)
 """Of effects in the load's position for a given motor position, rad."""
 
 

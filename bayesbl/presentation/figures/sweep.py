@@ -44,7 +44,7 @@ _FILLS: Mapping[str, str] = {
     "they apply, the tolerances' share and eq. 4; last, the distance of the sweep's points from "
     "the curve.",
     50,
-    holding("gap_curve", "sweep"),
+    holding("curve", "sweep"),
 )
 def curve(tree: xr.DataTree) -> Figure:
     """δ on A, and relative departures from the curve: the sweep's, wide sources', eq. 4's."""
@@ -91,7 +91,8 @@ def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
     -------
     Source to lower and upper bound at the knots, each (g,), in percent of the curve.
     """
-    stored, level = tree["gap_curve"].to_dataset(), float(tree["curve"].attrs["level"])
+    stored = tree["curve"].to_dataset()
+    level = float(stored.attrs["level"])
     edges = (0.5 - 0.5 * level, 0.5 + 0.5 * level)
     bands = {}
     for name in map(str, stored.data_vars):
@@ -103,7 +104,7 @@ def source_bands(tree: xr.DataTree) -> dict[str, tuple[FloatArray, FloatArray]]:
 
 def departures_from_curve(tree: xr.DataTree) -> FloatArray:
     """δ of every sweep point over that of the curve at its amplitude, (g, s), in percent."""
-    sweep, stored = tree["sweep"].to_dataset(), tree["gap_curve"].to_dataset()
+    sweep, stored = tree["sweep"].to_dataset(), tree["curve"].to_dataset()
     nominal = curve_from_dataset(stored, "").gap(sweep["amplitude_rpm"].values)
     return np.asarray(100.0 * (sweep["gap_rad"].values[:, None] / nominal - 1.0))
 
@@ -153,13 +154,13 @@ def _paper(tree: xr.DataTree) -> tuple[FloatArray, FloatArray]:
 
 def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
     """Sources that are wide beside the sweep's own, and eq. 4 where it is of this bench."""
-    knots = _values(tree, "gap_curve/knots_rpm")
+    knots = _values(tree, "curve/knots_rpm")
     for source, (low, high) in source_bands(tree).items():
         if source in _WIDE_SOURCES:
             _draw_band(panel, knots, low, high, source)
     if papers:
         inside, eq4 = _paper(tree)
-        nominal = curve_from_dataset(tree["gap_curve"].to_dataset(), "").gap(inside)
+        nominal = curve_from_dataset(tree["curve"].to_dataset(), "").gap(inside)
         panel.plot(
             inside, 100.0 * (eq4 / nominal - 1.0), color=_PAPER, linestyle=(0.0, (4.0, 2.0)),
         )  # fmt: skip
@@ -171,7 +172,7 @@ def _draw_far(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
 
 def _draw_close(panel: Axes, tree: xr.DataTree) -> None:
     """Sweep points with their start-angle scatter, the polynomial alone, the narrow sources."""
-    stored, sweep = tree["gap_curve"].to_dataset(), tree["sweep"].to_dataset()
+    stored, sweep = tree["curve"].to_dataset(), tree["sweep"].to_dataset()
     knots = stored["knots_rpm"].values
     bands = {k: v for k, v in source_bands(tree).items() if k not in _WIDE_SOURCES}
     for source, (low, high) in sorted(bands.items(), key=lambda item: -float(np.ptp(item[1]))):
