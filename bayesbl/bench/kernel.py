@@ -511,7 +511,7 @@ def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
     return error, slope
 
 
-@_jit
+@_inlined
 def sensed(y, p, c):  # type: ignore[no-untyped-def]
     """Motor angle and speed as the encoder shows them, before any lag."""
     angle = y[MOTOR_ANGLE]
@@ -534,7 +534,7 @@ def sensed(y, p, c):  # type: ignore[no-untyped-def]
     return angle, motor_speed * rate
 
 
-@_jit
+@_inlined
 def controller(t, y, p, c):  # type: ignore[no-untyped-def]
     """Recorded speed, speed error, torque after the limit, share integrated."""
     angle, speed = sensed(y, p, c)
