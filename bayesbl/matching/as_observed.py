@@ -172,12 +172,13 @@ class RecentSimulations:
         """
         keys = [(settings, row.tobytes()) for row in matrix]
         with self._lock:
-            known = {i: self._kept[key] for i, key in enumerate(keys) if key in self._kept}
-        missing = [i for i in range(len(keys)) if i not in known]
+            known = {key: self._kept[key] for key in keys if key in self._kept}
+        # Points often differ only in the unknowns of other recordings: each once.
+        missing = {key: row for key, row in zip(keys, matrix, strict=True) if key not in known}
         if missing:
             # What is missing may be made with this cache, which forgets some meanwhile.
-            known |= zip(missing, simulate(matrix[missing]), strict=True)
-        ordered = [known[i] for i in range(len(keys))]
+            known |= zip(missing, simulate(np.stack([*missing.values()])), strict=True)
+        ordered = [known[key] for key in keys]
         with self._lock:
             self._keep(keys, ordered)
         return np.stack(ordered)
