@@ -23,8 +23,8 @@ from bayesbl.ringing.estimator import PointEstimate
 from bayesbl.ringing.symbols import ROTATION
 from bayesbl.units import RPM_PER_RAD_PER_S
 
-RESAMPLES = 200
-"""Standard errors are then good to 5 %."""
+RESAMPLES = 100
+"""Standard errors are then good to 7 %."""
 
 BLOCKS_PER_ROTATION = 8
 """Blocks of an eighth of a rotation are far longer than the noise is correlated."""
