@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy.ndimage import convolve
+from scipy.ndimage import gaussian_filter
 
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
@@ -230,6 +230,7 @@ class _Symbol(NamedTuple):
 
     @classmethod
     def of(cls, name: str, values: FloatArray) -> _Symbol:
+        values = 1e3 * values if name == style.GAP else values
         low, high = np.quantile(values, _RANGE)
         margin = 0.08 * (high - low) or 1.0
         low, high = low - margin, high + margin
@@ -254,13 +255,8 @@ def corner(snapshot: Snapshot) -> Figure:
 
     All are in one panel, in cells: panels of their own take four times as long to draw.
     """
-    symbols = [
-        _Symbol.of(
-            name, (1e3 if name == style.GAP else 1.0) * snapshot.values("posterior", name).ravel()
-        )
-        for name in (*SYMBOLS, style.GAP)
-        if name in snapshot.groups["posterior"]
-    ]
+    names = [name for name in (*SYMBOLS, style.GAP) if name in snapshot.groups["posterior"]]
+    symbols = [_Symbol.of(name, snapshot.values("posterior", name).ravel()) for name in names]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, style.DOUBLE_COLUMN_IN)
     panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, bottom=0.7, top=0.1)[0])
     begins = (_CELLS + _BETWEEN) * np.arange(len(symbols))
@@ -272,14 +268,7 @@ def corner(snapshot: Snapshot) -> Figure:
         for right, other in zip(begins[:row], symbols, strict=False):
             cells = np.s_[up : up + _CELLS, right : right + _CELLS]
             density[cells], held[cells] = _pair(own.draws, other.draws)
-    panel.imshow(
-        density,
-        cmap="Blues",
-        origin="lower",
-        interpolation="nearest",
-        extent=(0, size, 0, size),
-        aspect="auto",
-    )
+    panel.pcolorfast(density, cmap="Blues")
     centres = np.arange(size) + 0.5
     panel.contour(centres, centres, held, _HELD, colors=style.NEUTRAL, linewidths=(0.9, 0.5))
     rows, columns = np.tril_indices(len(symbols))
@@ -296,8 +285,7 @@ def corner(snapshot: Snapshot) -> Figure:
         placed = list(zip(begins, shown, strict=False))
         ticks = [(begin + at, told) for begin, symbol in placed for at, told in symbol.ticks()]
         axis.set_ticks([at for at, _ in ticks], [told for _, told in ticks])
-        middles = [begin + 0.5 * _CELLS for begin, _ in placed]
-        axis.set_ticks(middles, [symbol.label for symbol in shown], minor=True)
+        axis.set_ticks([b + 0.5 * _CELLS for b, _ in placed], [s.label for s in shown], minor=True)
     _explain(figure, snapshot)
     return figure
 
@@ -315,9 +303,8 @@ def _pair(up: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Density of draws over its largest, and the share of them in denser cells than each."""
     box = (0.0, _CELLS), (0.0, _CELLS)
     counts, _, _ = np.histogram2d(up, across, _CELLS, box)
-    # A 5-point binomial filter both ways: contours of raw counts are ragged.
-    kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-    smooth = np.asarray(convolve(counts, np.outer(kernel, kernel), mode="constant"))
+    # Contours of raw counts are ragged.
+    smooth = np.asarray(gaussian_filter(counts, 1.0, mode="constant"))
     order = np.argsort(-smooth, axis=None)
     held = np.empty(smooth.size)
     held[order] = np.cumsum(smooth.ravel()[order]) / smooth.sum()
