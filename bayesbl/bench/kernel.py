@@ -142,6 +142,8 @@ class Slot(IntEnum):
 
 SLOTS = len(Slot)
 FIRST_EFFECT = int(Slot.motor_coulomb_friction__torque_nm)
+MOTOR_VISCOUS = int(Slot.motor_viscous_friction__coefficient_nm_s_per_rad)
+LOAD_VISCOUS = int(Slot.load_viscous_friction__coefficient_nm_s_per_rad)
 FIRST_COSINE = int(Slot["learned_torque__cosine_1_nm"])
 FIRST_SINE = int(Slot["learned_torque__sine_1_nm"])
 FIRST_ENCODER_COSINE = int(Slot["encoder_error__cosine_1_rad"])
@@ -211,6 +213,8 @@ class Constants(NamedTuple):
     motor_inertia: float
     per_load_inertia: float
     load_inertia: float
+    motor_viscous: float
+    load_viscous: float
     stiffness: float
     damping: float
     gravity: float
@@ -283,7 +287,7 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
     """
     effects = False
     for i in range(FIRST_EFFECT, FIRST_SKEW):
-        if p[i] != 0.0:
+        if p[i] != 0.0 and i != MOTOR_VISCOUS and i != LOAD_VISCOUS:
             effects = True
     ratio = p[Slot.gear_ratio]
     rigid = p[Slot.rigid] != 0.0
@@ -312,6 +316,8 @@ def constants(p, reference_angle, drift_start):  # type: ignore[no-untyped-def]
         p[Slot.motor_inertia_kg_m2],
         1.0 / p[Slot.load_inertia_kg_m2],
         p[Slot.load_inertia_kg_m2],
+        p[MOTOR_VISCOUS],
+        p[LOAD_VISCOUS],
         p[Slot.shaft_stiffness_nm_per_rad],
         p[Slot.shaft_damping_nm_s_per_rad],
         p[Slot.gravity_torque_nm],
@@ -505,7 +511,7 @@ def encoder_error(angle, p, c):  # type: ignore[no-untyped-def]
     return error, slope
 
 
-@_jit
+@_inlined
 def sensed(y, p, c):  # type: ignore[no-untyped-def]
     """Motor angle and speed as the encoder shows them, before any lag."""
     angle = y[MOTOR_ANGLE]
@@ -528,7 +534,7 @@ def sensed(y, p, c):  # type: ignore[no-untyped-def]
     return angle, motor_speed * rate
 
 
-@_jit
+@_inlined
 def controller(t, y, p, c):  # type: ignore[no-untyped-def]
     """Recorded speed, speed error, torque after the limit, share integrated."""
     angle, speed = sensed(y, p, c)
@@ -665,6 +671,8 @@ def direction_of(ratio):  # type: ignore[no-untyped-def]
 @_jit
 def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped-def]
     """Torque against the motor from motor-side effects, N m."""
+    if not c.effects:
+        return c.motor_viscous * speed
     direction = direction_of(speed / c.friction_width)
     drift = p[Slot.friction_drift__torque_nm]
     drift += p[Slot.friction_drift__rate_nm_per_s] * max(0.0, t - c.drift_start)
@@ -682,7 +690,7 @@ def motor_losses(t, angle, speed, transmitted, p, c):  # type: ignore[no-untyped
         )
     return (
         dry * direction
-        + p[Slot.motor_viscous_friction__coefficient_nm_s_per_rad] * speed
+        + c.motor_viscous * speed
         + p[Slot.motor_quadratic_drag__coefficient_nm_s2_per_rad2] * abs(speed) * speed
         + p[Slot.motor_torque_offset__torque_nm]
         + ripple
@@ -701,10 +709,9 @@ def gravity_at(angle, p, c):  # type: ignore[no-untyped-def]
 @_jit
 def load_losses(speed, p, c):  # type: ignore[no-untyped-def]
     """Torque against the load from load-side effects, N m."""
-    torque = 0.0
+    torque = c.load_viscous * speed
     if c.effects:
         torque += p[Slot.load_torque_offset__torque_nm]
-        torque += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * speed
         if p[Slot.load_coulomb_friction__torque_nm] != 0.0:
             torque += p[Slot.load_coulomb_friction__torque_nm] * direction_of(
                 speed / c.load_friction_width
@@ -823,7 +830,6 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
         _, error, torque, share = controller(t, y, p, c)
     load_angle = y[MOTOR_ANGLE] * c.per_ratio - twist
     load_speed = speed * c.per_ratio - twist_speed
-    losses = 0.0
     shaft = 0.0
     if not c.rigid:
         if not c.effects:
@@ -875,7 +881,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             dy[DAHL] = (twist_speed - abs(twist_speed) * y[DAHL]) / p[
                 Slot.shaft_hysteresis__angle_rad
             ]
-        losses = motor_losses(t, motor_angle, motor_speed, shaft, p, c)
+    losses = motor_losses(t, motor_angle, motor_speed, shaft, p, c)
     load = load_losses(load_speed, p, c)
     if not c.structured:
         load += gravity_at(load_angle, p, c)
@@ -928,7 +934,7 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
     if not c.plain:
         full_right_hand_side(t, y, region, p, c, dy)
         return
-    # The bench without effects, short enough to be inlined into the stages.
+    # The bench with no effects but viscous friction, short enough to be inlined into the stages.
     speed = y[MOTOR_SPEED]
     twist = y[TWIST]
     twist_speed = y[TWIST_SPEED]
@@ -944,7 +950,9 @@ def right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def]
             torque, share = limited(torque, error, c)
     shaft = shaft_torque(twist, twist_speed, region, c.sharpness, c)
     load = c.gravity * math.sin(y[MOTOR_ANGLE] * c.per_ratio - twist + c.gravity_angle)
-    acceleration = (torque - shaft * c.per_ratio) * c.per_motor_inertia
+    load += c.load_viscous * (speed * c.per_ratio - twist_speed)
+    losses = c.motor_viscous * speed
+    acceleration = (torque - shaft * c.per_ratio - losses) * c.per_motor_inertia
     dy[MOTOR_ANGLE] = speed
     dy[MOTOR_SPEED] = acceleration
     dy[TWIST] = twist_speed
@@ -1336,10 +1344,9 @@ def fastest_decay(p, c):  # type: ignore[no-untyped-def]
     """Rate at which damping and viscous friction alone would end a motion, 1/s."""
     damping = max(c.damping, p[Slot.gap_damping__coefficient_nm_s_per_rad])
     rate = damping * (c.per_ratio * c.per_ratio * c.per_motor_inertia + c.per_load_inertia)
+    rate += c.motor_viscous * c.per_motor_inertia + c.load_viscous * c.per_load_inertia
     if c.effects:
-        rate += p[Slot.motor_viscous_friction__coefficient_nm_s_per_rad] * c.per_motor_inertia
         rate += abs(p[Slot.friction_asymmetry__coefficient_nm_s_per_rad]) * c.per_motor_inertia
-        rate += p[Slot.load_viscous_friction__coefficient_nm_s_per_rad] * c.per_load_inertia
     return rate
 
 
@@ -1652,9 +1659,7 @@ def stand(angle, speed, acceleration, load, losses, side, p, c, y):  # type: ign
     carried += p[Slot.belt__reducer_share] * c.motor_inertia * acceleration
     rest_the_structure(y, angle, carried, p, c)
     torque = load * c.per_ratio + c.motor_inertia * acceleration
-    if c.effects:
-        torque += losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
-    return torque
+    return torque + losses + motor_losses(-math.inf, y[MOTOR_ANGLE], speed, load, p, c)
 
 
 @_jit

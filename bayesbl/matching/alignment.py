@@ -264,13 +264,11 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     rate = size / seen.rotation_period_s
     matrix = model.vectors(points, seen, **{START_ANGLE: 0.0})
     matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
-    # Points often differ only in the unknowns of other recordings, and candidates only in whose.
-    matrix, place = np.unique(matrix, axis=0, return_inverse=True)
     simulated = model.recent.signals(
         matrix,
         ("a rotation", channels, size, rate),
         partial(_rotations, model, channels, size, rate),
-    )[place.ravel()]
+    )
     folded = folded - folded.mean(axis=1, keepdims=True)
     simulated = simulated - simulated.mean(axis=2, keepdims=True)
     product = np.fft.irfft(

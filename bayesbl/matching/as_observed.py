@@ -149,8 +149,7 @@ MOST_BYTES = 32_000_000
 class RecentSimulations:
     """Signals by their parameters; the oldest are forgotten. Safe between threads."""
 
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self._most_bytes = most_bytes
+    def __init__(self) -> None:
         self._bytes = 0
         self._lock = Lock()
         self._kept: OrderedDict[tuple[Hashable, bytes], FloatArray] = OrderedDict()
@@ -172,25 +171,18 @@ class RecentSimulations:
         """
         keys = [(settings, row.tobytes()) for row in matrix]
         with self._lock:
-            known = {i: self._kept[key] for i, key in enumerate(keys) if key in self._kept}
-        missing = [i for i in range(len(keys)) if i not in known]
+            known = {key: self._kept[key] for key in keys if key in self._kept}
+        # Points often differ only in the unknowns of other recordings: each once.
+        missing = {key: row for key, row in zip(keys, matrix, strict=True) if key not in known}
         if missing:
             # What is missing may be made with this cache, which forgets some meanwhile.
-            known |= zip(missing, simulate(matrix[missing]), strict=True)
-        ordered = [known[i] for i in range(len(keys))]
+            known |= zip(missing, simulate(np.stack([*missing.values()])), strict=True)
         with self._lock:
-            self._keep(keys, ordered)
-        return np.stack(ordered)
-
-    def _keep(self, keys: list[tuple[Hashable, bytes]], ordered: list[FloatArray]) -> None:
-        for key, signals in zip(keys, ordered, strict=True):
-            if key not in self._kept:
-                self._kept[key] = signals.copy()
-                self._bytes += _size(key, signals)
-            self._kept.move_to_end(key)
-        while self._bytes > self._most_bytes and len(self._kept) > 1:
-            self._bytes -= _size(*self._kept.popitem(last=False))
-
-
-def _size(key: tuple[Hashable, bytes], signals: FloatArray) -> int:
-    return len(key[1]) + signals.nbytes
+            for key, signals in known.items():
+                if key not in self._kept:
+                    self._kept[key] = signals.copy()
+                    self._bytes += signals.nbytes
+                self._kept.move_to_end(key)
+            while self._bytes > MOST_BYTES and len(self._kept) > 1:
+                self._bytes -= self._kept.popitem(last=False)[1].nbytes
+        return np.stack([known[key] for key in keys])

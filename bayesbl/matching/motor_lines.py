@@ -73,8 +73,10 @@ class MotorLines:
         if not self.hats.shape[1]:
             return rows
         first = self.kept.size - rows.shape[-1]
-        hats, kept = self.hats[first:], self.kept[first:]
-        flat = rows.reshape(-1, rows.shape[-1])
-        constant = flat[:, kept].mean(axis=1, keepdims=True) * kept
-        lines = (flat @ hats) @ self.inverse @ hats.T - constant
-        return np.asarray(rows - lines.reshape(rows.shape))
+        left = np.zeros((*rows.shape[:-1], self.kept.size))
+        left[..., first:] = rows
+        # The hats add up to one, so this takes the constant too.
+        weights, across = self.inverse - 1.0 / self.kept[first:].sum(), self.hats.T
+        for row in left.reshape(-1, self.kept.size):
+            row -= self.hats @ (weights @ (across @ row))
+        return left[..., first:]

@@ -366,18 +366,14 @@ class SimulatedSignals:
     def stretch(self, points: FloatArray, recording: int) -> FloatArray:
         """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
         seen = self.recordings[recording]
-        # Points often differ only in the unknowns of other recordings.
-        matrix, place = np.unique(
-            self._benches(np.atleast_2d(points), seen), axis=0, return_inverse=True
-        )
+        matrix = self._benches(np.atleast_2d(points), seen)
         accuracy = accuracy_rpm(self.noise[recording], seen)
         samples = seen.lag if repeats(matrix, seen) else seen.samples
-        stretches = self.recent.signals(
+        return self.recent.signals(
             matrix,
             (*seen.rows, samples, seen.sampling_hz, accuracy, seen.motor_start_rad, seen.motion),
             partial(simulated, seen, samples, accuracy, self.workers, "nan"),
         )
-        return stretches[place.ravel()]
 
     def require(self, point: FloatArray) -> None:
         """Nothing, where all recordings can be simulated at a point (d,).

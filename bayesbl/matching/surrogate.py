@@ -7,6 +7,7 @@ its own unknowns only and has a polynomial of its own.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
-POINTS_PER_TERM = 3
+POINTS_PER_TERM = 1.5
 REACH = 2.0
 """Times the distance of the furthest point: of a normal posterior nothing lies beyond."""
 LEAST_REACH = 10.0
@@ -72,7 +73,7 @@ class Surrogate:
 def points_needed(model: SimulatedSignals) -> int:
     """How many points :func:`regress` needs for its polynomials."""
     largest = max(len(model.places_in(i)) for i in range(len(model.recordings)))
-    return POINTS_PER_TERM * (1 + largest + largest * (largest + 1) // 2)
+    return math.ceil(POINTS_PER_TERM * (1 + largest + largest * (largest + 1) // 2))
 
 
 def regress(

@@ -101,9 +101,9 @@ POSTERIOR_PREDICTIVE = Group("posterior_predictive", (), (CHAIN, DRAW), named=_r
 PRIOR_PREDICTIVE = Group("prior_predictive", (), (CHAIN, DRAW), named=_replicate)
 
 PRIOR_DRAWS = 1000
-NOISE_DRAWS = 1000
+NOISE_DRAWS = 500
 """Of the posterior by the noise alone, over all chains."""
-REPLICATES = 3
+REPLICATES = 1
 """Recordings that are predicted for each chain, each as long as the one that was fitted."""
 
 

@@ -806,22 +806,20 @@ def marginalised(
     edges are: where teeth begin to touch depends on how, which no recording tells. All snapshots
     share that.
 
-    Within the ranges of the unknowns: a draw that would leave them is made anew, and stays where it
-    was where none is within.
+    Within the ranges of the unknowns: a draw that would leave them is moved by another's shift, and
+    stays where it was where none is within.
     """
     model, rng = posterior.fit.model, np.random.default_rng(seed)
     flat = posterior.draws.reshape(-1, posterior.draws.shape[-1])
     gaps = [k for k, unknown in enumerate(model.unknowns) if unknown.name == GAP]
     edge_sd_rad = np.sqrt(edge_variances(posterior).ravel())
-    lean = None
-    if rest.linearised.groups:
-        # What nothing explains is in no catalogue, so neither is the side to which it moves δ.
-        drawn = rest.draw(np.random.default_rng(0), SIZES_DRAWN)
-        lean = drawn.shift[:, gaps].mean(axis=0)
+    shifts = rest.draw(rng, len(flat)).shift
     moved, outside = flat.copy(), np.arange(len(flat))
     for _ in range(MOST_TRIES):
-        tried = flat[outside] + rest.draw(rng, outside.size).shift
-        if lean is not None:
+        tried = flat[outside] + shifts[rng.permutation(len(flat))[: outside.size]]
+        if rest.linearised.groups:
+            # What nothing explains is in no catalogue, so neither is the side to which it moves δ.
+            lean = shifts[:, gaps].mean(axis=0)
             tried[:, gaps] += np.outer(rng.standard_normal(outside.size) - 1.0, lean)
         edge_rad = edge_sd_rad[outside] * rng.standard_normal(outside.size)
         for k in gaps:

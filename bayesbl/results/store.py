@@ -56,11 +56,9 @@ OUTCOME = "outcome"
 
 RUNNING = "running"
 
-_COMPRESS_FROM_BYTES = 4096
-
 
 def write_tree(tree: xr.DataTree, path: str | Path) -> None:
-    """Write a tree as NetCDF, large variables compressed; the file appears whole or not at all.
+    """Write a tree as NetCDF; the file appears whole or not at all.
 
     The root attributes gain the mark of our format, and the file ends in its seal; :data:`OUTCOME`
     among the attributes makes it a finished result.
@@ -74,7 +72,7 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     marked.attrs = {**tree.attrs, RESULT_MARK: FORMAT_VERSION}
     with replacing(path) as temporary:
         try:
-            marked.to_netcdf(temporary, engine="netcdf4", encoding=_encoding(tree))
+            marked.to_netcdf(temporary, engine="netcdf4")
         except RuntimeError as error:
             # netCDF4 does not say what the system said.
             message = f"result.nc cannot be written; is the disk full? ({error})"
@@ -152,18 +150,6 @@ def write_text(text: str, path: str | Path) -> None:
     """Write a text file that appears whole or not at all."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def _encoding(tree: xr.DataTree) -> dict[str, dict[str, dict[str, Any]]]:
-    """Compression of the variables for which it saves more than it costs."""
-    return {
-        node.path: {
-            str(name): {"zlib": True, "complevel": 1, "shuffle": True}
-            for name, variable in node.to_dataset(inherit=False).variables.items()
-            if variable.dtype.kind in "fiub" and variable.nbytes >= _COMPRESS_FROM_BYTES
-        }
-        for node in tree.subtree
-    }
 
 
 def _require_intact(file: Path) -> None:

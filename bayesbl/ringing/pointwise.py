@@ -25,7 +25,7 @@ from bayesbl.ringing.symbols import AMPLITUDE, ROTATION, SYMBOLS
 from bayesbl.ringing.waveform import jacobian, model_speed
 from bayesbl.sampling.importance import independent_draws
 
-PROPOSED = 2000
+PROPOSED = 1000
 """Points of which draws are resampled: of nine symbols half of them count."""
 
 

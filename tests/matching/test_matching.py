@@ -224,16 +224,15 @@ def test_what_was_simulated_is_neither_made_nor_changed_again() -> None:
     assert asked == [3, 1, 1]
 
 
-def test_the_oldest_simulations_are_forgotten() -> None:
+def test_the_oldest_simulations_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
 
     def simulate(matrix):
         asked.extend(matrix[:, 0])
         return matrix[:, None, :]
 
-    recent = RecentSimulations(
-        most_bytes=2 * (8 * 5 + 8 * 5)
-    )  # signals, and what they are known by
+    monkeypatch.setattr("bayesbl.matching.as_observed.MOST_BYTES", 2 * 8 * 5)
+    recent = RecentSimulations()
     for value in (1.0, 2.0, 1.0, 3.0, 1.0, 2.0):
         recent.signals(np.full((1, 5), value), None, simulate)
     assert asked == [1.0, 2.0, 3.0, 2.0]

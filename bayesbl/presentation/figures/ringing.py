@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy.ndimage import convolve
+from scipy.ndimage import gaussian_filter
 
 from bayesbl.measurement.stored import Snapshot
 from bayesbl.presentation.figures import style
@@ -213,11 +213,35 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
         axes.yaxis.set_label_coords(-0.13, 0.5)
 
 
-_PAIR_BINS = 30
-_LEVELS = (0.9, 0.5)
-_BETWEEN_IN = 0.05
+_CELLS, _BETWEEN = 30, 2
+_HELD = (0.5, 0.9)
 _RANGE = (0.001, 0.999)
 """Quantiles between which draws are shown; outliers would squeeze the rest."""
+
+
+class _Symbol(NamedTuple):
+    """A symbol of the posterior; a pair takes ``_CELLS`` cells each way."""
+
+    label: str
+    low: float
+    high: float
+    draws: FloatArray
+    """In cells from the lower end of what is shown, shape (m,)."""
+
+    @classmethod
+    def of(cls, name: str, values: FloatArray) -> _Symbol:
+        values = 1e3 * values if name == style.GAP else values
+        low, high = np.quantile(values, _RANGE)
+        margin = 0.08 * (high - low) or 1.0
+        low, high = low - margin, high + margin
+        return cls(_label(name), float(low), float(high), _CELLS * (values - low) / (high - low))
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Place, in cells, and label of each."""
+        values = MaxNLocator(3, prune="both").tick_values(self.low, self.high)
+        scale = _CELLS / (self.high - self.low)
+        shown = [value for value in values if self.low < value < self.high]
+        return [(scale * (value - self.low), f"{value:.10g}") for value in shown]
 
 
 @stored_figure(
@@ -227,74 +251,64 @@ _RANGE = (0.001, 0.999)
     parts=each_snapshot("posterior/amplitude_rpm"),
 )
 def corner(snapshot: Snapshot) -> Figure:
-    """Marginals on the diagonal, pairs below it; every free symbol and δ have a row."""
-    draws = {
-        name: (1e3 if name == style.GAP else 1.0) * snapshot.values("posterior", name).ravel()
-        for name in (*SYMBOLS, style.GAP)
-        if name in snapshot.groups["posterior"]
-    }
-    count = len(draws)
+    """Marginals on the diagonal, pairs below it; every free symbol and δ have a row.
+
+    All are in one panel, in cells: panels of their own take four times as long to draw.
+    """
+    names = [name for name in (*SYMBOLS, style.GAP) if name in snapshot.groups["posterior"]]
+    symbols = [_Symbol.of(name, snapshot.values("posterior", name).ravel()) for name in names]
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, style.DOUBLE_COLUMN_IN)
-    spec = style.grid(
-        figure, count, count, left=0.75, bottom=0.7, top=0.1, between=(_BETWEEN_IN, _BETWEEN_IN)
-    )
-    for row, (vertical, up) in enumerate(draws.items()):
-        for column, (horizontal, across) in enumerate(list(draws.items())[: row + 1]):
-            panel = figure.add_subplot(spec[row, column])
-            if row == column:
-                _draw_marginal(panel, up)
-            else:
-                _draw_pair(panel, across, up)
-                panel.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
-            panel.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
-            panel.tick_params(labelsize=6.0)
-            panel.tick_params(axis="x", rotation=90.0)
-            panel.label_outer()
-            if row == count - 1:
-                panel.set_xlabel(_label(horizontal))
-                panel.xaxis.set_label_coords(0.5, -0.48 / panel.bbox.height * style.PNG_DPI)
-            if row and not column:
-                panel.set_ylabel(_label(vertical))
-                panel.yaxis.set_label_coords(-0.48 / panel.bbox.width * style.PNG_DPI, 0.5)
+    panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, bottom=0.7, top=0.1)[0])
+    begins = (_CELLS + _BETWEEN) * np.arange(len(symbols))
+    size = int(begins[-1]) + _CELLS
+    density, held = np.full((2, size, size), np.nan)
+    for row, own in enumerate(symbols):
+        up = int(begins[-1 - row])
+        _draw_marginal(panel, begins[row], up, own.draws)
+        for right, other in zip(begins[:row], symbols, strict=False):
+            cells = np.s_[up : up + _CELLS, right : right + _CELLS]
+            density[cells], held[cells] = _pair(own.draws, other.draws)
+    panel.pcolorfast(density, cmap="Blues")
+    centres = np.arange(size) + 0.5
+    panel.contour(centres, centres, held, _HELD, colors=style.NEUTRAL, linewidths=(0.9, 0.5))
+    rows, columns = np.tril_indices(len(symbols))
+    x, y = begins[columns], begins[-1 - rows]
+    panel.hlines(y, x, x + _CELLS, color="k", linewidth=0.6)
+    panel.vlines(x, y, y + np.where(rows > columns, _CELLS, 0), color="k", linewidth=0.6)
+    panel.set(xlim=(-0.3, size), ylim=(-0.3, size))
+    panel.spines[:].set_visible(False)
+    panel.tick_params(labelsize=6.0)
+    panel.tick_params(axis="x", rotation=90.0)
+    panel.tick_params(which="minor", length=0.0, pad=34.0)
+    panel.tick_params(axis="y", which="minor", rotation=90.0)
+    for axis, shown in ((panel.xaxis, symbols), (panel.yaxis, symbols[:0:-1])):
+        placed = list(zip(begins, shown, strict=False))
+        ticks = [(begin + at, told) for begin, symbol in placed for at, told in symbol.ticks()]
+        axis.set_ticks([at for at, _ in ticks], [told for _, told in ticks])
+        axis.set_ticks([b + 0.5 * _CELLS for b, _ in placed], [s.label for s in shown], minor=True)
     _explain(figure, snapshot)
     return figure
 
 
-def _range(values: FloatArray) -> tuple[float, float]:
-    low, high = np.quantile(values, _RANGE)
-    margin = 0.08 * (high - low) or 1.0
-    return float(low - margin), float(high + margin)
+def _draw_marginal(panel: Axes, right: int, up: int, draws: FloatArray) -> None:
+    counts, edges = np.histogram(draws, _CELLS, (0.0, _CELLS))
+    heights = up + 0.95 * _CELLS * counts / counts.max()
+    panel.stairs(heights, right + edges, baseline=up, fill=True, color="#6baed6")
+    quantiles = right + np.quantile(draws, (0.05, 0.5, 0.95))
+    dashes = (0.0, (3.0, 2.0))
+    panel.vlines(quantiles, up, up + _CELLS, style.NEUTRAL, linestyle=dashes, linewidth=0.6)
 
 
-def _draw_marginal(panel: Axes, values: FloatArray) -> None:
-    panel.hist(values, bins=_PAIR_BINS, range=_range(values), color="#6baed6")
-    for quantile in np.quantile(values, (0.05, 0.5, 0.95)):
-        panel.axvline(quantile, color=style.NEUTRAL, linewidth=0.6, linestyle=(0.0, (3.0, 2.0)))
-    panel.set_xlim(*_range(values))
-    panel.spines["left"].set_visible(False)
-    panel.set_yticks([])
-
-
-def _draw_pair(panel: Axes, across: FloatArray, up: FloatArray) -> None:
-    """Density as an image, with the outlines that hold 50 % and 90 % of the draws."""
-    counts, x, y, _ = panel.hist2d(
-        across,
-        up,
-        bins=_PAIR_BINS,
-        range=(_range(across), _range(up)),
-        cmap="Blues",
-        rasterized=True,
-    )
-    # A 5-point binomial filter both ways: contours of raw counts are ragged.
-    kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-    smooth = np.asarray(convolve(counts, np.outer(kernel, kernel), mode="constant"))
-    ordered = np.sort(smooth.ravel())[::-1]
-    levels = ordered[np.searchsorted(np.cumsum(ordered) / ordered.sum(), _LEVELS)]
-    if levels[0] < levels[1]:
-        middles = (0.5 * (ends[1:] + ends[:-1]) for ends in (x, y))
-        panel.contour(
-            *middles, smooth.T, levels=levels, colors=style.NEUTRAL, linewidths=(0.5, 0.9)
-        )
+def _pair(up: FloatArray, across: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Density of draws over its largest, and the share of them in denser cells than each."""
+    box = (0.0, _CELLS), (0.0, _CELLS)
+    counts, _, _ = np.histogram2d(up, across, _CELLS, box)
+    # Contours of raw counts are ragged.
+    smooth = np.asarray(gaussian_filter(counts, 1.0, mode="constant"))
+    order = np.argsort(-smooth, axis=None)
+    held = np.empty(smooth.size)
+    held[order] = np.cumsum(smooth.ravel()[order]) / smooth.sum()
+    return counts / counts.max(), held.reshape(smooth.shape)
 
 
 def _label(name: str) -> str:
