@@ -167,6 +167,15 @@ def test_a_group_of_columns_above_the_names_is_no_unit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
 
 
+def test_a_quotation_mark_opens_a_cell_at_its_begin_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows(), 'time_s,twist ["]'))
+    assert read_table(path).columns == ("time_s", 'twist ["]')
+    assert guess_columns(read_table(path)).columns[1].unit == "arcsec"
+    path.write_text(text(rows(), 'time_s,"twist\n(filtered)"'))
+    assert read_table(path).columns == ("time_s", "twist (filtered)")
+
+
 def test_one_long_cell_does_not_make_every_cell_long(tmp_path: Path) -> None:
     lines = [f"{row},{'x' * (100_000 if i == 5 else 1)}" for i, row in enumerate(rows())]
     path = tmp_path / "a.csv"
