@@ -26,7 +26,7 @@ _QUESTIONS = frozenset(
 )
 """Words for units of a size that only the user knows."""
 
-_OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m units".split())  # noqa: SIM905
+_OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m n kn kg kgf lbf units".split())  # noqa: SIM905
 """In brackets also units of other things than a channel is, or of which the size is open."""
 
 _LENGTHS = frozenset("m mm cm km in inch ft".split())  # noqa: SIM905
@@ -34,6 +34,9 @@ _SCALED = re.compile(r"[%‰]$|(?:(?<![^\W_])[x×]|[*])\s*10+$")
 """At a name's end: a share, or a number that the values were multiplied by or are to be."""
 
 COUNTED = frozenset(("sample", "samples"))
+_INDEX = re.compile(r"(?:[\s_]|[\s_]?[(\[])\d+[)\]]?$")
+"""At a name's end: which joint, or which of several columns of that name."""
+
 _COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
 
 
@@ -189,7 +192,7 @@ def _bracketed(name: str) -> StatedUnit | None:
 
 def _ending(name: str) -> StatedUnit:
     """The longest ending that is a unit. A number before it is an index, or else a question."""
-    name = name.strip()
+    name = _INDEX.sub("", name.strip())
     for at in (boundary.start() for boundary in _BOUNDARY.finditer(name)):
         text = name[at:].strip()
         is_whole = at == 0 and (len(text) < 2 or text.lower() == "min")  # a name of its own

@@ -440,6 +440,36 @@ def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
     return whole
 
 
+_HOLE = 3.0
+"""Usual steps of a column's own times, over which nothing is known between two of its values."""
+
+
+def at_shared_times(time_s: FloatArray, values: FloatArray, repairs: Counter[str]) -> FloatArray:
+    """Values (n, c) of columns that were recorded at times of their own, each a row: those of the
+    column with the fewest, and straight lines between the values of the others at its times."""
+    there = ~np.isnan(values)
+    some = there.any(axis=1)
+    if np.mean(there[some].all(axis=1)) >= 1.0 - MOST_LOST or there.sum(axis=0).min() < 2:
+        return values
+    rows = np.flatnonzero(there[:, np.argmin(there.sum(axis=0))])
+    shared = np.full_like(values, np.nan)
+    for column, known, mine in zip(values.T, there.T, shared.T, strict=True):
+        at = time_s[known]
+        steps = np.diff(at)
+        before = np.clip(np.searchsorted(at, time_s[rows], "right") - 1, 0, steps.size - 1)
+        near = known[rows] | (steps[before] <= _HOLE * np.median(steps))
+        drawn = np.interp(time_s[rows], at, column[known], np.nan, np.nan)
+        mine[rows] = np.where(near, drawn, np.nan)
+        repairs["value put between two of its own times"] += int(np.sum(near & ~known[rows]))
+    return shared
+
+
+def filled(values: FloatArray) -> FloatArray:
+    """Values, shape (n,), with straight lines over the rows that lack one."""
+    rows = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(values.size), rows, values[rows])
+
+
 def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:
     """A position, shape (n,), that goes on where it began again at the end of a turn.
 

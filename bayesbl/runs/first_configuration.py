@@ -110,7 +110,7 @@ seed = 1                # same seed, same numbers
 output = {quoted(f"results/{name_of(path.stem)}")}
 
 [joint]
-{_RAMPS_JOINT if ramps else _JOINT}\
+{_RAMPS_JOINT.format('"?"' if guess.of_motor else "1.0") if ramps else _JOINT}\
 # limit = "1.2 mrad delta"   # when to repair: δ, which is half the play; or the whole play, as in
                              # "8 arcmin play" or "0.5 mm play at 0.4 m"
 {before if kind == "compare" else ""}
@@ -128,7 +128,7 @@ level = 0.9             # of the credible intervals
 _JOINT = "# gear_ratio = 120.0    # motor turns per turn of the load\n"
 
 _RAMPS_JOINT = """\
-gear_ratio = 1.0        # motor turns per turn of the output; 1.0 where position and torque are of
+gear_ratio = {}        # motor turns per turn of the output; 1.0 where position and torque are of
                         # the output already
 # rated_torque_nm = 50  # at the output: lost motion is stated at 3 % of it
 """
