@@ -5,13 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import ArrayTable
-from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
+from bayesbl.recording.channels import (
+    CHANNELS,
+    TIME,
+    ColumnSpec,
+    did_you_mean,
+    is_mappable,
+    or_another_name,
+)
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
 
@@ -97,7 +103,7 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
             file=table.file,
             where="header",
             found=_listed(names),
-            expected=f"at least one of {', '.join(CHANNELS)}; map others under [columns]",
+            expected=f"at least one of {', '.join(CHANNELS)}; {or_another_name(table.file)}",
         )
     return [channels.pop(TIME), *channels.values()]
 
@@ -266,8 +272,7 @@ def _missing_column(table: ArrayTable, wanted: str) -> RecordingError:
         file=table.file,
         where="header",
         found=_listed(names),
-        expected=f'a column "{wanted}", or another name for it under [columns] '
-        f"(`bayesbl init {Path(table.file).name}` writes them)",
+        expected=f'a column "{wanted}", {or_another_name(table.file)}',
     )
 
 

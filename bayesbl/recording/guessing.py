@@ -694,23 +694,15 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
 
 
 def _series(column: _Named) -> FloatArray:
-    """Values of a column that every recording needs, shape (n,).
-
-    Raises
-    ------
-    RecordingError
-        If it holds text, or fewer than two numbers.
-    """
-    values = column.values
-    count = int(np.isfinite(values).sum())
-    if count < 2:
+    """Values of a column that every recording needs, shape (n,): it is refused without two."""
+    if (count := int(np.isfinite(column.values).sum())) < 2:
         if column.stamps is None:
             stamps_and_values(column.table, column.name)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
             file=column.table.file,
             where=f'column "{column.name}"',
-            found=f"{count} finite numbers in {values.size} samples",
+            found=f"{count} finite numbers in {column.values.size} samples",
             expected="a finite number in every sample",
         )
-    return values
+    return column.values

@@ -33,7 +33,6 @@ from bayesbl.recording.formats import FORMATS, Format
 from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
-    at_shared_times,
     bridge,
     held,
     mended_clock,
@@ -119,9 +118,6 @@ def read_recording(
             values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
         if column.channel not in (REFERENCES if even else (*REFERENCES, *POSITIONS)):
             strays[i] = without_strays(values[:, i], repairs, called)
-
-    if not even:
-        values = at_shared_times(time_s, values, repairs)
 
     def place(row: int, column: int | None) -> str:
         if column is None:
