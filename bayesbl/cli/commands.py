@@ -257,13 +257,7 @@ def init_command(
         )
         raise typer.Exit(WRONG)
     plan = check(path)
-    told = what_next(
-        path,
-        sound=not plan.problems,
-        torque_ramps=guess.torque_ramps,
-        two_encoders=guess.two_encoders,
-    )
-    say(told)
+    say(what_next(path, sound=not plan.problems, route=guess.route))
     _print_findings(plan)
 
 

@@ -139,16 +139,15 @@ class GuessedColumn:
 class Guess:
     """All columns that were recognised, time first, and the names of the others.
 
-    ``torque_ramps``: one side is held, and a torque that goes both ways turns the other a little;
-    ``of_motor``: the names say that it is the motor. ``two_encoders``: there are the positions of
-    motor and load, and the motor turns back.
+    ``route``: ``torque_ramp`` if one side is held, and a torque that goes both ways turns the other
+    a little, by the names the motor if ``of_motor``; ``two_encoders`` if there are the positions of
+    motor and load, and the motor turns back; else empty.
     """
 
     columns: tuple[GuessedColumn, ...]
     unused: tuple[str, ...]
-    torque_ramps: bool = False
+    route: str = ""
     of_motor: bool = False
-    two_encoders: bool = False
 
     @property
     def is_open(self) -> bool:
@@ -273,9 +272,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     return Guess(
         tuple(sorted(columns, key=lambda c: order.index(c.channel))),
         tuple(name for name in table.columns if name and name not in taken),
-        bool(ramps),
+        "torque_ramp" if ramps else "two_encoders" if both else "",
         bool(ramps) and all(c.is_called(_MOTOR) and c.name not in CHANNELS for c in ramps.values()),
-        both,
     )
 
 
@@ -357,13 +355,12 @@ def _of_ramps(chosen: Mapping[str, _Named]) -> dict[str, _Named]:
         return {}
     told = [_slope(torques[-1].values, side.values)[1] for side in sides]
     speed = chosen.get(MOTOR_SPEED)
-    if len(sides) == 2 and max(told) <= max(
-        _FOLLOWS, _slope(sides[0].positions, sides[1].positions)[1]
-    ):
+    rivals = [_slope(sides[0].positions, other.positions)[1] for other in sides[1:]]
+    if (rivals or speed) and max(told) <= max([_FOLLOWS, *rivals]):
         return {}
     if speed is not None:
         size = conversion_factor(MOTOR_SPEED, speed.stated.of(MOTOR_SPEED).unit or "rad/s")
-        if size * np.nanmean(np.abs(speed.values)) >= _STANDSTILL_RPM or max(told) < _FOLLOWS:
+        if size * np.nanmean(np.abs(speed.values)) >= _STANDSTILL_RPM:
             return {}
     turned = min(zip(told, sides, strict=True), key=lambda each: (each[0] < _FOLLOWS, each[0]))[1]
     of_motor = len(sides) == 2 and turned is sides[0]
@@ -447,7 +444,7 @@ def _of_sides(
     numbers of unknown size tell it."""
     sides = [chosen[channel] for channel in (MOTOR_POSITION, LOAD_POSITION)]
     doubted = len({*_called(sides)}) == 1 and any(c.rad is None for c in sides)
-    of_motor = "is this the motor's side? It goes further in numbers of unknown size; "
+    of_motor = "is this the motor's side? Only numbers of unknown size say so; "
     return [
         replace(column, reason=of_motor + column.reason, doubted=True)
         if doubted and column.channel == MOTOR_POSITION

@@ -953,7 +953,7 @@ def test_positions_of_motor_and_load_are_told_apart(names: str, tmp_path: Path) 
     rows_ = [f"{t},{50.0 * x},{x}" for t, x in zip(TIME, load, strict=True)]
     path.write_text(text(rows_, names))
     guess = guess_columns(read_table(path))
-    assert guess.two_encoders
+    assert guess.route == "two_encoders"
     told = {column.channel: column.name for column in guess.columns}
     assert list(told.values()) == names.split(",")
     assert list(told) == ["time_s", "motor_position_rad", "load_position_rad"]
@@ -1149,12 +1149,12 @@ def test_where_one_side_is_held_torque_turns_the_other(
     assert told["motor_torque_nm"][0] == torque
     assert len(told) == 2
     guess = guess_columns(read_table(tmp_path / "a.csv"))
-    assert guess.torque_ramps
+    assert guess.route == "torque_ramp"
     assert guess.of_motor == columns[0].startswith("motor")
     # A weight hangs at the joint: its torque goes with the angle, but less than the motor does.
     moved = {"time": TIME, "tau": TORQUE, "q": TWIST, "theta": 50.0 * TWIST + 1e-3 * NOISE}
     guessed(tmp_path / "b.csv", moved)
-    assert guess_columns(read_table(tmp_path / "b.csv")).two_encoders
+    assert guess_columns(read_table(tmp_path / "b.csv")).route == "two_encoders"
 
 
 def test_joints_that_are_numbered_are_chosen_by_their_number(tmp_path: Path) -> None:
