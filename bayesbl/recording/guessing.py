@@ -440,11 +440,11 @@ def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:
 def _of_sides(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named]
 ) -> list[GuessedColumn]:
-    """Without a speed of unknown size, which is not needed; not sure of the motor where only
-    numbers of unknown size tell it."""
+    """Without a speed of unknown size, which is not needed; not sure of a motor that no name tells:
+    two joints, or two counters of different size, may be taken for both sides of one."""
     sides = [chosen[channel] for channel in (MOTOR_POSITION, LOAD_POSITION)]
-    doubted = len({*_called(sides)}) == 1 and any(c.rad is None for c in sides)
-    of_motor = "is this the motor's side? Only numbers of unknown size say so; "
+    doubted = len({*_called(sides)}) == 1
+    of_motor = "is this the motor's side? Neither name says so; "
     return [
         replace(column, reason=of_motor + column.reason, doubted=True)
         if doubted and column.channel == MOTOR_POSITION

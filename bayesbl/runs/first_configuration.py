@@ -147,7 +147,7 @@ _ESTIMATORS = {
                         # of an identify
 """,
     "torque_ramp": """\
-# Without a speed, these look like ramps of torque to and fro with the output held.
+# These look like ramps of torque to and fro with one side held.
 [estimator]
 route = "torque_ramp"
 """,
