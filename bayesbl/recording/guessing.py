@@ -91,6 +91,9 @@ AS_SPEED = "as the speed: check it"
 NO_NAME = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
 """Reason for a column that no name tells."""
 
+OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
+"""Reason for the torque of ramps that was measured at the other side of the gear."""
+
 UNKNOWN = "?"
 """In place of a unit or a name that nothing tells: the configuration does not run with it."""
 
@@ -140,7 +143,7 @@ class Guess:
     """All columns that were recognised, time first, and the names of the others.
 
     ``route``: ``torque_ramp`` if one side is held, and a torque that goes both ways turns the other
-    a little, by the names the motor if ``of_motor``; ``two_encoders`` if there are the positions of
+    a little, by a name the motor if ``of_motor``; ``two_encoders`` if there are the positions of
     motor and load, and the motor turns back; else empty.
     """
 
@@ -262,8 +265,16 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     guesses = [_stated(channel, chosen[channel], units) for channel in held]
     if chosen.keys().isdisjoint((MOTOR_SPEED, MOTOR_POSITION)):
         guesses.append(GuessedColumn(MOTOR_POSITION, UNKNOWN, UNKNOWN, NO_NAME, True))
+    motors = [c for c in ramps.values() if c.is_called(_MOTOR) and c.name not in CHANNELS]
     if both:
         guesses = _of_sides(guesses, chosen)
+    elif len(motors) == 1 and any(c.is_called(_LOAD) for c in ramps.values()):
+        guesses = [
+            replace(column, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
+            if column.channel == MOTOR_TORQUE
+            else column
+            for column in guesses
+        ]
     elif not ramps:
         guesses = _doubted(guesses, held)
     columns = tuple(guesses)
@@ -273,7 +284,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         tuple(sorted(columns, key=lambda c: order.index(c.channel))),
         tuple(name for name in table.columns if name and name not in taken),
         "torque_ramp" if ramps else "two_encoders" if both else "",
-        bool(ramps) and all(c.is_called(_MOTOR) and c.name not in CHANNELS for c in ramps.values()),
+        bool(motors),
     )
 
 

@@ -1151,6 +1151,14 @@ def test_where_one_side_is_held_torque_turns_the_other(
     guess = guess_columns(read_table(tmp_path / "a.csv"))
     assert guess.route == "torque_ramp"
     assert guess.of_motor == columns[0].startswith("motor")
+    if guess.of_motor:
+        values = {"output torque [Nm]": TORQUE, **values}
+        assert guessed(tmp_path / "a.csv", values) == told  # its own torque
+        del values[torque]
+        assert guessed(tmp_path / "a.csv", values)["motor_torque_nm"] == (
+            "output torque [Nm]",
+            UNKNOWN,
+        )
     # A weight hangs at the joint: its torque goes with the angle, but less than the motor does.
     moved = {"time": TIME, "tau": TORQUE, "q": TWIST, "theta": 50.0 * TWIST + 1e-3 * NOISE}
     guessed(tmp_path / "b.csv", moved)
