@@ -55,7 +55,7 @@ from bayesbl.units import is_unit, spelled
 
 _SEPARATORS = ("\t", ";", ",", "|", " ")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
-_OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]*$')
+_OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]+$')
 """A cell that begins with a quotation mark and does not end; within one, as in ["], it is text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")

@@ -172,6 +172,8 @@ def test_a_quotation_mark_opens_a_cell_at_its_begin_alone(tmp_path: Path) -> Non
     path.write_text(text(rows(), 'time_s,twist ["]'))
     assert read_table(path).columns == ("time_s", 'twist ["]')
     assert guess_columns(read_table(path)).columns[1].unit == "arcsec"
+    path.write_text(text(['s,"', *rows()], "time_s,twist"))
+    assert read_table(path).columns == ("time_s", "twist")
     path.write_text(text(rows(), 'time_s,"twist\n(filtered)"'))
     assert read_table(path).columns == ("time_s", "twist (filtered)")
 
