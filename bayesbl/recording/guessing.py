@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -269,12 +270,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     if both:
         guesses = _of_sides(guesses, chosen)
     elif len(motors) == 1 and any(c.is_called(_LOAD) for c in ramps.values()):
-        guesses = [
-            replace(column, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
-            if column.channel == MOTOR_TORQUE
-            else column
-            for column in guesses
-        ]
+        guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
     elif not ramps:
         guesses = _doubted(guesses, held)
     columns = tuple(guesses)
@@ -448,21 +444,23 @@ def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:
     return float(np.abs(np.diff(motor)).sum()) > _TURNS_BACK * abs(float(motor[-1] - motor[0]))
 
 
+def _changed(columns: Sequence[GuessedColumn], channel: str, **changes: Any) -> list[GuessedColumn]:
+    """The columns with another guess for one channel."""
+    return [replace(c, **changes) if c.channel == channel else c for c in columns]
+
+
 def _of_sides(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named]
 ) -> list[GuessedColumn]:
     """Without a speed of unknown size, which is not needed; not sure of a motor that no name tells:
     two joints, or two counters of different size, may be taken for both sides of one."""
-    sides = [chosen[channel] for channel in (MOTOR_POSITION, LOAD_POSITION)]
-    doubted = len({*_called(sides)}) == 1
-    of_motor = "is this the motor's side? Neither name says so; "
-    return [
-        replace(column, reason=of_motor + column.reason, doubted=True)
-        if doubted and column.channel == MOTOR_POSITION
-        else column
-        for column in columns
-        if not (column.unit == UNKNOWN and column.channel in (MOTOR_SPEED, REFERENCE_SPEED))
-    ]
+    needless = (MOTOR_SPEED, REFERENCE_SPEED)
+    columns = [c for c in columns if c.unit != UNKNOWN or c.channel not in needless]
+    if len({*_called([chosen[side] for side in (MOTOR_POSITION, LOAD_POSITION)])}) > 1:
+        return columns
+    reason = next(c.reason for c in columns if c.channel == MOTOR_POSITION)
+    asked = f"is this the motor's side? Neither name says so; {reason}"
+    return _changed(columns, MOTOR_POSITION, reason=asked, doubted=True)
 
 
 def _doubted(
@@ -491,13 +489,9 @@ def _doubted(
     if rpm >= _USUAL_SPEEDS_RPM[0]:
         return list(columns)
     reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
-    unsure = " Or is this unit wrong?"
-    return [
-        replace(column, reason=reason + ("" if column.sure else unsure), doubted=True)
-        if column.channel == needed[0]
-        else column
-        for column in columns
-    ]
+    if not next(column.sure for column in columns if column.channel == needed[0]):
+        reason += " Or is this unit wrong?"
+    return _changed(columns, needed[0], reason=reason, doubted=True)
 
 
 def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
