@@ -1046,6 +1046,8 @@ def test_counts_and_lengths_are_asked_for_with_what_to_write(tmp_path: Path) -> 
     load = guess_columns(read_table(tmp_path / "a.csv")).columns[-1]
     assert '"mm"' in load.reason
     assert "the mm of a screw's turn" in load.reason
+    assert conversion_factor("load_position_rad", "rad/400") == pytest.approx(1.0 / 400.0)
+    assert '"rad/400" (mm at 400 mm)' in load.reason
 
 
 @pytest.mark.parametrize("name", ["ina1 current [A]", "supply_current_a", "bus current"])
