@@ -154,10 +154,11 @@ _PART = re.compile(rf"(\S.*?)/{_NUMBER}")
 _SHARE = re.compile(rf"(%|‰|per ?cent|per ?mille|0\.1 ?%) of {_NUMBER} (\S.*)")
 _SIZES = {
     "time": '"4 ms"',
-    "angle": '"rev/4096" (counts of a turn; the mm of a screw\'s turn)',
+    "angle": '"rev/4096" (counts of a turn; the mm of a screw\'s turn) or "rad/400" (mm at 400 mm)',
+    "torque": '"% of 12.5 N m" or "0.4 N m" (N at 0.4 m)',
     "speed": '"rpm/7"',
 }
-"""How a unit with a number is written: samples of 4 ms, counts of a turn, pairs of poles."""
+"""How a unit with a number is written: samples of 4 ms, counts of a turn, pole pairs, a lever."""
 
 
 def conversion_factor(channel: str, unit: str) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from bayesbl.cli.running import WRONG, guessing_columns, print_json, run_config, run_file
+from bayesbl.cli.running import WRONG, print_json, run_config, run_file
 from bayesbl.errors import ConfigError
 from bayesbl.recording import formats
 
@@ -257,13 +257,7 @@ def init_command(
         )
         raise typer.Exit(WRONG)
     plan = check(path)
-    told = what_next(
-        path,
-        sound=not plan.problems,
-        torque_ramps=guess.torque_ramps,
-        two_encoders=guess.two_encoders,
-    )
-    say(told)
+    say(what_next(path, sound=not plan.problems, route=guess.route))
     _print_findings(plan)
 
 
@@ -308,7 +302,7 @@ def fit_command(
     **given: Any,
 ) -> None:
     """Measure the gap in one recording."""
-    _measure("fit", [recording], given)
+    _run_options("fit", [recording], **given)
 
 
 @_takes(f"{_RUN} {_MEASURED} dates before")
@@ -331,12 +325,7 @@ def compare_command(
             found=f"{first} alone",
             expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
         )
-    _measure("compare", [first, *later], given)
-
-
-def _measure(kind: str, recordings: Sequence[Path], given: dict[str, Any]) -> None:
-    with guessing_columns(recordings, given["config"]):
-        _run_options(kind, recordings, **given)
+    _run_options("compare", [first, *later], **given)
 
 
 def _run_options(
@@ -581,8 +570,7 @@ def diagnose_command(inputs: Inputs, bench: BelievedBench = None, **given: Any) 
     from bayesbl.presentation.terminal import make_console
     from bayesbl.runs.diagnose import diagnosis_of
 
-    with guessing_columns(inputs[:1], config):
-        loaded, guess = diagnosis_of(inputs, config, bench=bench, **given)
+    loaded, guess = diagnosis_of(inputs, config, bench=bench, **given)
     console = make_console(stderr=True)
     for choice in guess:
         console.print(f"Guessed: {choice.told}", markup=False, highlight=False)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bayesbl.errors import ConfigError, RecordingError
+from bayesbl.errors import ConfigError
 
 if TYPE_CHECKING:
     from bayesbl.config.sections import RunConfig
@@ -78,25 +76,6 @@ def _run_config(config: RunConfig, force: bool, json: bool, file: Path | None) -
             text = reason if isinstance(reason, str | None) else reason["text"]
             say(f"Withheld: {text}", err=True)
         raise typer.Exit(WITHHELD)
-
-
-@contextmanager
-def guessing_columns(recordings: Sequence[Path], config: Path | None) -> Iterator[None]:
-    """A recording whose columns are not known leads to the command that guesses them.
-
-    Not where a configuration could have told them.
-    """
-    try:
-        yield
-    except RecordingError as error:
-        if config is not None or error.where != "header":
-            raise
-        files = " ".join(shlex.quote(str(file)) for file in recordings)
-        error.expected = (
-            f"{error.expected}; `bayesbl init {files}` writes a configuration with the columns "
-            "guessed, for --config"
-        )
-        raise error.at(RecordingError) from None
 
 
 def print_json(summary: Mapping[str, Any]) -> None:

@@ -142,9 +142,7 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
             yield Sentence(unit, "warning", "Check")
 
 
-def what_next(
-    path: Path, *, sound: bool, torque_ramps: bool = False, two_encoders: bool = False
-) -> str:
+def what_next(path: Path, *, sound: bool, route: str = "") -> str:
     """Where the configuration is, and what to do with it."""
     if not sound:
         return f"Written to {path}. It cannot run yet:"
@@ -152,9 +150,9 @@ def what_next(
         ". Correct columns there, and fill in gear_ratio, limit (when to repair) and bench (a file "
         "that describes the joint; bayesbl init --bench writes one)"
     )
-    if torque_ramps:
+    if route == "torque_ramp":
         correct = ", for ramps of torque with the output held. Correct units and gear_ratio there"
-    if two_encoders:
+    if route == "two_encoders":
         correct = (
             ", for encoders of motor and load. Correct units there, fill in gear_ratio if it is "
             "known"

@@ -117,26 +117,23 @@ def is_date(text: str) -> bool:
 def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str]) -> FloatArray:
     """Seconds since the first date, shape (n,); empty texts are NaN.
 
-    A time of day that begins again is one of the next day. Where the digits of the fraction are not
-    padded (``12:00:00.9`` before ``12:00:00.10``), they count milliseconds.
+    A time of day that begins again is one of the next day.
 
     Raises
     ------
     RecordingError
         At the first text that is no date like the first one; ``place`` says where a row is.
     """
-    whole, fraction, milliseconds, missing = array("q"), array("d"), array("d"), array("b")
+    whole, fraction, missing = array("q"), array("d"), array("b")
     days: dict[str, int] = {}
     first: tuple[bool, bool] | None = None
     day = before = 0
-    lengths = set()
     for row, given in enumerate(texts):
         text = given.strip()
         missing.append(not text)
         if not text:
             whole.append(before)
             fraction.append(0.0)
-            milliseconds.append(0.0)
             continue
         stamp = _STAMP.fullmatch(text)
         read = stamp and _of_stamp(stamp, days)
@@ -155,18 +152,13 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
                 day += 1
                 seconds += _DAY_S
         before = seconds
-        lengths.add(len(digits))
         whole.append(seconds)
         fraction.append(float(f"0.{digits}") if digits else 0.0)
-        milliseconds.append(float(digits or 0) / 1000.0)
     # As whole numbers first: seconds since the year 1 do not leave room for microseconds.
     known = ~np.array(missing, dtype=bool)
     counted = np.array(whole)
     counted -= counted[known][:1].sum()
     time: FloatArray = counted + np.array(fraction)
-    if len(lengths - {0}) > 1 and max(lengths) == 3 and np.any(np.diff(time[known]) < 0.0):
-        other = counted + np.array(milliseconds)
-        time = other if np.all(np.diff(other[known]) >= 0.0) else time
     time[~known] = np.nan
     return time - time[known][0] if known.any() else time
 

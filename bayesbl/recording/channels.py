@@ -6,6 +6,7 @@ Free of heavy imports: configurations use it before any number is read.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -57,6 +58,12 @@ class ColumnSpec:
 def is_mappable(channel: str) -> bool:
     """Whether a column may be mapped to this name: time, a known channel, or a known torque."""
     return channel == TIME or channel in CHANNELS or channel.endswith("_nm")
+
+
+def or_another_name(file: str) -> str:
+    """What else a file's column may be called, and the command that guesses the columns."""
+    command = f"bayesbl init {shlex.quote(Path(file).name)}"
+    return f"or another name for it under [columns] (`{command}` writes them)"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

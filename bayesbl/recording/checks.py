@@ -25,6 +25,7 @@ from bayesbl.recording.channels import (
     REFERENCE_SPEED,
     TIME,
     did_you_mean,
+    or_another_name,
 )
 from bayesbl.recording.repairs import GRID_TOLERANCE, deviation_from_grid, new_values, runs
 from bayesbl.recording.types import FloatArray, Recording
@@ -150,7 +151,7 @@ def require_channels(recording: Recording, channels: Sequence[str]) -> None:
                 file=recording.place,
                 where="header",
                 found="time_s, " + ", ".join(present),
-                expected=f'a column "{channel}", or another name for it under [columns]',
+                expected=f'a column "{channel}", {or_another_name(recording.place)}',
             )
 
 

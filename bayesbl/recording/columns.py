@@ -5,13 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import ArrayTable
-from bayesbl.recording.channels import CHANNELS, TIME, ColumnSpec, did_you_mean, is_mappable
+from bayesbl.recording.channels import (
+    CHANNELS,
+    TIME,
+    ColumnSpec,
+    did_you_mean,
+    is_mappable,
+    or_another_name,
+)
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import choice_of_units, conversion_factor, is_accepted, is_unit, spelled
 
@@ -26,7 +32,7 @@ _QUESTIONS = frozenset(
 )
 """Words for units of a size that only the user knows."""
 
-_OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m units".split())  # noqa: SIM905
+_OTHER_UNITS = _QUESTIONS | frozenset("v mv kv ka apk u r gon mm m n kn kg kgf lbf units".split())  # noqa: SIM905
 """In brackets also units of other things than a channel is, or of which the size is open."""
 
 _LENGTHS = frozenset("m mm cm km in inch ft".split())  # noqa: SIM905
@@ -34,6 +40,9 @@ _SCALED = re.compile(r"[%‰]$|(?:(?<![^\W_])[x×]|[*])\s*10+$")
 """At a name's end: a share, or a number that the values were multiplied by or are to be."""
 
 COUNTED = frozenset(("sample", "samples"))
+_INDEX = re.compile(r"(?:[\s_]|[\s_]?[(\[])\d+[)\]]?$")
+"""At a name's end: which joint, or which of several columns of that name."""
+
 _COUNTERS_WORDS = COUNTED | {"index", "number", "no", "nr", "count"}
 
 
@@ -94,7 +103,7 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
             file=table.file,
             where="header",
             found=_listed(names),
-            expected=f"at least one of {', '.join(CHANNELS)}; map others under [columns]",
+            expected=f"at least one of {', '.join(CHANNELS)}; {or_another_name(table.file)}",
         )
     return [channels.pop(TIME), *channels.values()]
 
@@ -189,7 +198,7 @@ def _bracketed(name: str) -> StatedUnit | None:
 
 def _ending(name: str) -> StatedUnit:
     """The longest ending that is a unit. A number before it is an index, or else a question."""
-    name = name.strip()
+    name = _INDEX.sub("", name.strip())
     for at in (boundary.start() for boundary in _BOUNDARY.finditer(name)):
         text = name[at:].strip()
         is_whole = at == 0 and (len(text) < 2 or text.lower() == "min")  # a name of its own
@@ -263,8 +272,7 @@ def _missing_column(table: ArrayTable, wanted: str) -> RecordingError:
         file=table.file,
         where="header",
         found=_listed(names),
-        expected=f'a column "{wanted}", or another name for it under [columns] '
-        f"(`bayesbl init {Path(table.file).name}` writes them)",
+        expected=f'a column "{wanted}", {or_another_name(table.file)}',
     )
 
 

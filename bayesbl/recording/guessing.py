@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from bayesbl.recording.channels import (
     TIME,
 )
 from bayesbl.recording.columns import COUNTED, StatedUnit, stamps_and_values, stated_unit
-from bayesbl.recording.repairs import unwrapped
+from bayesbl.recording.repairs import filled, unwrapped
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
     RPM_PER_RAD_PER_S,
@@ -45,9 +46,10 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
         TIME: "t time timestamp zeit temps tempo clock sample samples",
         MOTOR_SPEED: "speed velocity vel omega w rpm erpm drehzahl n dq qd",
-        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel q",
-        MOTOR_CURRENT: "current cur i iq strom amps",
-        MOTOR_TORQUE: "torque tau trq moment drehmoment",
+        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel q aipos twist torsion "
+        "deflection displacement messuhr",
+        MOTOR_CURRENT: "current cur i iq strom amps macur",
+        MOTOR_TORQUE: "torque tau trq moment drehmoment effort force kraft",
     }
 )
 """Channel to the words that files use for it, in small letters."""
@@ -63,9 +65,16 @@ _BESIDE = (
 
 _FILTERED = "filtered filt smooth smoothed avg mean"
 _CLOCKS = "ms us ns msec usec millis micros"
-_SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD}"
+_SIDES = f"{_REFERENCE} {_MOTOR} {_LOAD} state states"
 """What groups of one joint's columns are called."""
 
+_LOAD_TORQUE = "load torque"
+"""Beside the channels: of ramps, the torque at the output takes the place of the motor's."""
+
+_FEWEST_JOINTS = 3
+"""Numbers in names that are alike but for them: two may be both sides of one joint."""
+
+_NUMBER = re.compile(r"\d+")
 _STEMS = frozenset(
     word
     for words in (*_NAMES_OF.values(), _REFERENCE, _LOAD, _MOTOR, "ist act actual value wert")
@@ -83,6 +92,9 @@ AS_SPEED = "as the speed: check it"
 NO_NAME = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
 """Reason for a column that no name tells."""
 
+OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
+"""Reason for the torque of ramps that was measured at the other side of the gear."""
+
 UNKNOWN = "?"
 """In place of a unit or a name that nothing tells: the configuration does not run with it."""
 
@@ -98,6 +110,7 @@ _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SIDES_ALIKE = 2.5
 """Ratio of the largest torques each way, up to which they may be ramps to and fro."""
 
+_STANDSTILL_RPM = 1.0
 _TURNS_BACK = 1.5
 """Way over distance of a motor that goes to and fro."""
 
@@ -130,20 +143,20 @@ class GuessedColumn:
 class Guess:
     """All columns that were recognised, time first, and the names of the others.
 
-    ``torque_ramps``: there is no speed, but a position and a torque that goes both ways, as where
-    the output is held. ``two_encoders``: there are the positions of motor and load, and the motor
-    turns back.
+    ``route``: ``torque_ramp`` if one side is held, and a torque that goes both ways turns the other
+    a little, by a name the motor if ``of_motor``; ``two_encoders`` if there are the positions of
+    motor and load, and the motor turns back; else empty.
     """
 
     columns: tuple[GuessedColumn, ...]
     unused: tuple[str, ...]
-    torque_ramps: bool = False
-    two_encoders: bool = False
+    route: str = ""
+    of_motor: bool = False
 
     @property
     def is_open(self) -> bool:
         """Whether anything is left for the user to fill in."""
-        return any(column.unit == UNKNOWN for column in self.columns)
+        return self.of_motor or any(column.unit == UNKNOWN for column in self.columns)
 
 
 @dataclass(frozen=True)  # without slots, for values that are read once
@@ -219,10 +232,12 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     if len(clocks) > 1 and not tied and chosen[TIME].name != TIME:
         finer = (c for c in clocks if not c.stated.unknown and c.increases)
         chosen[TIME] = next(finer, chosen[TIME])
+    paired = chosen | _pair_of_positions(named, chosen)
+    ramps = _of_ramps(paired)
     if TIME not in chosen:
         rest = [column for column in named if column not in chosen.values()]
         found = next((column for column in rest if column.increases), None)
-        if found is None and _is_of_ramps(chosen) and (numbered := table.numbered()) is not table:
+        if found is None and ramps and (numbered := table.numbered()) is not table:
             # Torque over twist needs no time, but the order.
             guess = guess_columns(numbered, joint)
             return replace(guess, columns=tuple(c for c in guess.columns if c.channel != TIME))
@@ -234,11 +249,13 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
                 found=", ".join(f'"{name}"' for name in table.columns),
                 expected=f'a column "{TIME}", or another name for it under [columns]',
             )
-        chosen[TIME] = found
-    if MOTOR_SPEED not in chosen:
-        chosen |= _pair_of_positions(named, chosen)
-    both = _is_of_two_encoders(chosen)
-    ramps = MOTOR_SPEED not in chosen and not both and _is_of_ramps(chosen)
+        chosen[TIME] = paired[TIME] = found
+    both = not ramps and _is_of_two_encoders(paired)
+    if ramps:
+        chosen = {TIME: chosen[TIME], **ramps}
+    elif both or MOTOR_SPEED not in chosen:
+        chosen = paired
+    chosen.pop(_LOAD_TORQUE, None)
     values = {
         channel: _series(column) if channel in (TIME, MOTOR_SPEED) else column.values
         for channel, column in chosen.items()
@@ -249,7 +266,12 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     guesses = [_stated(channel, chosen[channel], units) for channel in held]
     if chosen.keys().isdisjoint((MOTOR_SPEED, MOTOR_POSITION)):
         guesses.append(GuessedColumn(MOTOR_POSITION, UNKNOWN, UNKNOWN, NO_NAME, True))
-    if not (ramps or both):
+    motors = [c for c in ramps.values() if c.is_called(_MOTOR) and c.name not in CHANNELS]
+    if both:
+        guesses = _of_sides(guesses, chosen)
+    elif len(motors) == 1 and any(c.is_called(_LOAD) for c in ramps.values()):
+        guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
+    elif not ramps:
         guesses = _doubted(guesses, held)
     columns = tuple(guesses)
     taken = {column.name for column in columns}
@@ -257,8 +279,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     return Guess(
         tuple(sorted(columns, key=lambda c: order.index(c.channel))),
         tuple(name for name in table.columns if name and name not in taken),
-        ramps,
-        both,
+        "torque_ramp" if ramps else "two_encoders" if both else "",
+        bool(motors),
     )
 
 
@@ -266,10 +288,13 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
     """The columns of the chosen joint, or of the only one; all of them where no name has a joint.
 
     What stands before the last slash is the joint and a side of it, as in ``motor/pos``. Only the
-    side tells what a column holds. A ``joint`` is the motor's other side, or else a name.
+    side tells what a column holds. A ``joint`` is the motor's other side, or else a name. Where no
+    name has a slash, joints may be numbered: ``q_0`` to ``q_6``.
     """
     bare = [stated_unit(table, name).bare for name in table.columns]
     groups = [name.rpartition("/")[0] for name in bare]
+    if not any(groups):
+        groups = _numbers_of_joints(table.columns)
     motors = {_without(group, _SIDES) for group in groups if _words(group) & {*_MOTOR.split()}}
     sides = [
         _SIDES if _without(group, _SIDES) in motors else f"{_REFERENCE} {_MOTOR} load"
@@ -310,15 +335,49 @@ def _without(group: str, sides: str) -> str:
     return " ".join(part for part in parts if part)
 
 
-def _is_of_ramps(chosen: Mapping[str, _Named]) -> bool:
-    """Whether there is a position, and a torque that is as large on one side as on the other."""
-    if not {MOTOR_POSITION, MOTOR_TORQUE} <= chosen.keys():
+def _numbers_of_joints(names: Sequence[str]) -> list[str]:
+    """The number in each name that others are alike but for; empty where there are too few."""
+    parts = [
+        {(name[: found.start()], name[found.end() :]): found[0] for found in _NUMBER.finditer(name)}
+        for name in names
+    ]
+    times = Counter(part for each in parts for part in each)
+    return [
+        next((number for part, number in each.items() if times[part] >= _FEWEST_JOINTS), "")
+        for each in parts
+    ]
+
+
+def _of_ramps(chosen: Mapping[str, _Named]) -> dict[str, _Named]:
+    """Position and torque of ramps to and fro, by their channels; empty where there are none.
+
+    The torque is as large one way as the other. It tells one of two positions better than the other
+    position does: the side that is held follows it, the one that turns lags behind. Beside a speed
+    it hardly turns anything.
+    """
+    sides = [chosen[c] for c in (MOTOR_POSITION, LOAD_POSITION) if c in chosen]
+    torques = [chosen[c] for c in (MOTOR_TORQUE, _LOAD_TORQUE) if c in chosen]
+    torques = [torque for torque in torques if _goes_both_ways(torque.values)]
+    if not (sides and torques):
+        return {}
+    told = [_slope(torques[-1].values, side.values)[1] for side in sides]
+    speed = chosen.get(MOTOR_SPEED)
+    rivals = [_slope(sides[0].positions, other.positions)[1] for other in sides[1:]]
+    if (rivals or speed) and max(told) <= max([_FOLLOWS, *rivals]):
+        return {}
+    if speed is not None:
+        size = conversion_factor(MOTOR_SPEED, speed.stated.of(MOTOR_SPEED).unit or "rad/s")
+        if size * np.nanmean(np.abs(speed.values)) >= _STANDSTILL_RPM:
+            return {}
+    turned = min(zip(told, sides, strict=True), key=lambda each: (each[0] < _FOLLOWS, each[0]))[1]
+    of_motor = len(sides) == 2 and turned is sides[0]
+    return {MOTOR_POSITION: turned, MOTOR_TORQUE: torques[0 if of_motor else -1]}
+
+
+def _goes_both_ways(torque: FloatArray) -> bool:
+    if not np.isfinite(torque).any():
         return False
-    torque = chosen[MOTOR_TORQUE].values
-    torque = torque[np.isfinite(torque)]
-    if torque.size == 0:
-        return False
-    low, high = -float(torque.min()), float(torque.max())
+    low, high = -float(np.nanmin(torque)), float(np.nanmax(torque))
     return 0.0 < max(low, high) <= _SIDES_ALIKE * min(low, high)
 
 
@@ -339,7 +398,7 @@ def _pair_of_positions(named: Sequence[_Named], chosen: Mapping[str, _Named]) ->
     if not follows or max(follows) < _FOLLOWS:
         return {}
     both = [there[0], follows[max(follows)]]
-    called = [(c.is_called(_MOTOR), not c.is_called(_LOAD)) for c in both]
+    called = _called(both)
     ways = [(c.rad or 1.0) * float(np.nanmax(c.positions) - np.nanmin(c.positions)) for c in both]
     if called[0] == called[1] and (both[0].rad is None) == (both[1].rad is None):
         if max(ways) < (1.0 + _AGREEMENT) * min(ways):
@@ -348,17 +407,28 @@ def _pair_of_positions(named: Sequence[_Named], chosen: Mapping[str, _Named]) ->
     return dict(zip(sides, both if called[0] >= called[1] else reversed(both), strict=True))
 
 
+def _called(sides: Sequence[_Named]) -> list[tuple[bool, bool]]:
+    """Which of two positions is the motor's by their names, the larger; equal where these do not
+    tell. With theta of the motor, q is that of the link."""
+    by_words, by_symbols = (
+        [(c.is_called(motor), not c.is_called(load)) for c in sides]
+        for motor, load in ((_MOTOR, _LOAD), ("theta", "q"))
+    )
+    are_both = by_words[0] == by_words[1] and {*by_symbols} == {(True, True), (False, False)}
+    return by_symbols if are_both else by_words
+
+
 def _slope(along: FloatArray, values: FloatArray) -> tuple[float, float]:
     """How far values, shape (n,), go along others, and the share of their variance this explains.
 
     0 and 0 where one of them stands still, or both were not sampled together.
     """
-    if along.size != values.size:
+    if along.size != values.size or not (np.isfinite(along).any() and np.isfinite(values).any()):
         return 0.0, 0.0
-    good = np.isfinite(along) & np.isfinite(values)
-    if not good.any() or min(np.ptp(along[good]), np.ptp(values[good])) == 0.0:
+    along, values = filled(along), filled(values)
+    if min(np.ptp(along), np.ptp(values)) == 0.0:
         return 0.0, 0.0
-    (own, shared), (_, other) = np.cov(along[good], values[good])
+    (own, shared), (_, other) = np.cov(along, values)
     slope, explained = shared / own, shared * shared / (own * other)
     return (float(slope), float(explained)) if np.isfinite(explained) else (0.0, 0.0)
 
@@ -372,6 +442,25 @@ def _is_of_two_encoders(chosen: Mapping[str, _Named]) -> bool:
         return False
     motor = motor[np.isfinite(motor)]
     return float(np.abs(np.diff(motor)).sum()) > _TURNS_BACK * abs(float(motor[-1] - motor[0]))
+
+
+def _changed(columns: Sequence[GuessedColumn], channel: str, **changes: Any) -> list[GuessedColumn]:
+    """The columns with another guess for one channel."""
+    return [replace(c, **changes) if c.channel == channel else c for c in columns]
+
+
+def _of_sides(
+    columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named]
+) -> list[GuessedColumn]:
+    """Without a speed of unknown size, which is not needed; not sure of a motor that no name tells:
+    two joints, or two counters of different size, may be taken for both sides of one."""
+    needless = (MOTOR_SPEED, REFERENCE_SPEED)
+    columns = [c for c in columns if c.unit != UNKNOWN or c.channel not in needless]
+    if len({*_called([chosen[side] for side in (MOTOR_POSITION, LOAD_POSITION)])}) > 1:
+        return columns
+    reason = next(c.reason for c in columns if c.channel == MOTOR_POSITION)
+    asked = f"is this the motor's side? Neither name says so; {reason}"
+    return _changed(columns, MOTOR_POSITION, reason=asked, doubted=True)
 
 
 def _doubted(
@@ -400,13 +489,9 @@ def _doubted(
     if rpm >= _USUAL_SPEEDS_RPM[0]:
         return list(columns)
     reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
-    unsure = " Or is this unit wrong?"
-    return [
-        replace(column, reason=reason + ("" if column.sure else unsure), doubted=True)
-        if column.channel == needed[0]
-        else column
-        for column in columns
-    ]
+    if not next(column.sure for column in columns if column.channel == needed[0]):
+        reason += " Or is this unit wrong?"
+    return _changed(columns, needed[0], reason=reason, doubted=True)
 
 
 def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
@@ -450,7 +535,13 @@ def _channel(column: _Named) -> str | None:
     of_unit = [c for c in _NAMES_OF if unit and is_accepted(c, unit)]
     # A current is often called I_q, of which the letter q alone would be a joint's position.
     words = column.words - {"q"} if column.is_called("i current strom") else column.words
-    kinds = [c for c, named in _NAMES_OF.items() if not words.isdisjoint(named.split())]
+    # What stands before a point is a part of the drive: axis0.pos_vel_mapper.pos_rel.
+    last = _words(column.stated.bare.rpartition(".")[2]) & words
+    by_words = [
+        [c for c, named in _NAMES_OF.items() if not of.isdisjoint(named.split())]
+        for of in (last, words)
+    ]
+    kinds = by_words[0] or by_words[1]
     kinds = [c for c in kinds if c in of_unit] or (
         kinds if kinds and (column.stated.ending or not of_unit) else of_unit
     )
@@ -462,7 +553,7 @@ def _channel(column: _Named) -> str | None:
     if column.is_called(_REFERENCE):
         return REFERENCE_SPEED if kind == MOTOR_SPEED else None
     if column.is_called(_LOAD) and not column.is_called(_MOTOR):
-        return LOAD_POSITION if kind == MOTOR_POSITION else TIME if kind == TIME else None
+        return {MOTOR_POSITION: LOAD_POSITION, MOTOR_TORQUE: _LOAD_TORQUE, TIME: TIME}.get(kind)
     return kind
 
 
@@ -605,23 +696,15 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
 
 
 def _series(column: _Named) -> FloatArray:
-    """Values of a column that every recording needs, shape (n,).
-
-    Raises
-    ------
-    RecordingError
-        If it holds text, or fewer than two numbers.
-    """
-    values = column.values
-    count = int(np.isfinite(values).sum())
-    if count < 2:
+    """Values of a column that every recording needs, shape (n,): it is refused without two."""
+    if (count := int(np.isfinite(column.values).sum())) < 2:
         if column.stamps is None:
             stamps_and_values(column.table, column.name)  # says where a text is
         raise RecordingError(
             "This column is not a series of numbers.",
             file=column.table.file,
             where=f'column "{column.name}"',
-            found=f"{count} finite numbers in {values.size} samples",
+            found=f"{count} finite numbers in {column.values.size} samples",
             expected="a finite number in every sample",
         )
-    return values
+    return column.values

@@ -36,6 +36,9 @@ MOST_CUT = 0.5
 GRID_TOLERANCE = 0.45
 """Largest distance of a time stamp from its point of an even grid, in sampling periods."""
 
+HOLE = 3.0
+"""Usual steps of a column, over which nothing is known between two of its values."""
+
 _MOST_GROWTH = 100
 """A recording with holes longer than this many times its samples counts as uneven."""
 
@@ -124,12 +127,29 @@ def _on_a_running_grid(time_s: FloatArray, period: float) -> FloatArray:
 
 
 def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
-    """The samples that have a value in every column; arguments as :func:`bridge` takes them."""
-    whole = ~np.isnan(values).any(axis=1)
+    """The samples that have a value in every column; arguments as :func:`bridge` takes them.
+
+    Columns with times of their own, each a row, are put to those of the column with the fewest, by
+    straight lines between their values.
+    """
+    there = ~np.isnan(values)
+    whole, some = there.all(axis=1), there.any(axis=1)
+    drawn = 0
+    if whole.sum() < (1.0 - MOST_LOST) * some.sum() and there.sum(axis=0).min() > 1:
+        rows = there[:, np.argmin(there.sum(axis=0))]
+        drawn, values = int(np.sum(~there[rows])), values.copy()
+        for column, known in zip(values.T, there.T, strict=True):
+            at, steps = time_s[known], np.diff(time_s[known])
+            before = np.clip(np.searchsorted(at, time_s, "right") - 1, 0, steps.size - 1)
+            near = rows & ~known & (steps[before] <= HOLE * np.median(steps))
+            column[near] = np.interp(time_s[near], at, column[known], np.nan, np.nan)
+        whole = rows & ~np.isnan(values).any(axis=1)
     lost = int(np.sum(~whole))
     if whole.sum() < 2:
         return bridge(file, time_s, values, place)  # which refuses it
     notes = (f"{lost} of {whole.size} samples lack a value and are left out.",) if lost else ()
+    if drawn:
+        notes = (f"{drawn} values are put between two of the times of their own column.", *notes)
     return Bridged(time_s[whole], values[whole], np.zeros(whole.size - lost, dtype=bool), notes)
 
 
@@ -438,6 +458,12 @@ def held(values: FloatArray, repairs: Counter[str]) -> FloatArray:
     whole = values.copy()
     whole[there] = full
     return whole
+
+
+def filled(values: FloatArray) -> FloatArray:
+    """Values, shape (n,), with straight lines over the rows that lack one."""
+    rows = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(values.size), rows, values[rows])
 
 
 def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: str) -> FloatArray:

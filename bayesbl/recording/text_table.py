@@ -55,6 +55,8 @@ from bayesbl.units import is_unit, spelled
 
 _SEPARATORS = ("\t", ";", ",", "|", " ")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
+_OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]+$')
+"""A cell that begins with a quotation mark and does not end; within one, as in ["], it is text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 MOST_ABOVE = 50
@@ -236,7 +238,7 @@ def _joined(head: Sequence[str]) -> list[str]:
     joined = list(head)
     at = 0
     for i, line in enumerate(head):
-        if i > at and joined[at].count('"') % 2 and joined[at].count('"') + line.count('"') < 200:
+        if i > at and _OPEN.search(joined[at]) and joined[at].count('"') < 200:
             joined[at] += f" {line}"
             joined[i] = ""
         else:

@@ -83,7 +83,7 @@ def start_config(
 def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
     kind = "fit" if len(recordings) == 1 else "compare"
-    ramps = guess.torque_ramps
+    ramps = guess.route == "torque_ramp"
     names = names_of(recordings)
     before = (
         "# decide_before = 2027-01-01   # asks how probably the gap passes the limit by then; "
@@ -95,7 +95,7 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     )
     entries = "\n".join(
         f"[[recordings]]\nname = {quoted(name)}\nfile = {quoted(relative(file, path))}\n"
-        + (_MORE_FILES if ramps else "" if guess.two_encoders else _ASKED_SPEED)
+        + (_MORE_FILES if ramps else "" if guess.route else _ASKED_SPEED)
         + (dated if kind == "compare" else "")
         for name, file in zip(names, recordings, strict=True)
     )
@@ -110,7 +110,7 @@ seed = 1                # same seed, same numbers
 output = {quoted(f"results/{name_of(path.stem)}")}
 
 [joint]
-{_RAMPS_JOINT if ramps else _JOINT}\
+{_RAMPS_JOINT.format('"?"' if guess.of_motor else "1.0") if ramps else _JOINT}\
 # limit = "1.2 mrad delta"   # when to repair: δ, which is half the play; or the whole play, as in
                              # "8 arcmin play" or "0.5 mm play at 0.4 m"
 {before if kind == "compare" else ""}
@@ -122,13 +122,13 @@ output = {quoted(f"results/{name_of(path.stem)}")}
 [interval]
 level = 0.9             # of the credible intervals
 
-{_RAMPS_ESTIMATOR if ramps else _ENCODERS_ESTIMATOR if guess.two_encoders else _ESTIMATOR}"""
+{_ESTIMATORS[guess.route]}"""
 
 
 _JOINT = "# gear_ratio = 120.0    # motor turns per turn of the load\n"
 
 _RAMPS_JOINT = """\
-gear_ratio = 1.0        # motor turns per turn of the output; 1.0 where position and torque are of
+gear_ratio = {}        # motor turns per turn of the output; 1.0 where position and torque are of
                         # the output already
 # rated_torque_nm = 50  # at the output: lost motion is stated at 3 % of it
 """
@@ -139,25 +139,25 @@ _MORE_FILES = (
     '# files = ["…", "…"]          # in place of file: ramps at several positions around the turn\n'
 )
 
-_ESTIMATOR = """\
+_ESTIMATORS = {
+    "": """\
 # The gap needs a description of the joint; without one only the ringing is compared.
 [estimator]
 # bench = "bench.toml"  # a data sheet (bayesbl init --bench writes one to fill in), or the folder
                         # of an identify
-"""
-
-_RAMPS_ESTIMATOR = """\
-# Without a speed, these look like ramps of torque to and fro with the output held.
+""",
+    "torque_ramp": """\
+# These look like ramps of torque to and fro with one side held.
 [estimator]
 route = "torque_ramp"
-"""
-
-
-_ENCODERS_ESTIMATOR = """\
+""",
+    "two_encoders": """\
 # Motor and load have an encoder each, and the motor goes to and fro: the play shows in them.
 [estimator]
 route = "two_encoders"
-"""
+""",
+}
+"""By the route that a recording is for."""
 
 
 def column_lines(guess: Guess) -> str:

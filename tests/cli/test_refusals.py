@@ -248,7 +248,7 @@ def foreign(tmp_path, monkeypatch):
 
 def test_unknown_columns_lead_to_init_and_leave_nothing(foreign, capsys):
     before = sorted(foreign.iterdir())
-    hint = "`bayesbl init monday.csv friday.csv` writes a configuration with the columns guessed"
+    hint = "under [columns] (`bayesbl init monday.csv` writes them)"
     refused(["compare", "monday.csv", "friday.csv"], capsys, '"time_s" is missing', hint)
     assert sorted(foreign.iterdir()) == before
     (foreign / "results").mkdir()

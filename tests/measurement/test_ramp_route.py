@@ -298,7 +298,7 @@ def test_init_takes_position_and_torque_without_a_speed_for_ramps(tmp_path: Path
     time, torque, position = ramps()
     columns = {"TIME": time, "POSITION [rad]": position, "TORQUE": torque}
     file = write_csv(tmp_path / "a.csv", columns)
-    assert guess_columns(read_table(file)).torque_ramps
+    assert guess_columns(read_table(file)).route == "torque_ramp"
     config = tmp_path / "a.toml"
     assert status(["init", str(file), "--out", str(config)]) == 0
     loaded = load_config(config)

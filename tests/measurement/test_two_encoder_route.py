@@ -82,5 +82,4 @@ def test_a_motor_that_wraps_faster_than_it_is_sampled_is_refused(tmp_path, capsy
 def test_init_knows_two_encoders(tmp_path):
     file = write(tmp_path / "joint.csv")
     guess = guess_columns(read_table(file))
-    assert guess.two_encoders
-    assert not guess.torque_ramps
+    assert guess.route == "two_encoders"

@@ -167,6 +167,17 @@ def test_a_group_of_columns_above_the_names_is_no_unit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
 
 
+def test_a_quotation_mark_opens_a_cell_at_its_begin_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(rows(), 'time_s,twist ["]'))
+    assert read_table(path).columns == ("time_s", 'twist ["]')
+    assert guess_columns(read_table(path)).columns[1].unit == "arcsec"
+    path.write_text(text(['s,"', *rows()], "time_s,twist"))
+    assert read_table(path).columns == ("time_s", "twist")
+    path.write_text(text(rows(), 'time_s,"twist\n(filtered)"'))
+    assert read_table(path).columns == ("time_s", "twist (filtered)")
+
+
 def test_one_long_cell_does_not_make_every_cell_long(tmp_path: Path) -> None:
     lines = [f"{row},{'x' * (100_000 if i == 5 else 1)}" for i, row in enumerate(rows())]
     path = tmp_path / "a.csv"
@@ -231,9 +242,6 @@ TIMES: dict[str, Callable[[float], str]] = {
     "times of day": lambda t: clock(t, "%H:%M:%S.%f"),
     "milliseconds after a colon": lambda t: clock(t, "%H:%M:%S:%f")[:-3],
     "milliseconds after a semicolon": lambda t: '"' + clock(t, "%H:%M:%S;%f")[:-3] + '"',
-    "milliseconds without zeros": lambda t: (
-        clock(t, "%H:%M:%S.") + str(int(clock(t, "%f")) // 1000)
-    ),
 }
 
 
@@ -947,7 +955,7 @@ def test_positions_of_motor_and_load_are_told_apart(names: str, tmp_path: Path) 
     rows_ = [f"{t},{50.0 * x},{x}" for t, x in zip(TIME, load, strict=True)]
     path.write_text(text(rows_, names))
     guess = guess_columns(read_table(path))
-    assert guess.two_encoders
+    assert guess.route == "two_encoders"
     told = {column.channel: column.name for column in guess.columns}
     assert list(told.values()) == names.split(",")
     assert list(told) == ["time_s", "motor_position_rad", "load_position_rad"]
@@ -1038,6 +1046,8 @@ def test_counts_and_lengths_are_asked_for_with_what_to_write(tmp_path: Path) -> 
     load = guess_columns(read_table(tmp_path / "a.csv")).columns[-1]
     assert '"mm"' in load.reason
     assert "the mm of a screw's turn" in load.reason
+    assert conversion_factor("load_position_rad", "rad/400") == pytest.approx(1.0 / 400.0)
+    assert '"rad/400" (mm at 400 mm)' in load.reason
 
 
 @pytest.mark.parametrize("name", ["ina1 current [A]", "supply_current_a", "bus current"])
@@ -1087,3 +1097,100 @@ def test_slow_samples_of_a_minute_are_in_seconds_and_not_a_moment_in_millisecond
     path.write_text(text([f"{t:.6g},1500" for t in stamps], "time,motor_speed_rpm"))
     guess = {c.channel: c.unit for c in guess_columns(read_table(path)).columns}
     assert guess["time_s"] == "s"
+
+
+@pytest.mark.parametrize("index", ["_0", "[3]", " (1)", " 2", ""])
+def test_an_index_does_not_hide_the_unit_before_it(index: str, tmp_path: Path) -> None:
+    columns = {"time": TIME, f"speed_rpm{index}": SPEED, f"current_mA{index}": SPEED}
+    told = guessed(tmp_path / "a.csv", columns)
+    assert told["motor_speed_rpm"][1] == "rpm"
+    assert told["motor_current_a"] == (f"current_mA{index}", "mA")
+
+
+def test_columns_with_times_of_their_own_are_put_to_shared_ones(tmp_path: Path) -> None:
+    # As PlotJuggler exports topics: a row for each stamp of any, empty cells for the others.
+    own = np.arange(COUNT) % 3 == 0
+    columns = {
+        "__time": 1.7e9 + TIME,
+        "/motor_state/position": np.where(own, np.nan, 50.0 * TO_AND_FRO),
+        "/joint_states/joint_1/position": np.where(own, TO_AND_FRO, np.nan),
+    }
+    told = guessed(tmp_path / "a.csv", columns)
+    names = {channel: name for channel, (name, _) in told.items()}
+    assert list(names.values()) == list(columns)
+    specs = {channel: ColumnSpec(name) for channel, name in names.items()}
+    read = read_recording(tmp_path / "a.csv", columns=specs, even=False)
+    assert read.samples == own.sum() - 1  # the motor is known a sample later
+    motor, load = read.channels["motor_position_rad"], read.channels["load_position_rad"]
+    bend = (6.0 * np.pi) ** 2 * 0.002**2 / 8.0  # of the sine over a hole of 2 ms
+    np.testing.assert_allclose(motor, 50.0 * load, atol=50.0 * 1.1 * bend)
+    assert "values are put between two of the times of their own column" in read.notes[0]
+
+
+# Ramps of torque: what turns lags behind by its friction, what is held follows.
+TORQUE = 40.0 * TO_AND_FRO
+TWIST = 1e-4 * (TORQUE - 8.0 * np.sign(np.gradient(TORQUE)))
+
+
+@pytest.mark.parametrize(
+    ("columns", "position", "torque"),
+    [
+        (("Torque(N·m)", "Torsion angle(deg)"), "Torsion angle(deg)", "Torque(N·m)"),
+        (("Load [Nm]", "Encoder [arcsec]"), "Encoder [arcsec]", "Load [Nm]"),
+        (("Kraft (N)", "Messuhr (mm)"), "Messuhr (mm)", "Kraft (N)"),
+        (("output torque [Nm]", "output pos", "motor pos"), "output pos", "output torque [Nm]"),
+        (("motor torque [Nm]", "motor pos", "output pos"), "motor pos", "motor torque [Nm]"),
+        (("torque", "position", "velocity"), "position", "torque"),
+    ],
+)
+def test_where_one_side_is_held_torque_turns_the_other(
+    columns: tuple[str, ...], position: str, torque: str, tmp_path: Path
+) -> None:
+    beside = np.gradient(TWIST, TIME) if columns[-1] == "velocity" else 1e-6 * TORQUE
+    values = dict(zip(columns, (TORQUE, TWIST, beside), strict=False))
+    told = guessed(tmp_path / "a.csv", values)
+    assert told["motor_position_rad"][0] == position
+    assert told["motor_torque_nm"][0] == torque
+    assert len(told) == 2
+    guess = guess_columns(read_table(tmp_path / "a.csv"))
+    assert guess.route == "torque_ramp"
+    assert guess.of_motor == columns[0].startswith("motor")
+    if guess.of_motor:
+        values = {"output torque [Nm]": TORQUE, **values}
+        assert guessed(tmp_path / "a.csv", values) == told  # its own torque
+        del values[torque]
+        assert guessed(tmp_path / "a.csv", values)["motor_torque_nm"] == (
+            "output torque [Nm]",
+            UNKNOWN,
+        )
+    # A weight hangs at the joint: its torque goes with the angle, but less than the motor does.
+    moved = {"time": TIME, "tau": TORQUE, "q": TWIST, "theta": 50.0 * TWIST + 1e-3 * NOISE}
+    guessed(tmp_path / "b.csv", moved)
+    assert guess_columns(read_table(tmp_path / "b.csv")).route == "two_encoders"
+
+
+def test_joints_that_are_numbered_are_chosen_by_their_number(tmp_path: Path) -> None:
+    columns = {"time": TIME}
+    for joint in range(4):
+        columns[f"q_{joint}"] = (joint + 1.0) * TO_AND_FRO
+        columns[f"theta_{joint}"] = 50.0 * (joint + 1.0) * TO_AND_FRO
+    with pytest.raises(RecordingError, match=r"several joints.*0, 1, 2, 3"):
+        guessed(tmp_path / "a.csv", columns)
+    guess = guess_columns(read_table(tmp_path / "a.csv"), "2")
+    assert [column.name for column in guess.columns] == ["time", "theta_2", "q_2"]
+    at_output = {"time": TIME, "q_1": TO_AND_FRO, "theta_1": TO_AND_FRO + 1e-5 * NOISE}
+    told = guessed(tmp_path / "a.csv", at_output)
+    assert (told["motor_position_rad"][0], told["load_position_rad"][0]) == ("theta_1", "q_1")
+
+
+def test_of_two_counters_which_is_the_motors_is_a_question(tmp_path: Path) -> None:
+    columns = {"t": TIME, "A [inc]": 4e3 * TO_AND_FRO, "B [inc]": 3e4 * TO_AND_FRO}
+    columns |= {"velocity [inc/s]": np.gradient(4e3 * TO_AND_FRO, TIME)}
+    names = {"A [inc]": "pos A [inc]", "B [inc]": "pos B [inc]"}
+    guessed(tmp_path / "a.csv", {names.get(name, name): v for name, v in columns.items()})
+    _, motor, load = guess_columns(read_table(tmp_path / "a.csv")).columns
+    assert (motor.name, load.name) == ("pos B [inc]", "pos A [inc]")
+    assert motor.reason.startswith("is this the motor's side?")
+    assert motor.doubted
+    guessed(tmp_path / "b.csv", {"t": TIME, "theta_m": 3e4 * TO_AND_FRO, "theta_l": TO_AND_FRO})
+    assert not any(c.doubted for c in guess_columns(read_table(tmp_path / "b.csv")).columns)

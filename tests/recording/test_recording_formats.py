@@ -27,6 +27,7 @@ from recording_files import (
     write_scope,
     write_tdms,
 )
+from scipy.io import savemat
 
 from bayesbl.errors import RecordingError, UserError
 from bayesbl.recording import formats
@@ -445,14 +446,15 @@ def test_a_module_and_a_row_are_a_format(tmp_path: Path, monkeypatch: pytest.Mon
     module.parent.mkdir()
     module.write_text(A_FORMAT)
     monkeypatch.syspath_prepend(module.parent)
-    path = tmp_path / "joint.npz"
-    np.savez(path, **{name: np.array(values) for name, values in PLAIN.items()})
+    path = tmp_path / "joint.own"
+    with path.open("wb") as stream:
+        np.savez(stream, **{name: np.array(values) for name, values in PLAIN.items()})
     with pytest.raises(RecordingError, match="cannot be read as recordings"):
         read_recording(path)
-    added = formats.Format("NPZ", (".npz",), "numpy_columns")
-    monkeypatch.setitem(formats.FORMATS, ".npz", added)
+    added = formats.Format("Own", (".own",), "numpy_columns")
+    monkeypatch.setitem(formats.FORMATS, ".own", added)
     np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
-    assert "NPZ" in formats.names()
+    assert "Own" in formats.names()
 
 
 ABOVE = "Trace V3.2;Achse 2;14.03.2026 08:12:33\nAbtastzeit;1 ms\n\n"
@@ -481,3 +483,18 @@ def test_a_japanese_trace_is_read_in_its_own_encoding(tmp_path: Path, encoding: 
         "time_s": "時間(s)",
         "motor_speed_rpm": "モータ速度(r/min)",
     }
+
+
+def test_archives_of_numpy_and_signals_of_a_scope_are_columns(tmp_path: Path) -> None:
+    t, q = np.linspace(0.0, 1.0, 30), np.arange(30.0)
+    np.savez(tmp_path / "a.npz", t=t, q=np.stack([q, 2.0 * q], 1), dt=0.1)
+    table = read_table(tmp_path / "a.npz")
+    assert table.columns == ("t", "q(:,1)", "q(:,2)")
+    np.testing.assert_array_equal(table.numbers(["q(:,2)"])[:, 0], 2.0 * q)
+    signals = np.zeros((1, 2), dtype=[("values", "O"), ("label", "O")])
+    signals[0, 0], signals[0, 1] = (q[:, None], "theta_m [rad]"), (2.0 * q[:, None], "")
+    savemat(tmp_path / "a.mat", {"Scope": {"time": t[:, None], "signals": signals}})
+    table = read_table(tmp_path / "a.mat")
+    names = ("time", "signals(1).theta_m [rad]", "signals(2).values")
+    assert table.columns[:3] == names
+    np.testing.assert_array_equal(table.numbers(["signals(2).values"])[:, 0], 2.0 * q)

@@ -36,11 +36,8 @@ _KANJI_IN_A_WORD = re.compile("[A-Za-z][\u4e00-\u9fff]|[\u4e00-\u9fff][A-Za-z]")
 _HEAD_LINES = 400
 _LONGEST_LINE = 4_000_000
 
-_SCOPE_TIMES = 12.0
-"""Times its size that an export of Scope takes, whose cells are texts until all are there."""
-
-_EVENT_TIMES = 13.0
-"""The same of a log of events."""
+_TIMES = 13.0
+"""Times its size that an export of Scope or a log takes, whose cells are texts at first."""
 
 
 def read(file: Path, data: bytes) -> ArrayTable:
@@ -62,10 +59,10 @@ def read(file: Path, data: bytes) -> ArrayTable:
     text, control = _in_utf8(file, data)
     head = list(islice(lines_of(text), _HEAD_LINES))
     if is_scope_export("\n".join(head)):
-        require_memory(file, _SCOPE_TIMES * len(data), "cells of text")
+        require_memory(file, _TIMES * len(data), "cells of text")
         return read_scope_export(file, list(lines_of(text)))
     if form := form_of_events(head):
-        require_memory(file, _EVENT_TIMES * len(data), "events")
+        require_memory(file, _TIMES * len(data), "events")
         return read_events(file, lines_of(text), form)
     layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
     return table_of_text(file, text, layout, control)

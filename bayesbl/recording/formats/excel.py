@@ -58,9 +58,9 @@ def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
     """A sheet, as the text that it would be: numbers of cells with all their digits."""
 
     rows = list(_rows(file, sheet))
-    while rows and not _is_written(rows[-1]):
-        rows.pop()
-    middle = list(filter(_is_written, rows))
+    written = [i for i, row in enumerate(rows) if any(cell is not None for cell in row)]
+    rows = rows[: written[-1] + 1] if written else []
+    middle = [rows[i] for i in written]
     middle = middle[len(middle) // 2 :][:_MIDDLE]
     mark = decimal_mark(file, [cell for row in middle for cell in row if isinstance(cell, str)])
     width = max(map(len, rows), default=0)
@@ -76,10 +76,6 @@ def _group(file: Path, sheet: Any, repairs: Counter[str]) -> Group:
     written_as_text = sum((number := number_in(c, mark)) == number is not None for c in cells)
     repairs.update({"number written as text": written_as_text}, **table.repairs)
     return Group(sheet.title, table.arrays, units=table.units)
-
-
-def _is_written(row: Sequence[object]) -> bool:
-    return any(cell is not None for cell in row)
 
 
 def _text(cell: object, mark: str) -> str:

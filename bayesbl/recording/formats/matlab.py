@@ -1,8 +1,8 @@
-"""MATLAB files as a table: v5 (and v4) by scipy, v7.3, which is HDF5, by h5py.
+"""MATLAB files as a table: v5 (and v4) by scipy, v7.3, which is HDF5, by h5py; NumPy's ``.npz``.
 
 Vectors of either orientation become columns. Fields of a structure are named as MATLAB names them,
 ``rec.speed``, columns of a matrix ``data(:,2)``; if the file holds nothing but one structure, its
-name is left off.
+name is left off. A signal that Simulink's scope stored is called by its label.
 """
 
 from __future__ import annotations
@@ -39,6 +39,9 @@ def read(file: Path, data: bytes) -> ArrayTable:
 
     if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
         variables = _hdf5_variables(file, data)
+    elif data.startswith(b"PK"):
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            variables = dict(stored)
     else:
         variables = _mat5_variables(data)
     if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
@@ -59,7 +62,10 @@ def _columns(
 ) -> Iterator[tuple[str, AnyArray]]:
     for name, value in variables.items():
         if isinstance(value, dict):
-            if depth < _DEEPEST:
+            label = value.get("label")
+            if "values" in value and isinstance(label, np.ndarray) and label.size == 1:
+                yield from _columns({f"{label.item()}": value["values"]}, f"{prefix}{name}.")
+            elif depth < _DEEPEST:
                 yield from _columns(value, f"{prefix}{name}.", depth + 1)
         elif value.ndim <= 2 and value.size == max(value.shape, default=0):
             yield prefix + name, value.ravel()
@@ -81,9 +87,11 @@ def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
         if not isinstance(value, np.ndarray) or type(value).__name__ == "MatlabOpaque":
             continue
         if value.dtype.names is not None:
-            if value.size == 1 and depth < _DEEPEST:
-                record = value.flat[0]
-                plain[name] = _plain({n: record[n] for n in value.dtype.names}, depth + 1)
+            places = [""] if value.size == 1 else [f"({i + 1})" for i in range(value.size)]
+            for place, record in zip(places[:_MOST_COLUMNS], value.flat, strict=False):
+                if depth < _DEEPEST:
+                    fields = {n: record[n] for n in value.dtype.names}
+                    plain[name + place] = _plain(fields, depth + 1)
         elif value.dtype.kind in "biufc":
             plain[name] = value
         elif value.dtype.kind == "O" and all(_is_text(cell) for cell in value.flat):

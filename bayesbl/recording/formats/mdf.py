@@ -52,13 +52,6 @@ def _scale(conversion: Any) -> tuple[float, float, str]:
     return 1.0, 0.0, (_NAMES_4 if is_new else _NAMES_3).get(kind, f"kind {kind}")
 
 
-def _scaled(values: AnyArray, scale: tuple[float, float, str]) -> AnyArray:
-    """Values as they are meant, of values as they are stored."""
-    factor, offset, _ = scale
-    scaled: AnyArray = values if (factor, offset) == (1.0, 0.0) else factor * values + offset
-    return scaled
-
-
 def _group(stored: Any, number: int) -> Group:
     channels = stored.groups[number].channels
     scales = [_scale(channel.conversion) for channel in channels]
@@ -68,8 +61,8 @@ def _group(stored: Any, number: int) -> Group:
     master = stored.masters_db.get(number)
     time, withheld = None, ""
     if master is not None:
-        time = _scaled(np.asarray(stored.get_master(number)), scales[master])
-        withheld = scales[master][2]
+        factor, offset, withheld = scales[master]
+        time = factor * np.asarray(stored.get_master(number)) + offset
     others = [index for index in range(len(channels)) if index != master]
     names = numbered([channels[index].name for index in others])
     columns: dict[str, AnyArray] = {}
@@ -79,12 +72,13 @@ def _group(stored: Any, number: int) -> Group:
         samples = np.asarray(signal.samples)
         if samples.ndim != 1:
             continue
-        reason = scales[index][2] or (withheld and f"{withheld} on its time")
+        factor, offset, kind = scales[index]
+        reason = kind or (withheld and f"{withheld} on its time")
         if reason:
             reasons[name] = f"values by {reason}, which is not applied"
             columns[name] = samples[:0]
         elif samples.dtype.kind in "biuf":
-            columns[name] = _scaled(samples, scales[index])
+            columns[name] = factor * samples + offset
             if signal.invalidation_bits is not None:
                 columns[name] = np.where(signal.invalidation_bits, np.nan, columns[name])
         else:
