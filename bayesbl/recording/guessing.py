@@ -459,7 +459,7 @@ def _of_sides(
     if len({*_called([chosen[side] for side in (MOTOR_POSITION, LOAD_POSITION)])}) > 1:
         return columns
     reason = next(c.reason for c in columns if c.channel == MOTOR_POSITION)
-    asked = f"is this the motor's side? Neither name says so; {reason}"
+    asked = f"perhaps the load's, since neither name tells which side is the motor's; {reason}"
     return _changed(columns, MOTOR_POSITION, reason=asked, doubted=True)
 
 

@@ -1190,7 +1190,7 @@ def test_of_two_counters_which_is_the_motors_is_a_question(tmp_path: Path) -> No
     guessed(tmp_path / "a.csv", {names.get(name, name): v for name, v in columns.items()})
     _, motor, load = guess_columns(read_table(tmp_path / "a.csv")).columns
     assert (motor.name, load.name) == ("pos B [inc]", "pos A [inc]")
-    assert motor.reason.startswith("is this the motor's side?")
+    assert motor.reason.startswith("perhaps the load's")
     assert motor.doubted
     guessed(tmp_path / "b.csv", {"t": TIME, "theta_m": 3e4 * TO_AND_FRO, "theta_l": TO_AND_FRO})
     assert not any(c.doubted for c in guess_columns(read_table(tmp_path / "b.csv")).columns)
