@@ -72,7 +72,7 @@ class Unknown:
         The value is added to what the recording has without it: to ``reference`` as it is, to
         another in proportion.
     reference
-        The bench's value where it is zero.
+        Zero for the bench's value.
     """
 
     name: str

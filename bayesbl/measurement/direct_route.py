@@ -109,7 +109,7 @@ FRICTION = (
 )
 
 LEAST_SHARE = 0.9
-"""Of a friction that drift takes away at most."""
+"""Of a friction that its drift takes away at most."""
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
@@ -340,24 +340,24 @@ def direct_unknowns(
 def friction_drift(
     unknowns: Sequence[Unknown], among: Sequence[Direction], later: Sequence[str]
 ) -> list[Unknown]:
-    """What friction that is unknown anyway drifts by in later recordings.
+    """What friction that is unknown anyway drifts by in later recordings, in proportion to it.
 
     It moves the current's mean by many times its noise: a fit that has it the same in all turns to
     a bench that never was, and nothing is linear there.
     """
-    usual = {u.name: u.sd for u in unknowns if u.name.partition("__")[0] in FRICTION}
+    sizes = {u.name: u.centre or u.sd for u in unknowns if u.name.partition("__")[0] in FRICTION}
     return [
         Unknown(
             d.slot,
-            -LEAST_SHARE * usual[d.slot],
+            -LEAST_SHARE * sizes[d.slot],
             sd=d.drift,
             recording=name,
             added=True,
-            reference=usual[d.slot],
+            reference=sizes[d.slot],
         )
         for name in later
         for d in among
-        if d.slot in usual and d.drift > 0.0
+        if d.slot in sizes and d.drift > 0.0
     ]
 
 

@@ -237,8 +237,8 @@ def _shortened(value: object) -> dict[str, Any]:
     return {
         "first": _numbers(array[:ENDS]),
         "last": _numbers(array[-ENDS:]),
-        "mean": float(array.mean()),
-        "sd": float(array.std()),
+        "mean": _numbers([array.mean()])[0],
+        "sd": _numbers([array.std()])[0],
     }
 
 

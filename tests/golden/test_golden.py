@@ -105,7 +105,7 @@ def _same_draws(kept: Mapping[str, Any], new: Mapping[str, Any], exact: bool) ->
     if exact:
         return all(_close(kept[key], new[key], EXACT, EXACT * sd) for key in kept)
     mean = _close(kept["mean"], new["mean"], 0.0, MEAN_SHARE * sd)
-    return mean and _close(sd, new["sd"], 0.0, WIDTH_SHARE * sd)
+    return mean and _close(sd, new["sd"] or 0.0, 0.0, WIDTH_SHARE * sd)
 
 
 def _same_interval(kept: list[float | None], new: list[float | None]) -> bool:

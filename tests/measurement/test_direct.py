@@ -16,10 +16,12 @@ from places import CONFIGS
 from scipy.stats import chi2, kstest, lognorm, norm, truncnorm, uniform
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.parameters import DEFAULT_DRIFT
 from bayesbl.bench.simulation import Measurement
 from bayesbl.config.bench import load_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
+from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.predictive_check import agrees, disagreements
@@ -34,7 +36,8 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.matching.surrogate import simulated_chi_square
-from bayesbl.measurement.direct_route import fit_jointly
+from bayesbl.measurement.direct_route import fit_jointly, friction_drift
+from bayesbl.model_search.always_in import directions
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
@@ -286,6 +289,23 @@ def test_snapshots_of_one_joint_share_what_is_wrong_with_their_bench():
     assert change.std() < 0.6 * math.hypot(first.std(), last.std())
     # Fails by chance in 1 of 10 000.
     assert abs(change.mean() - 1e-4) < 4.0 * change.std()
+
+
+@pytest.mark.parametrize(("stated", "sd", "found"), [(0.0, 2e-3, 7e-4), (2e-3, 1e-4, 2.1e-3)])
+def test_friction_drifts_in_proportion_to_itself(stated, sd, found):
+    """By what the budget says of it, whether it is stated or only its usual size is known."""
+    viscous = BenchEffect(
+        "motor_viscous_friction", {"coefficient_nm_s_per_rad": EffectParameterValue(stated, sd)}
+    )
+    known = bench().with_effects(viscous)
+    (friction,) = effect_unknowns(known, ["0", "1"])
+    (drift,) = friction_drift([friction], directions(known, {}), ["1"])
+    seen = [observed(record(known, 6e-4, [17, i], f"{i}"), known) for i in range(2)]
+    model = SimulatedSignals(known, seen, [friction, drift], [noise_of(s, s.signals) for s in seen])
+    points = np.array([[found, drift.sd]])
+    first, second = (model.settings_of(points, each)[friction.name].item() for each in seen)
+    assert first == pytest.approx(found)
+    assert second == pytest.approx(found * (1.0 + DEFAULT_DRIFT["motor_viscous_friction"]))
 
 
 SMALL_JOINT = """
