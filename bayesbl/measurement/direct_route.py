@@ -343,7 +343,7 @@ def friction_drift(
     """What friction that is unknown anyway drifts by in later recordings, in proportion to it.
 
     It moves the current's mean by many times its noise: a fit that has it the same in all turns to
-    a bench that never was, and nothing is linear there.
+    a bench that never was, and nothing is linear there. A speed alone shows little of it.
     """
     sizes = {u.name: u.centre or u.sd for u in unknowns if u.name.partition("__")[0] in FRICTION}
     return [
@@ -413,7 +413,8 @@ def fit_jointly(
     moving = [r.name for r in recordings if r.motion is not None]
     among = directions(bench, drift)
     unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, moving)
-    unknowns += friction_drift(unknowns, among, [r.name for r in recordings[1:]])
+    with_current = [r.name for r in recordings[1:] if len(r.signals) > 1]
+    unknowns += friction_drift(unknowns, among, with_current)
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
