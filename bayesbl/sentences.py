@@ -412,15 +412,15 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "no_torque": (
         "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks the "
-        "same as play, and a change of it as wear. Wind-up is usually 0.05 mrad; of a play of "
-        "several milliradians or of a soft joint it is taken as a tenth of the lost motion, up to "
-        "two fifths, and the interval includes that. A load that its weight holds on one flank "
-        "hides its play. Record the torque or current."
+        "same as play, and a change of it as wear. Wind-up is usually 0.05 mrad. If the joint is "
+        "soft or its play is several milliradians, wind-up is assumed to be about a tenth of the "
+        "lost motion, rarely two fifths, and the interval includes that. A load that its weight "
+        "holds on one flank hides its play. Record the torque or current."
     ),
     "torque_unused": (
         "The torque does not show how far the joint winds up between the flanks. That is usually "
-        "0.05 mrad; of a play of several milliradians or of a soft joint it is taken as a tenth of "
-        "the lost motion, up to two fifths, and the interval includes that."
+        "0.05 mrad. If the joint is soft or its play is several milliradians, wind-up is assumed "
+        "to be about a tenth of the lost motion, rarely two fifths, and the interval includes that."
     ),
     "positions_exchanged": (
         "The motor turns {seen:.4g} times per turn of the load, the inverse of the stated "
@@ -435,10 +435,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "was corrected."
     ),
     "skew_or_play": lambda skew_ms: (
-        "All motion has one speed. There play looks the same as a skew of the channels, by this "
-        f"recording {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}, if the load "
-        "coasts or bounces between the flanks or the skew is most of what lies between both "
-        "directions. Record slow and fast motion, or with friction or a brake at the load."
+        "All motion has one speed, and here play cannot be told from a skew of the channels: the "
+        f"load's stamps seem {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}. Record "
+        "slow and fast motion, or with friction or a brake at the load."
     ),
     "lag_changes": (
         "The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "

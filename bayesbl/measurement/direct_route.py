@@ -65,6 +65,7 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.measurement.summary_types import PredictiveCheckEntry
 from bayesbl.model_search.always_in import (
+    LEAST_LEFT,
     Beside,
     Direction,
     beside,
@@ -107,9 +108,6 @@ FRICTION = (
     "load_viscous_friction",
     "load_coulomb_friction",
 )
-
-LEAST_SHARE = 0.9
-"""Of a friction that its drift takes away at most."""
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
@@ -349,7 +347,7 @@ def friction_drift(
     return [
         Unknown(
             d.slot,
-            -LEAST_SHARE * sizes[d.slot],
+            (LEAST_LEFT - 1.0) * sizes[d.slot],
             sd=d.drift,
             recording=name,
             added=True,
