@@ -329,11 +329,15 @@ class Label:
             if cause != self.cause and own & set(slots):
                 yield replace(self, cause=cause).hypothesis
 
-    def unknowns(self, vector: FloatArray) -> list[Unknown]:
-        """As unknowns of a fit; ``vector``, (slots,): what they differ from, the bench's values or
-        the first snapshot's."""
+    def unknowns(self, vector: FloatArray, sizes: FloatArray) -> list[Unknown]:
+        """As unknowns of a fit, with the prior that a Cauchy one is near these sizes, (k,), in
+        standard deviations: a law that is many times as large as usual is not pulled back.
+
+        ``vector``, (slots,): what they differ from, the bench's values or the first snapshot's.
+        """
         found = []
-        for own, scale in zip(self.directions, self.scales, strict=True):
+        widths = np.sqrt(0.5 * (1.0 + sizes**2)) * self.scales
+        for own, scale in zip(self.directions, widths.tolist(), strict=True):
             value = float(vector[Slot[own.slot]])
             # Of a lag far from none there is at least what the simulator takes without tiny steps.
             is_bounded = own.is_not_negative or own.positive or value > 0.0
@@ -712,7 +716,7 @@ def _freed(fit: SimulatedFit, far: Label, sizes: FloatArray) -> SimulatedFit | N
     """With one label among its unknowns, from these sizes; ``None`` where nothing is simulated."""
     bench = with_neutral(fit.model.bench, far.directions)
     first = fit.model.vectors(fit.point[None], fit.model.recordings[0])
-    own = far.unknowns((bench.vector() if far.recording is None else first)[0])
+    own = far.unknowns((bench.vector() if far.recording is None else first)[0], sizes)
     by = sizes * far.scales
     model = fit.model.beside(bench, own)
     move = np.concatenate([np.zeros(fit.point.size), by])
@@ -748,7 +752,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
             ticks = BenchEffect(SAMPLED, {"period_s": EffectParameterValue(period_s)})
             bench = bench.with_effects(*bench.effects, ticks)
         free = [d for d in directions(bench, {}) if d.slot in {DEAD_TIME, INSTANT_SHARE} - taken]
-        own = [unknown for d in free for unknown in Label((d,), None).unknowns(bench.vector()[0])]
+        own = [u for d in free for u in Label((d,), None).unknowns(bench.vector()[0], np.ones(1))]
         models[period_s] = fit.model.beside(bench, own)
         for loop in itertools.product(USUAL_DELAYS, (0.0, 1.0)[: len(own)]):
             point = np.concatenate([fit.point, loop[: len(own)]])
