@@ -75,12 +75,13 @@ from bayesbl.model_search.always_in import (
     settled,
     with_friction,
 )
-from bayesbl.model_search.closed_loop import Naming, averaged
+from bayesbl.model_search.closed_loop import FittedSet, averaged
 from bayesbl.model_search.joint_change import (
     JointFindings,
     changed_beside,
-    elastic_part,
+    elastic_parts,
     find_changes,
+    with_part,
 )
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.progress import StageProgress, of_stage
@@ -369,13 +370,13 @@ class JointFit:
         The fit, and what stands beside it.
     joint
         Whether one joint, as its bench describes it, made the recordings.
-    naming
-        What the bench lacks; ``None`` where laws and drift explain everything.
+    others
+        Other sets of what the bench may lack, each with its probability.
     """
 
     rest: Beside
     joint: JointFindings
-    naming: Naming | None = None
+    others: Sequence[tuple[FittedSet, float]] = ()
 
     @property
     def allows_for_misfit(self) -> bool:
@@ -386,10 +387,7 @@ class JointFit:
         """Its draws with impacts that differ, laws, drift, and all that the bench may lack."""
         scattering, drifting, others = seed.spawn(3)
         whole = marginalised(widened(posterior, scattering), self.rest.posterior, drifting)
-        if self.naming is None or not self.naming.effects:
-            # Sets that explain too little to be named know less of the misfit than the bench does.
-            return whole
-        return averaged(whole, self.naming, others)
+        return averaged(whole, self.others, others) if self.others else whole
 
 
 def fit_jointly(
@@ -418,13 +416,16 @@ def fit_jointly(
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
     rest = settled(nominal, among)
     if rest.explains:
-        part = None if moving else elastic_part(nominal, rest.fit, among)
-        if part is not None:
-            wider = [*among, *part.directions]
-            own = settled(part.fit, wider)
-            if own.explains:
-                return JointFit(own, changed_beside(own.fit, wider, part.added))
-        return JointFit(rest, changed_beside(rest.fit, among))
+        sets = () if moving else elastic_parts(rest.fit, among)
+        for best, probability in sets[:1]:
+            if best.explanation.candidates:
+                part = with_part(nominal, best.explanation, probability)
+                wider = [*among, *part.directions]
+                own = settled(part.fit, wider)
+                if own.explains:
+                    return JointFit(own, changed_beside(own.fit, wider, part.added), sets[1:])
+        others = [(own, p) for own, p in sets if own.explanation.candidates]
+        return JointFit(rest, changed_beside(rest.fit, among), others)
     seeking = of_stage(progress, f"Seeking changes in {name}")
     naming, joint = find_changes(rest.fit, among=among, progress=seeking)
     rest = naming.rest or beside(naming.final.fit, among)
@@ -433,7 +434,8 @@ def fit_jointly(
         free, known = settled(rest.fit, among), len(rest.fit.model.unknowns)
         if all(u.recording is None for u in free.fit.model.unknowns[known:]):
             rest = free
-    return JointFit(rest, joint, naming)
+    # Sets that explain too little to be named know less of the misfit than the bench does.
+    return JointFit(rest, joint, naming.others if naming.effects else ())
 
 
 def fit_directly(

@@ -174,6 +174,11 @@ class Naming:
     rest: Beside | None = None
 
     @property
+    def others(self) -> list[tuple[FittedSet, float]]:
+        """All but ``final``."""
+        return [(own, p) for own, p in self.sets if own.explanation.keys != self.final.keys]
+
+    @property
     def alone(self) -> list[FittedSet]:
         """Each candidate that was fitted alone, most probable first."""
         return [own for own, _ in self.sets if len(own.explanation.candidates) == 1]
@@ -181,23 +186,27 @@ class Naming:
 
 def averaged(
     posterior: DirectPosterior,
-    naming: Naming,
+    others: Sequence[tuple[FittedSet, float]],
     seed: np.random.SeedSequence,
     among: Sequence[Direction] = (),
 ) -> DirectPosterior:
     """Draws of all sets: each other one than that of ``posterior`` has its share, normal at its
-    fit; of what it lacks the draws stay.
+    fit; of what only one of the two has, the draws stay.
 
-    ``among``: what is always beside each set, where the search had nothing there.
+    ``others``: each with its probability; ``among``: what is always beside each set, where the
+    search had nothing there.
     """
-    common, model = naming.nominal.fit.point.size, posterior.fit.model
+    model = posterior.fit.model
     rng, draws = np.random.default_rng(seed), posterior.draws.reshape(-1, len(model.unknowns))
     draws, order = draws.copy(), rng.permutation(len(draws))
-    for other, weight in naming.sets:
-        count = round(weight * len(draws))
-        if other.explanation.keys != naming.final.keys and count:
+    for other, weight in others:
+        if count := round(weight * len(draws)):
             rows, order = order[:count], order[count:]
             whole = weighed(other.explanation, among) if among else other
+            pairs = zip(model.unknowns, other.fit.model.unknowns, strict=False)
+            common = sum(
+                1 for _ in itertools.takewhile(lambda pair: pair[0].key == pair[1].key, pairs)
+            )
             own = whole.draws(rng, count)[:, :common]
             draws[rows, :common] = np.clip(own, model.low[:common], model.high[:common])
     return posterior.with_model(draws)

@@ -30,7 +30,7 @@ from bayesbl.model_search.always_in import (
     Direction,
 )
 from bayesbl.model_search.catalogue import USUAL_SHARE, Candidate, candidates
-from bayesbl.model_search.closed_loop import Naming, SetSearch, name_missing
+from bayesbl.model_search.closed_loop import FittedSet, Naming, SetSearch, name_missing
 from bayesbl.model_search.refit import Explanation, columns_of
 from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
@@ -196,28 +196,27 @@ class ElasticPart:
     added: AddedPart
 
 
-def elastic_part(
-    nominal: SimulatedFit, fit: SimulatedFit, among: Sequence[Direction]
-) -> ElasticPart | None:
-    """A belt, an arm or a base that gives way, if one is likelier than none; else ``None``.
+def elastic_parts(
+    fit: SimulatedFit, among: Sequence[Direction]
+) -> tuple[tuple[FittedSet, float], ...]:
+    """The fit without and with a belt, an arm or a base that gives way, the most probable first.
 
-    What it does is far from linear in its compliance, and the tolerances of a bench take up most of
-    it, with δ off by much more than its interval. So each is tried where nothing else asks for it.
-
-    ``fit``: ``nominal`` with laws and drift freed that stood in for the part. They are linear again
-    beside it, as they are next to nothing then: a lag of microseconds is what the simulator is
-    slowest with.
+    What one does is far from linear in its compliance, and the tolerances of a bench take up most
+    of it, with δ off by much more than its interval. So each is tried where nothing else asks for
+    it, and δ is averaged over all.
     """
     bench, recordings = fit.model.bench, fit.model.recordings
     names = [e.name for e in EFFECTS if e.resonance is not None]
     parts = [c for c in candidates(bench, recordings, names) if c.name in names]
-    found, probability = SetSearch(Explanation((), fit), lambda _: parts, 1, among).sets[0]
-    part = found.explanation
-    return _in_bench(nominal, part, probability) if part.candidates else None
+    return SetSearch(Explanation((), fit), lambda _: parts, 1, among).sets
 
 
-def _in_bench(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
-    """A fitted part put into the bench, its values as directions of their flat priors."""
+def with_part(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
+    """A fitted part put into the bench, its values as directions of their flat priors.
+
+    Laws and drift that stood in for it in the fit are linear again beside it, as they are next to
+    nothing then: a lag of microseconds is what the simulator is slowest with.
+    """
     (part,) = found.candidates
     places, own = found.places(part), nominal.point.size
     sds = np.sqrt(np.diag(found.fit.covariance))[places].tolist()

@@ -32,7 +32,7 @@ from bayesbl.model_search.always_in import (
     with_neutral,
 )
 from bayesbl.model_search.closed_loop import weighed
-from bayesbl.model_search.joint_change import elastic_part
+from bayesbl.model_search.joint_change import elastic_parts, with_part
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings
@@ -387,8 +387,8 @@ def test_a_belt_is_found_with_its_frequency_where_tolerances_would_take_it_up() 
     )
     unknowns = direct_unknowns(sheet, ["one"], (1e-4, 1e-2))
     nominal = fit_aligned(sheet, [observed(made, sheet)], unknowns)
-    part = elastic_part(nominal, nominal, directions(BENCH, {}))
-    assert part is not None
+    (best, probability), *_ = elastic_parts(nominal, directions(BENCH, {}))
+    part = with_part(nominal, best.explanation, probability)
     assert part.added.name == "belt"
     assert part.added.frequency_hz == pytest.approx(BELT_HZ, rel=0.1)
     place = part.fit.model.index(GAP, "one")
@@ -413,7 +413,8 @@ def test_what_stands_beside_a_fit_leaves_its_derivatives_as_they_are() -> None:
 
 
 def test_no_elastic_part_is_found_in_a_joint_that_has_none() -> None:
-    assert elastic_part(nominal := pair(BENCH), nominal, directions(BENCH, {})) is None
+    (best, _), *_ = elastic_parts(pair(BENCH), directions(BENCH, {}))
+    assert not best.explanation.candidates
 
 
 def test_friction_that_the_bench_lacks_moves_no_gap() -> None:

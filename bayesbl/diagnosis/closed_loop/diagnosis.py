@@ -126,7 +126,7 @@ class Findings:
         whole = marginalised(posterior, self.chosen.posterior, for_misfit)
         if self.learned is not None:
             return whole
-        return averaged(whole, self.naming, for_others, laws(self.final.fit.model.bench))
+        return averaged(whole, self.naming.others, for_others, laws(self.final.fit.model.bench))
 
 
 def search(
