@@ -693,8 +693,7 @@ def _nearer(rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
 
     Lags of the loop are much alike where all is linear. So where one of them promises most, or the
     fit is far off, all of them are fitted, and controllers of usual periods; before them the dead
-    time of a controller that the bench states. No other law is freed where even all together leave
-    too much.
+    time of a controller that the bench states.
     """
     fit, far = rest.fit.with_derivatives(), rest.far()
     lags = [own for own in far if own[0].is_lag]
@@ -705,8 +704,6 @@ def _nearer(rest: Beside, among: Sequence[Direction]) -> SimulatedFit | None:
         best = min((f for f in tried if f is not None), key=lambda f: f.chi_square, default=None)
         if best is not None and best.chi_square < fit.chi_square:
             return best
-    if rest.residual @ rest.residual > _goal(fit):
-        return None
     freed = (_freed(fit, *own) for own in far if not own[0].is_lag)
     better = (f for f in freed if f is not None and f.chi_square < fit.chi_square)
     return next(better, None)
