@@ -92,6 +92,9 @@ MOST_AGREEING = 2.0
 noise that goes round the loop and rounding that repeats. What cannot get there explains nothing,
 and another question is asked of the recordings."""
 
+ABSENT = 0.5
+"""Probability that a joint has nothing of a law that is there or is not. A judgement: even odds."""
+
 LEAST_LEFT = 0.01
 """Share of a positive parameter that no drift or change takes."""
 
@@ -313,12 +316,15 @@ class Label:
 
     def term(self, columns: FloatArray) -> Term:
         """As the engine takes it; ``columns`` are by one standard deviation each, (N, k)."""
-        positive = self.recording is None and self.directions[0].positive
+        first = self.directions[0]
+        positive = self.recording is None and first.positive
         return Term(
             self.hypothesis,
             columns,
             positive,
             always=not self.cause,
+            # Friction is partly dry in any joint.
+            absent=ABSENT if positive and first.effect and not first.instead_of else 0.0,
             excludes=frozenset(self._others()) if self.cause else frozenset(),
         )
 

@@ -26,7 +26,7 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import expit, log_ndtr
 
 from bayesbl.model_search.constants import (
     BEAM,
@@ -66,6 +66,10 @@ class Term:
         The amplitude cannot be negative: a half-normal prior (k = 1).
     always
         Never selected, always there.
+    absent
+        Probability that a positive one that is always there is of no size: teeth pull at one
+        another or do not, a speed is averaged or is not. A half-normal alone would have a little of
+        each law in every joint, and all of them widen a gap. Only draws know of it.
     prior_weight
         Share of the hypothesis' prior probability.
     excludes
@@ -79,6 +83,7 @@ class Term:
     columns: FloatArray
     positive: bool = False
     always: bool = False
+    absent: float = 0.0
     prior_weight: float = 1.0
     excludes: frozenset[str] = frozenset()
     requires: frozenset[str] = frozenset()
@@ -382,8 +387,10 @@ class _Grams:
         bound = [i for i in own if terms[i].always]
         self.bound_columns = np.concatenate([nothing, *(self.columns_of[i] for i in bound)])
         self.is_positive = np.zeros(self.k, dtype=bool)
+        self.absent = np.zeros(self.k)
         for i in own:
             self.is_positive[starts[i]] = terms[i].positive
+            self.absent[starts[i]] = terms[i].absent
         even = even_probability(len({terms[i].hypothesis for i in self.selected}))
         self.log_prior = np.zeros(len(terms))
         for i in self.selected:
@@ -792,6 +799,7 @@ class ModelPosterior:
                 mean,
                 precision,
                 grams.is_positive[columns],
+                grams.absent[columns],
                 count,
                 own_generator,
             )
@@ -881,10 +889,14 @@ def _truncated(
     mean: FloatArray,
     precision: FloatArray,
     positive: np.ndarray,
+    absent: FloatArray,
     n: int,
     generator: np.random.Generator,
 ) -> FloatArray:
-    """(n, k) draws of a normal with some amplitudes positive: n chains of Gibbs side by side."""
+    """(n, k) draws of a normal with some amplitudes positive: n chains of Gibbs side by side.
+
+    ``absent``: prior probability of each that it is 0 (George and McCulloch 1993), (k,).
+    """
     result, covariance = np.zeros((n, mean.size)), np.linalg.inv(precision)
     bounded, free = np.flatnonzero(positive), np.flatnonzero(~positive)
     if bounded.size:
@@ -899,6 +911,11 @@ def _truncated(
                 centre = middle[i] - (x[:, others] - middle[others]) @ own[others, i] / own[i, i]
                 z = normal_between(-centre / sd, np.full(n, np.inf), generator.uniform(size=n))
                 x[:, i] = np.maximum(centre + sd * z, 0.0)
+                if absent[bounded[i]] > 0.0:
+                    # Of a half-normal against none, of which the normal has exp(−c²/2s²).
+                    there = math.log(2.0 * sd) + log_ndtr(centre / sd) + 0.5 * (centre / sd) ** 2
+                    there -= log_odds(absent[bounded[i]])
+                    x[generator.uniform(size=n) > expit(there), i] = 0.0
         result[:, bounded] = x
     if free.size:
         centre = np.broadcast_to(mean[free], (n, free.size))
