@@ -355,7 +355,10 @@ class Label:
             # A change is as large as the recordings have it.
             sd = scale / CHANGED_SHARE if self.cause else scale
             low = LEAST_LEFT * value - value if is_bounded else -math.inf
-            found.append(Unknown(own.slot, low, sd=sd, recording=self.recording, added=True))
+            # In proportion to the value that the range is of, not to the bench's.
+            found.append(
+                Unknown(own.slot, low, sd=sd, recording=self.recording, added=True, reference=value)
+            )
         return found
 
 
