@@ -410,28 +410,3 @@ def _neutral_effect(effect: Effect, **given: float) -> BenchEffect:
     return BenchEffect(
         effect.name, {name: EffectParameterValue(value) for name, value in values.items()}
     )
-
-
-def steady_torque(bench: Bench, recordings: Sequence[Observed]) -> Candidate | None:
-    """A constant torque in each recording; ``None`` if the bench has such an offset already.
-
-    At constant speed all friction of the motor is one, whatever its law: no explanation, but what
-    stands in for one while the rest is sought.
-    """
-    effect = effect_named("motor_torque_offset")
-    if any(present.name == effect.name for present in bench.effects):
-        return None
-    (torque,) = parameters_on(bench, effect)
-    name = f"{effect.name}__{torque.name}"
-    unknowns = tuple(
-        Unknown(name, torque.low, torque.high, recording=seen.name) for seen in recordings
-    )
-    usual = np.repeat(abs(torque.typical), len(unknowns))
-    return Candidate(
-        effect.name,
-        "effect",
-        unknowns,
-        np.zeros(len(unknowns)),
-        effect=_neutral_effect(effect),
-        usual=usual,
-    )

@@ -12,17 +12,16 @@ import numpy as np
 
 from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, remaining_noise
-from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.signals import SimulatedSignals
-from bayesbl.model_search.catalogue import Candidate, steady_torque
+from bayesbl.model_search.catalogue import Candidate
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
 MOST_FROM_AFAR = 3
-BEHIND = 2.0
-"""What is far from its optimum and leaves this multiple of what the best leaves, or what there was
-before, is not pursued. Once fitted, it has to leave less than the excess over this."""
+LEFT_FROM_AFAR = 0.5
+"""Share of χ² beyond noise that a rough fit from afar may leave, or it is not pursued."""
 
 GROSS = 1.05
 """χ² per sample that counts as far off: the gap may be in another place of its range.
@@ -170,37 +169,25 @@ def reduced(
 
 
 def from_afar(nominal: Explanation, candidates: Sequence[Candidate]) -> list[Explanation]:
-    """Candidates that move the gap, each from the best places in its whole range, best first.
-
-    They are sought with a constant torque free in every recording, so that friction of the motor
-    does not draw the gap away, and then stand without it, not fitted again.
-    """
-    model = nominal.fit.model
-    steady = steady_torque(model.bench, model.recordings)
-    unmoved = np.zeros(nominal.fit.point.size)
-    free = None if steady is None else refit(nominal, [(steady, steady.usual)], unmoved)
-    free = free or nominal
-    best: dict[str, tuple[float, Explanation]] = {}
+    """Candidates that move the gap, fitted roughly from the best place in its whole range and
+    theirs, best first: of the few that start nearest, what leaves much less than there was."""
+    model, own = nominal.fit.model, nominal.fit.point.size
+    places = []
     for candidate in (c for c in candidates if c.scanned):
-        beside = extended(free.fit.model, candidate)
-        starts = _scanned_starts(beside, free, candidate)
-        chi_squares = [chi_square(beside, start) for start in starts]
-        for start, value in zip(starts, chi_squares, strict=True):
-            if value > BEHIND * min(*chi_squares, free.fit.chi_square):
-                continue
-            with suppress(SimulationError):
-                fit = fit_simulated(beside, start, free.fit.steps, rough=True)
-                known = best.get(candidate.label)
-                if known is None or fit.chi_square < known[0]:
-                    own = np.r_[: nominal.fit.point.size, -len(candidate.unknowns) : 0]
-                    alone = replace(fit, point=fit.point[own], steps=fit.steps[own])
-                    refreshed = with_model(alone, extended(model, candidate))
-                    best[candidate.label] = fit.chi_square, Explanation((candidate,), refreshed)
-    ranked = sorted(best.values(), key=lambda item: item[0])
+        beside = extended(model, candidate)
+        neutral = {own + i: np.array([zero]) for i, zero in enumerate(candidate.neutral)}
+        grids = neutral | {own + i: grid for i, grid in candidate.scanned.items()}
+        start = aligned_starts(beside, grids, SCANNED_GAPS)[0]
+        places.append((chi_square(beside, start), start, beside, candidate))
+    fitted = []
+    for _, start, beside, candidate in sorted(places, key=lambda p: p[0])[:MOST_FROM_AFAR]:
+        with suppress(SimulationError):
+            fit = fit_simulated(beside, start, nominal.fit.steps, rough=True)
+            fitted.append(Explanation((*nominal.candidates, candidate), fit))
     size = nominal.fit.residual.size
-    most = size + (free.fit.chi_square - size) / BEHIND
-    hopeful = [e for value, e in ranked if value <= min(BEHIND * ranked[0][0], most)]
-    return hopeful[:MOST_FROM_AFAR]
+    most = size + LEFT_FROM_AFAR * (nominal.fit.chi_square - size)
+    hopeful = [e for e in fitted if e.fit.chi_square < most]
+    return sorted(hopeful, key=lambda e: e.fit.chi_square)
 
 
 def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]]:
@@ -281,16 +268,3 @@ def chi_square(model: SimulatedSignals, point: FloatArray) -> float:
     z = model.whitened(point)[0]
     value = float(z @ z)
     return value if math.isfinite(value) else math.inf
-
-
-def _scanned_starts(
-    model: SimulatedSignals, base: Explanation, candidate: Candidate
-) -> list[FloatArray]:
-    own = len(base.fit.point)
-    grids = {own + place: grid for place, grid in candidate.scanned.items()}
-    starts = aligned_starts(model, grids, SCANNED_GAPS)
-    for start in starts:
-        for i in range(len(candidate.unknowns)):
-            if i not in candidate.scanned:
-                start[own + i] = candidate.neutral[i]
-    return starts
