@@ -435,6 +435,10 @@ NONE = 1e-6
 ROUNDS = 3
 """Of search, noise and finer shapes."""
 
+ROUNDING = 1e-6
+"""Least noise, of the root mean square of what the base leaves. A simulation without noise is
+explained to the last digit, and evidence would be that of its rounding, or none."""
+
 COLLINEAR = 0.9999
 """Cosine between what two candidates do, from which it is the same but for a hundredth."""
 
@@ -541,7 +545,7 @@ class Inference:
         shown = [piece.shown for piece in pieces]
         pairs = list(zip(noises, shown, strict=True))
         strongest = {
-            alike: max(_TINY, *(noise.strongest for noise, s in pairs if s == alike))
+            alike: max(self._rounding, *(noise.strongest for noise, s in pairs if s == alike))
             for alike in set(shown)
         }
         self._shown_size = strongest[True]
@@ -551,11 +555,18 @@ class Inference:
         self._search(blocks)
 
     @cached_property
+    def _rounding(self) -> float:
+        """Noise that is always there."""
+        model, shown = self.model, self.model.rows.shown
+        left = (model.rows.measured - model.base)[shown]
+        return ROUNDING * (math.sqrt(float(np.mean(left**2))) or 1.0)
+
+    @cached_property
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
         model = self.model
         left = model.rows.measured - model.base - model.jacobian @ model.by_nuisances
-        return max(math.sqrt(float(np.mean(left[model.rows.shown] ** 2))), _TINY)
+        return max(math.sqrt(float(np.mean(left[model.rows.shown] ** 2))), self._rounding)
 
     def _noise_beside_everything(self, blocks: list[FloatArray]) -> list[ResidualNoise]:
         """From what all candidates and the discrepancy together leave, by ridge regression."""

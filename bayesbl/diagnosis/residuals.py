@@ -154,8 +154,8 @@ class ChannelResiduals:
 
     @property
     def unexplained(self) -> float:
-        """Power of all but the noise, over that of the noise."""
-        return (self.offset**2 + self.repeating_rms**2 + self.other) / self.noise_sd**2
+        """Power of all but noise and offset, which any friction takes away, over the noise's."""
+        return (self.repeating_rms**2 + self.other) / self.noise_sd**2
 
 
 @dataclass(frozen=True, slots=True)

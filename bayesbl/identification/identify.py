@@ -61,7 +61,6 @@ from bayesbl.model_search.refit import (
     Explanation,
     extended,
     from_afar,
-    is_gross,
     polished,
     refit,
     with_noise,
@@ -305,7 +304,7 @@ def _with_effects(nominal: Explanation, problem: Problem, peaks: Sequence[float]
         starts = [candidate.neutral + np.nan_to_num(candidate.usual), *candidate.starts]
         unmoved = np.zeros(best.fit.point.size)
         tried = [refit(best, [(candidate, start)], unmoved) for start in starts]
-        if is_gross(best) and candidate.scanned:
+        if not is_explained(best.fit):
             tried += from_afar(best, [candidate])
         fits = [e for e in tried if e is not None]
         best = min(fits, key=lambda e: e.fit.chi_square, default=best)

@@ -55,7 +55,6 @@ from bayesbl.model_search.refit import (
     Explanation,
     columns_of,
     from_afar,
-    is_gross,
     polished,
     promised,
     reduced,
@@ -94,20 +93,34 @@ class FittedSet:
         ln of its prior times evidence, anything beside it left out.
     posterior
         Of what is always beside it, and of the misfit.
-    excess
-        χ² beyond noise of what repeats, and what of it lies in bands that have a misfit.
+    beyond
+        χ² beyond noise of what repeats, by band, the mean first, (b,).
     """
 
     explanation: Explanation
     log_evidence: float
     posterior: ModelPosterior
-    excess: float
-    misfit: float
+    beyond: FloatArray
 
     @property
     def fit(self) -> SimulatedFit:
         """Of everything unknown."""
         return self.explanation.fit
+
+    @property
+    def excess(self) -> float:
+        """χ² beyond noise of what repeats."""
+        return max(float(self.beyond.sum()), 0.0)
+
+    @property
+    def misfits(self) -> FloatArray:
+        """What of it lies in bands that have a misfit, (b,)."""
+        return np.maximum(self.beyond, 0.0) * (np.array(self.posterior.models[0].scales) > 0.0)
+
+    @property
+    def misfit(self) -> float:
+        """Of all bands."""
+        return float(self.misfits.sum())
 
     def draws(self, generator: np.random.Generator, n: int) -> FloatArray:
         """Of everything unknown, with misfit and what is always beside it, (n, d), normal at the
@@ -381,8 +394,9 @@ class SetSearch:
         return replace(rest, posterior=search(whole, 0))
 
     def _is_unexplained(self, own: FittedSet) -> bool:
-        """What no hypothesis holds is more than a share of the disagreement."""
-        share = own.misfit / max(self.nominal.excess, 1e-300)
+        """What no hypothesis holds is more than a share of the disagreement beside the means: any
+        friction holds these, and they may be nearly all of it."""
+        share = own.misfits[1:].sum() / max(float(self.nominal.beyond[1:].sum()), 1e-300)
         return share > UNEXPLAINED_SHARE and not own.explains_all
 
     def _is_hopeless(self) -> bool:
@@ -398,7 +412,7 @@ class SetSearch:
     def _is_far(self, own: FittedSet) -> bool:
         """Whether what a bench lacks may have drawn the gap away from where it is."""
         moving = any(seen.motion is not None for seen in own.fit.model.recordings)
-        return is_gross(own.explanation) and not moving and self._is_unexplained(own)
+        return not moving and self._is_unexplained(own)
 
     def _find_orders(self, own: FittedSet) -> None:
         """Orders that stood behind what is in the set."""
@@ -575,18 +589,10 @@ def weighed(
     view = linearised(explanation, (), among, noise)
     alone = search(view, 0)
     beyond = [float(np.sum(view.residual[band.rows] ** 2)) - band.freedom for band in view.bands]
-    scales = alone.models[0].scales
-    misfit = sum(max(b, 0.0) for b, scale in zip(beyond, scales, strict=True) if scale > 0.0)
     # Laplace's volume of what is added, beside that of everything in the posterior.
     k = sum(len(c.unknowns) for c in explanation.candidates)
     evidence = alone.log_evidence + explanation.log_prior + 0.5 * k * math.log(2.0 * math.pi)
-    return FittedSet(
-        explanation,
-        evidence,
-        alone,
-        max(sum(beyond), 0.0),
-        misfit,
-    )
+    return FittedSet(explanation, evidence, alone, np.array(beyond))
 
 
 def linearised(

@@ -43,7 +43,7 @@ CONFOUNDED_MOST = 4
 """Hypotheses of a set that is reported because they share one probability; more say nothing."""
 
 UNEXPLAINED_SHARE = 0.05
-"""Of the disagreement: what no hypothesis holds, from which on nothing is named."""
+"""Of the disagreement beside the means: what none holds, from which on nothing is named."""
 
 HOPEFUL_SHARE = 0.1
 """Of the disagreement: what the best of the sets tried first must hold, for a search to go on. The

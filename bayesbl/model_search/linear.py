@@ -572,17 +572,18 @@ def search(
         if level not in levels:
             levels.append(level)
     top = max(pool.values())
-    sets = [terms for terms in pool if pool[terms] > top - KEPT_BELOW]
+    # At least: of evidence beyond 1e17 nothing is less by twelve.
+    sets = [terms for terms in pool if pool[terms] >= top - KEPT_BELOW]
     sets = sorted(sets, key=lambda terms: -pool[terms])[:MOST_KEPT]
     suits = {level: float(grams.log_posterior(sets[:1], level)[0]) for level in levels}
-    suiting = [level for level in levels if suits[level] > max(suits.values()) - KEPT_BELOW]
+    suiting = [level for level in levels if suits[level] >= max(suits.values()) - KEPT_BELOW]
     every = dict.fromkeys(n for level in suiting for n in (level, *_neighbours(grams, level)))
     scored: list[tuple[float, tuple[int, ...], tuple[int, ...]]] = []
     for level in every:
         values = grams.log_posterior(sets, level)
         scored += zip(values.tolist(), sets, itertools.repeat(level))
     top = max(score for score, _, _ in scored)
-    scored = [item for item in scored if item[0] > top - KEPT_BELOW]
+    scored = [item for item in scored if item[0] >= top - KEPT_BELOW]
     total = top + math.log(sum(math.exp(score - top) for score, _, _ in scored))
     models = tuple(
         Model(terms, tuple(float(grams.lattice[i]) for i in level), score - total, level)

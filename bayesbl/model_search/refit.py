@@ -23,16 +23,6 @@ MOST_FROM_AFAR = 3
 LEFT_FROM_AFAR = 0.5
 """Share of χ² beyond noise that a rough fit from afar may leave, or it is not pursued."""
 
-GROSS = 1.05
-"""χ² per sample that counts as far off: the gap may be in another place of its range.
-
-Of a bench that lacked an effect the fitted gap was at most 8 % off below it, near enough to go on
-from, and up to a factor of two above it (``configs/far_off.toml``: 24 and 36 cases). Noise alone is
-below it by 4.5 standard deviations, √(2/N + 2.5/N) for a variance over one learnt from rotation
-differences, in N = 36000 samples (five rotations at 1 kHz, speed and current); it exceeds it once
-in six times at N = 1800, which costs only the wider search.
-"""
-
 SHARES_TRIED = (1.0, 0.3, 0.1, 0.03)
 """Of the sizes that the linearisation promises, from which a fit may start."""
 
@@ -93,11 +83,6 @@ def polished(explanation: Explanation) -> Explanation:
     fit = explanation.fit
     ended = fit_simulated(fit.model, fit.point, fit.steps, one_sided=True)
     return replace(explanation, fit=ended)
-
-
-def is_gross(explanation: Explanation) -> bool:
-    """Whether the simulation is far off, so that other optima of the gap come into question."""
-    return explanation.fit.chi_square > GROSS * explanation.fit.residual.size
 
 
 def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:

@@ -240,6 +240,23 @@ def test_hysteresis_that_draws_the_gap_far_away_is_named(independent) -> None:
 
 
 @pytest.mark.long
+def test_names_that_explain_the_means_alone_give_no_gap(independent) -> None:
+    """Motor friction holds nearly all that the load's does, its means; the gap is off by half."""
+    hidden = {
+        "shaft_hysteresis__torque_nm": 40.0,
+        "shaft_hysteresis__angle_rad": 1e-3,
+        "load_coulomb_friction__torque_nm": 40.0,
+    }
+    found = diagnosed(
+        recorded(independent, (2000.0, -1200.0), 31, hidden),
+        ("shaft_hysteresis", "motor_coulomb_friction"),
+    )
+    assert found.answer.verdict == "unexplained"
+    assert found.answer.delta_after is None
+    assert found.answer.gap_withheld
+
+
+@pytest.mark.long
 def test_friction_on_both_sides_of_the_gear_is_named_where_neither_alone_fits(independent) -> None:
     hidden = {
         "motor_coulomb_friction__torque_nm": 0.2,

@@ -372,3 +372,9 @@ def test_noise_of_next_to_nothing_leaves_an_answer() -> None:
     drawn = search(view, 0).draw(np.random.default_rng(1), 200)
     assert np.all(np.isfinite(drawn.shift))
     assert np.all(drawn.sizes[:, 1] >= 0.0)
+
+
+def test_a_set_is_found_however_strong_the_evidence_is():
+    column = np.random.default_rng(4).standard_normal((30, 1))
+    posterior = search(view(1e9 * column[:, 0], [Term("h", column)]), 1)
+    assert posterior.named == ("h",)
