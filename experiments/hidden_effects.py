@@ -35,8 +35,7 @@ from independent_bench import SPEEDS_RPM, TYPICAL, Made, random_recordings
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.parameters import BENCH_PARAMETERS, CORRECTABLE_PARAMETERS
 from bayesbl.config.bench import reference_bench
-from bayesbl.diagnosis.closed_loop.diagnosis import Findings, diagnosis_of, search
-from bayesbl.diagnosis.closed_loop.prediction import residuals_of
+from bayesbl.diagnosis.closed_loop.diagnosis import CHANNELS, Findings, diagnosis_of, search
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.matching.observed import observed
 from bayesbl.matching.posterior import sample_direct
@@ -426,14 +425,12 @@ def closed_share(found: Findings, made: Sequence[Made], use: str) -> float:
     """Share of the mean square distance to the noise-free truth that naming has closed."""
     clean = {item.recording.name: item.clean[1:] for item in made}
     before = after = 0.0
-    for pair in found.pairs:
-        if pair.use != use:
-            continue
-        floors = np.array([residuals.noise_floor for residuals in residuals_of(pair)])
-        weight = 1.0 / floors[:, None] ** 2
-        truth = clean[pair.seen.name]
-        before += float(np.sum(weight * (truth - pair.before) ** 2))
-        after += float(np.sum(weight * (truth - pair.after) ** 2))
+    for piece in found.pieces:
+        if piece.use == use:
+            truth = clean[piece.recording][CHANNELS.index(piece.channel)]
+            weight = 1.0 / piece.noise_floor**2
+            before += float(np.sum(weight * (truth - piece.before) ** 2))
+            after += float(np.sum(weight * (truth - piece.after) ** 2))
     return 1.0 - after / before
 
 

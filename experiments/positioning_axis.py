@@ -246,7 +246,7 @@ def run_case(row: Row, index: int, seed: np.random.SeedSequence) -> Mapping[str,
         **shares,
         "stribeck": float("motor_stribeck_friction" in named),
         "others": float(len(named.keys() - known)),
-        "held_out": found.disagreement.overall["held_out"].after / axis.coulomb_nm,
+        "held_out": found.disagreement["over_all"]["held_out"]["after"] / axis.coulomb_nm,
     }
 
 

@@ -14,7 +14,11 @@ import numpy as np
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.learned import LearnedTerm
-from bayesbl.diagnosis.disagreement import DisagreementTable, Use
+from bayesbl.diagnosis.disagreement import (
+    ComparedPiece,
+    DisagreementTableSummary,
+    disagreement_table,
+)
 from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.recording.types import FloatArray
@@ -78,19 +82,6 @@ class ParameterError:
 
 
 @dataclass(frozen=True, slots=True)
-class PieceSignals:
-    """What was compared of one piece: measured and predicted, each (n,) in the channel's unit."""
-
-    recording: str
-    channel: str
-    use: Use
-    time_s: FloatArray
-    measured: FloatArray
-    before: FloatArray
-    after: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class Suggestion:
     """A recording worth making.
 
@@ -149,6 +140,8 @@ class Diagnosis:
     ----------
     remaining
         What still stands out after naming.
+    pieces
+        All that was compared.
     bench_parameters
         Declared unknown ones, fitted.
     delta_before, delta_after
@@ -156,8 +149,6 @@ class Diagnosis:
         or withheld.
     gap_withheld
         Why no gap is given; empty where one is, or nothing is asked of it.
-    signals
-        Of every piece; of a closed loop those held out, or all if none is.
     augmented_bench
         The bench with what was named and learned in it.
     learned
@@ -168,7 +159,7 @@ class Diagnosis:
     effects: tuple[NamedEffect, ...]
     parameter_errors: tuple[ParameterError, ...]
     remaining: tuple[Unexplained, ...]
-    disagreement: DisagreementTable
+    pieces: tuple[ComparedPiece, ...]
     notes: tuple[str, ...] = ()
     bench_parameters: Mapping[str, Estimate] = field(default_factory=dict)
     delta_before: Estimate | None = None
@@ -176,9 +167,19 @@ class Diagnosis:
     gap_withheld: str = ""
     suggestion: Suggestion | None = None
     posterior: DirectPosterior | None = None
-    signals: tuple[PieceSignals, ...] = ()
     augmented_bench: Bench | None = None
     learned: LearnedAnswer | None = None
+
+    @property
+    def disagreement(self) -> DisagreementTableSummary:
+        """Of all pieces."""
+        return disagreement_table(self.pieces)
+
+    @property
+    def signals(self) -> tuple[ComparedPiece, ...]:
+        """Pieces that are stored: of a closed loop those held out, or all if none is."""
+        of_loop = (p for p in self.pieces if p.noise_floor_from == "rotation")
+        return tuple(p for p in of_loop if p.use == "held_out") or self.pieces
 
 
 def verdict_of(*, effects: bool, parameters: bool, remains: bool) -> Verdict:

@@ -14,9 +14,9 @@ that is still wrong leaves blurs what it could show.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -88,43 +88,12 @@ SURE_EXCESS = 10.0
 CORRELATION_LAGS = 200
 
 
-@dataclass(frozen=True, slots=True)
-class PieceResiduals:
-    """What the bench leaves of one channel of a recording, or of a part of it.
+class DisagreementSummary(TypedDict):
+    """RMS between bench and measurement in ``unit``; ``noise`` where it is over the noise floor.
 
-    Attributes
-    ----------
-    use
-        ``used``: effects were fitted on it. ``held_out``: only start, phases and offsets were.
-    before, after
-        Measured less predicted without and with what was named, shape (n,), the channel's unit.
-    noise_floor
-        RMS of what does not follow from the recording's own past.
-    noise_floor_from
-        Which past: the load rotation before, or the samples before.
-    """
-
-    recording: str
-    channel: str
-    use: Use
-    before: FloatArray
-    after: FloatArray
-    noise_floor: float
-    noise_floor_from: FloorFrom
-
-
-@dataclass(frozen=True, slots=True)
-class Disagreement:
-    """RMS between bench and measurement, in ``unit``; ``noise`` where over each noise floor.
-
-    Attributes
-    ----------
-    before, after
-        Without and with what was named; what was declared unknown is fitted in both.
-    noise_floor
-        RMS of what does not follow from the recording's own past.
-    closed_fraction
-        1 − (after² − floor²)/(before² − floor²); ``None`` where the excess before is not sure.
+    ``before``, ``after``: without and with what was named; what was declared unknown is fitted in
+    both. ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null where the excess
+    before is not sure.
     """
 
     before: float
@@ -132,101 +101,126 @@ class Disagreement:
     noise_floor: float
     closed_fraction: float | None
     unit: str
+    noise_floor_from: NotRequired[FloorFrom]
+
+
+class DisagreementTableSummary(TypedDict):
+    """By recording, channel and use, and over all by use; ``unit`` where all have one.
+
+    Where every piece has its own, what is over all is in units of each piece's noise floor.
+    """
+
+    unit: str | None
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]]
+    over_all: dict[Use, DisagreementSummary]
 
 
 @dataclass(frozen=True, slots=True)
-class PieceDisagreement(Disagreement):
-    """That of one piece, and which past its noise floor is from."""
+class ComparedPiece:
+    """One channel of a recording, or of a part of it, beside its predictions.
+
+    Attributes
+    ----------
+    use
+        ``used``: effects were fitted on it. ``held_out``: only start, phases and offsets were.
+    measured
+        Shape (n,), the channel's unit; NaN where nothing was.
+    before, after
+        Predicted without and with what was named, as ``measured``.
+    left
+        What is compared of measured less these, (2, n).
+    noise_floor, noise_floor_from
+        RMS of what does not follow from the recording's own past, and which past: the load rotation
+        before, or the samples before.
+    """
 
     recording: str
     channel: str
     use: Use
+    time_s: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+    left: FloatArray
+    noise_floor: float
     noise_floor_from: FloorFrom
 
+    @classmethod
+    def of(
+        cls,
+        recording: str,
+        channel: str,
+        use: Use,
+        time_s: FloatArray,
+        measured: FloatArray,
+        before: FloatArray,
+        after: FloatArray,
+        *,
+        left: FloatArray | None = None,
+        rotation: int | None = None,
+        white: FloatArray | None = None,
+    ) -> ComparedPiece:
+        """With its noise floor.
 
-@dataclass(frozen=True, slots=True)
-class DisagreementTable:
-    """Of every piece, and of all pieces of each use together.
-
-    ``unit`` is that of all values; ``None`` where every piece has its own, and ``overall`` is in
-    units of each piece's noise floor.
-    """
-
-    pieces: tuple[PieceDisagreement, ...]
-    overall: Mapping[Use, Disagreement]
-    unit: str | None
-
-
-def piece_residuals(
-    recording: str,
-    channel: str,
-    use: Use,
-    before: FloatArray,
-    after: FloatArray,
-    rotation: int | None = None,
-    white: FloatArray | None = None,
-) -> PieceResiduals:
-    """Residuals with their noise floor.
-
-    Parameters
-    ----------
-    rotation
-        Samples in a load rotation, of a recording that holds whole ones; ``None`` elsewhere.
-    white
-        Autocovariance, in samples, of white noise behind the filter that the residuals passed.
-    """
-    if rotation is None:
-        noise = ResidualNoise.of(after)
+        Parameters
+        ----------
+        left
+            As the attribute, where samples are left out.
+        rotation
+            Samples in a load rotation, of a recording that holds whole ones; ``None`` elsewhere.
+        white
+            Autocovariance, in samples, of white noise behind the filter that both sides passed.
+        """
+        signals = time_s, measured, before, after
+        left = measured - np.stack([before, after]) if left is None else left
+        if rotation is not None:
+            difference = left[1, rotation:] - left[1, :-rotation]
+            floor = math.sqrt(0.5 * float(np.mean(difference**2)))
+            return cls(recording, channel, use, *signals, left, floor, "rotation")
+        noise = ResidualNoise.of(left[1])
         floor = noise.innovation
         if white is not None:
             variance, _ = levinson(white, min(noise.coefficients.size, white.size - 1))[-1]
             floor = min(noise.sd, floor * math.sqrt(float(white[0]) / variance))
-        return PieceResiduals(recording, channel, use, before, after, floor, "samples")
-    difference = after[rotation:] - after[:-rotation]
-    floor = math.sqrt(0.5 * float(np.mean(difference**2)))
-    return PieceResiduals(recording, channel, use, before, after, floor, "rotation")
+        return cls(recording, channel, use, *signals, left, floor, "samples")
 
 
-def disagreement_table(
-    pieces: Sequence[PieceResiduals], *, in_units_of_noise: bool
-) -> DisagreementTable:
+def disagreement_table(pieces: Sequence[ComparedPiece]) -> DisagreementTableSummary:
     """Disagreement of each piece, and of all pieces of each use."""
-    unit = None if in_units_of_noise else unit_of(pieces[0].channel)
-    overall: dict[Use, Disagreement] = {}
+    units = {unit_of(piece.channel) for piece in pieces}
+    unit = units.pop() if len(units) == 1 else None
+    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
+    for piece in pieces:
+        own = _disagreement([(piece, 1.0)], unit_of(piece.channel))
+        own["noise_floor_from"] = piece.noise_floor_from
+        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = own
+    over_all: dict[Use, DisagreementSummary] = {}
     for use in USES:
-        parts = [
-            (piece, 1.0 / piece.noise_floor if in_units_of_noise else 1.0)
-            for piece in pieces
-            if piece.use == use
-        ]
+        some = [piece for piece in pieces if piece.use == use]
+        parts = [(piece, 1.0 if unit else 1.0 / piece.noise_floor) for piece in some]
         if parts:
-            overall[use] = disagreement_of(parts, unit or "noise")
-    return DisagreementTable(tuple(map(_of_piece, pieces)), overall, unit)
+            over_all[use] = _disagreement(parts, unit or "noise")
+    return {"unit": unit, "recordings": recordings, "over_all": over_all}
 
 
-def disagreement_of(parts: Sequence[tuple[PieceResiduals, float]], unit: str) -> Disagreement:
+def _disagreement(parts: Sequence[tuple[ComparedPiece, float]], unit: str) -> DisagreementSummary:
     """Of some pieces together, each multiplied by its factor."""
-    size = sum(piece.after.size for piece, _ in parts)
-    before = sum(_squares(factor * piece.before) for piece, factor in parts) / size
-    after = sum(_squares(factor * piece.after) for piece, factor in parts) / size
-    floor = sum(p.after.size * (factor * p.noise_floor) ** 2 for p, factor in parts) / size
-    independent = sum(piece.after.size / _inflation(piece.after) for piece, _ in parts)
+    size = sum(piece.left.shape[1] for piece, _ in parts)
+    before, after = (
+        sum(_squares(factor * piece.left[k]) for piece, factor in parts) / size for k in range(2)
+    )
+    floor = sum(p.left.shape[1] * (factor * p.noise_floor) ** 2 for p, factor in parts) / size
+    independent = sum(piece.left.shape[1] / _inflation(piece.left[1]) for piece, _ in parts)
     excess = before - floor
     # Of a mean square of noise, taken twice, and of its product with the misfit.
     error = math.sqrt((4.0 * floor**2 + 4.0 * max(excess, 0.0) * floor) / independent)
-    closed = 1.0 - (after - floor) / excess if excess > SURE_EXCESS * error else None
-    return Disagreement(math.sqrt(before), math.sqrt(after), math.sqrt(floor), closed, unit)
-
-
-def _of_piece(piece: PieceResiduals) -> PieceDisagreement:
-    found = disagreement_of([(piece, 1.0)], unit_of(piece.channel))
-    return PieceDisagreement(
-        **asdict(found),
-        recording=piece.recording,
-        channel=piece.channel,
-        use=piece.use,
-        noise_floor_from=piece.noise_floor_from,
-    )
+    return {
+        "before": math.sqrt(before),
+        "after": math.sqrt(after),
+        "noise_floor": math.sqrt(floor),
+        "closed_fraction": 1.0 - (after - floor) / excess if excess > SURE_EXCESS * error else None,
+        "unit": unit,
+    }
 
 
 def _squares(values: FloatArray) -> float:

@@ -24,8 +24,8 @@ import xarray as xr
 from bayesbl.bench.learned import ENCODER_ERROR, LEARNED_TORQUE, LearnedTerm, Side
 from bayesbl.bench.learned import Variable as LearnedVariable
 from bayesbl.config.bench import dump_bench
-from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, PieceSignals, Verdict
-from bayesbl.diagnosis.disagreement import DisagreementTable, FloorFrom, Use
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verdict
+from bayesbl.diagnosis.disagreement import ComparedPiece, DisagreementTableSummary
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
 from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
@@ -34,8 +34,6 @@ from bayesbl.results.intervals import Interval, IntervalKind, interval
 from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, Variable, columns, dataset, padded, table
 from bayesbl.units import unit_of
-
-_PLACE = ("recording", "channel", "use")
 
 
 class HeldValue(TypedDict):
@@ -104,25 +102,6 @@ class LearnedSummary(LearnedDependence):
     alike: list[LearnedDependence]
 
 
-class DisagreementSummary(TypedDict):
-    """RMS between bench and measurement in ``unit``; ``noise`` where it is over the noise floor."""
-
-    before: float
-    after: float
-    noise_floor: float
-    closed_fraction: float | None
-    unit: str
-    noise_floor_from: NotRequired[FloorFrom]
-
-
-class DisagreementTableSummary(TypedDict):
-    """By recording, channel and use, and over all by use; ``unit`` where all have one."""
-
-    unit: str | None
-    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]]
-    over_all: dict[Use, DisagreementSummary]
-
-
 class SuggestedRecording(TypedDict):
     """A recording that would separate what these cannot."""
 
@@ -185,7 +164,7 @@ def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
         "parameter_errors": of(found.parameter_errors),
         "bench_parameters": of(found.bench_parameters),
         "remaining": of(found.remaining),
-        "disagreement": disagreement_summary(found.disagreement),
+        "disagreement": found.disagreement,
         "delta_rad_before": of(found.delta_before),
         "delta_rad_after": of(found.delta_after),
         "suggested_recording": of(found.suggestion),
@@ -251,15 +230,6 @@ def plain(value: object, of_estimate: Callable[[Estimate], object] | None = None
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def disagreement_summary(table: DisagreementTable) -> DisagreementTableSummary:
-    """By recording, channel and use, and over all."""
-    recordings: dict[str, dict[str, dict[Use, DisagreementSummary]]] = {}
-    for piece in table.pieces:
-        entry: Any = {key: value for key, value in plain(piece).items() if key not in _PLACE}
-        recordings.setdefault(piece.recording, {}).setdefault(piece.channel, {})[piece.use] = entry
-    return {"unit": table.unit, "recordings": recordings, "over_all": plain(table.overall)}
-
-
 def sampling_summary(posterior: DirectPosterior) -> SamplingSummary:
     """How well a posterior was sampled."""
     diagnostics = posterior.diagnostics
@@ -273,7 +243,7 @@ def sampling_summary(posterior: DirectPosterior) -> SamplingSummary:
 
 
 def signals_group(unit: str) -> Group:
-    """Signals in the unit of their channel; a row for each :class:`PieceSignals`."""
+    """Signals in the unit of their channel; a row for each :class:`ComparedPiece`."""
     return Group(
         "signals",
         table(f"""
@@ -357,7 +327,7 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
     return tree
 
 
-def signals_dataset(signals: Sequence[PieceSignals]) -> xr.Dataset:
+def signals_dataset(signals: Sequence[ComparedPiece]) -> xr.Dataset:
     """Padded with NaN to the longest."""
     units = {unit_of(piece.channel) for piece in signals}
     group = signals_group(units.pop() if len(units) == 1 else "as the channel")

@@ -30,16 +30,14 @@ from bayesbl.diagnosis.diagnosis import (
     LearnedAnswer,
     NamedEffect,
     ParameterError,
-    PieceSignals,
     verdict_of,
 )
 from bayesbl.diagnosis.disagreement import (
-    Disagreement,
-    DisagreementTable,
+    ComparedPiece,
+    DisagreementSummary,
     ResidualNoise,
     Use,
     disagreement_table,
-    piece_residuals,
 )
 from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
@@ -900,10 +898,12 @@ def diagnose(
     denied = tuple(impossible(estimates))
     if denied:
         remaining = []
-    table, signals = compared_signals(at.model.rows, before, after)
-    if denied or not _closes(table.overall["used"]):
+    pieces = compared_pieces(at.model.rows, before, after)
+    left = disagreement_table(pieces)["over_all"]["used"]
+    if denied or not _closes(left):
         told, estimates, learned = [], {}, None
-        table, signals = compared_signals(at.model.rows, before, before)
+        pieces = compared_pieces(at.model.rows, before, before)
+        left = disagreement_table(pieces)["over_all"]["used"]
     named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
@@ -913,12 +913,12 @@ def diagnose(
     ]
     errors = tuple(parameter_errors(bench, estimates))
     lines = tuple(_line(inference, *item) for item in remaining)
-    left = table.overall["used"]
-    is_much = left.after > EXCESS * left.noise_floor
+    over_noise = left["after"] / max(left["noise_floor"], ROUNDING * left["before"], _TINY)
+    is_much = over_noise > EXCESS
     remains = bool(lines or denied or group is not None or "gravity" in kinds.values()) or is_much
     if effects and is_much:
         denied = (
-            f"With what is named, {left.after / left.noise_floor:.0f} times the noise remains: "
+            f"With what is named, {over_noise:.0f} times the noise remains: "
             "something else is missing too, and the sizes may include part of it.",
         )
     answer = Diagnosis(
@@ -926,10 +926,9 @@ def diagnose(
         tuple(effects),
         errors,
         lines,
-        table,
+        pieces,
         (*denied, *notes, *_gravity_notes(inference)),
         bench_parameters=estimates,
-        signals=signals,
         learned=learned,
     )
     if learned is None:
@@ -950,10 +949,10 @@ def _gravity_notes(inference: Inference) -> Iterator[str]:
         )
 
 
-def _closes(used: Disagreement) -> bool:
+def _closes(used: DisagreementSummary) -> bool:
     """Whether what is told explains anything to speak of: it would be an accident of a fit that is
     far from what was recorded."""
-    return used.after < CLOSED * used.before or used.after < EXCESS * used.noise_floor
+    return used["after"] < max(CLOSED * used["before"], EXCESS * used["noise_floor"])
 
 
 def _told(
@@ -1065,19 +1064,20 @@ def _line(inference: Inference, label: str, dependence: What) -> Unexplained:
     )
 
 
-def compared_signals(
-    rows: Rows, before: FloatArray, after: FloatArray
-) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
+def compared_pieces(rows: Rows, before: FloatArray, after: FloatArray) -> tuple[ComparedPiece, ...]:
     """The shown pieces beside their predictions without and with what was named, each (N,)."""
-    signals, residuals = [], []
-    for piece, own in zip(rows.pieces, rows.slices, strict=True):
-        if piece.shown:
-            time_s, measured = piece.kept(piece.time_s), rows.measured[own]
-            made, place = (before[own], after[own]), (piece.name, piece.channel, piece.use)
-            signals.append(PieceSignals(*place, time_s, measured, *made))
-            left, remains = (measured - prediction for prediction in made)
-            residuals.append(piece_residuals(*place, left, remains, white=piece.white))
-    return disagreement_table(residuals, in_units_of_noise=False), tuple(signals)
+    return tuple(
+        ComparedPiece.of(
+            piece.name,
+            piece.channel,
+            piece.use,
+            piece.kept(piece.time_s),
+            *(values[own] for values in (rows.measured, before, after)),
+            white=piece.white,
+        )
+        for piece, own in zip(rows.pieces, rows.slices, strict=True)
+        if piece.shown
+    )
 
 
 def learned_answer(inference: Inference, fitted: Coefficients, group: int) -> LearnedAnswer | None:

@@ -21,13 +21,11 @@ from bayesbl.bench.effects import with_bench_file_hint
 from bayesbl.bench.parameters import PARAMETER_INFO
 from bayesbl.config.bench import dump_bench
 from bayesbl.diagnosis.closed_loop.diagnosis import estimates
-from bayesbl.diagnosis.closed_loop.prediction import residuals_of, simulated_pairs
-from bayesbl.diagnosis.disagreement import DisagreementTable, disagreement_table
+from bayesbl.diagnosis.closed_loop.prediction import compared_pieces
+from bayesbl.diagnosis.disagreement import DisagreementTableSummary, disagreement_table
 from bayesbl.diagnosis.groups import (
-    DisagreementTableSummary,
     HeldValue,
     SamplingSummary,
-    disagreement_summary,
     interval_of,
     plain,
     posterior_dataset,
@@ -189,7 +187,7 @@ def _identified(result: Identification, problem: Problem, bench: Bench) -> xr.Da
     return dataset(IDENTIFIED, values, {"parameter": names, "parameter_": names})
 
 
-def _disagreement(result: Identification, problem: Problem) -> DisagreementTable:
+def _disagreement(result: Identification, problem: Problem) -> DisagreementTableSummary:
     """Before: the data sheet's values with gap and start angles fitted.
 
     What no joint can be is not simulated: ``final``, so that nothing differs from what was found.
@@ -200,15 +198,14 @@ def _disagreement(result: Identification, problem: Problem) -> DisagreementTable
     if is_plausible(problem):
         sheet = fit_aligned(problem.bench, problem.used, unknowns, problem.workers)
         before = Explanation((), sheet)
-    pairs = simulated_pairs(before, result.final, problem.held_out)
-    pieces = [piece for pair in pairs for piece in residuals_of(pair)]
-    return disagreement_table(pieces, in_units_of_noise=True)
+    pieces = compared_pieces(before, result.final, problem.held_out)
+    return disagreement_table(pieces)
 
 
 def _answer(
     result: Identification,
     problem: Problem,
-    table: DisagreementTable,
+    table: DisagreementTableSummary,
     level: float,
     kind: IntervalKind,
     *,
@@ -244,7 +241,7 @@ def _answer(
         "missing": [list(members) for members in result.missing],
         "data_sheet_error": plain(result.beyond),
         "not_told_apart": together,
-        "disagreement": disagreement_summary(table),
+        "disagreement": table,
         "suggested_recording": _suggested(result.final),
         "diagnostics": sampling_summary(result.posterior),
     }

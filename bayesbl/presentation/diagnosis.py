@@ -15,12 +15,10 @@ from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.units import in_words, number, quantity_and_unit
 
 if TYPE_CHECKING:
-    from bayesbl.diagnosis.disagreement import Use
+    from bayesbl.diagnosis.disagreement import DisagreementSummary, DisagreementTableSummary, Use
     from bayesbl.diagnosis.groups import (
         Answer,
         DiagnosisSummary,
-        DisagreementSummary,
-        DisagreementTableSummary,
         EffectSummary,
         HeldValue,
         LearnedDependence,

@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from bayesbl.config.kinds import Method as Configured
-from bayesbl.diagnosis.closed_loop.prediction import SimulatedPair, residuals_of
+from bayesbl.diagnosis.closed_loop.prediction import compared_channels
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.disagreement import ResidualNoise, disagreement_table, piece_residuals
+from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, disagreement_table
 from bayesbl.diagnosis.groups import diagnosis_tree, summarise_diagnosis
 from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.rigid.motion import LowPass
@@ -36,8 +36,10 @@ def misfit(size: float) -> np.ndarray:
     return size * np.sqrt(2.0) * np.sin(3.0 * angle)
 
 
-def piece(before, after, rotation=LAG, channel="motor_speed_rpm"):
-    return piece_residuals("made", channel, "used", before, after, rotation)
+def piece(before, after, rotation=LAG, channel="motor_speed_rpm", white=None):
+    """What two simulations leave of a signal that is zero."""
+    signals = np.arange(before.size), np.zeros(before.size), -before, -after
+    return ComparedPiece.of("made", channel, "used", *signals, rotation=rotation, white=white)
 
 
 def test_what_repeats_is_no_noise_where_whole_rotations_show_it() -> None:
@@ -60,7 +62,7 @@ def test_behind_a_low_pass_white_noise_is_its_own_floor(samples_per_period: floa
     left = low_pass(np.random.default_rng(4).standard_normal(10_000))
     white = low_pass.of_white_noise(1, HIGHEST_ORDER + 1)
     assert white[0] == pytest.approx(np.mean(left**2), rel=0.05)
-    found = piece_residuals("made", "motor_torque_nm", "used", left, left, white=white)
+    found = piece(left, left, None, "motor_torque_nm", white)
     # An order of BIC's choice, its share of white noise to a few per cent.
     assert found.noise_floor == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.05)
 
@@ -71,24 +73,22 @@ def test_behind_a_low_pass_what_is_smoother_than_noise_stays_a_misfit() -> None:
     swing = np.sqrt(2.0) * 4.0 * np.sin(2.0 * np.pi * 0.01 * np.arange(made.size))
     white = low_pass.of_white_noise(1, HIGHEST_ORDER + 1)
     left = low_pass(made) + swing
-    found = piece_residuals("made", "motor_torque_nm", "used", left, left, white=white)
+    found = piece(left, left, None, "motor_torque_nm", white)
     assert found.noise_floor < 0.3 * np.sqrt(np.mean(left**2))
 
 
 @pytest.mark.parametrize("left", [0.0, 0.5, 1.0])
 def test_the_closed_fraction_is_the_share_of_the_misfit_that_is_gone(left: float) -> None:
     made = noise(3)
-    table = disagreement_table(
-        [piece(made + misfit(4.0), made + misfit(left))], in_units_of_noise=False
-    )
-    (found,) = table.pieces
-    assert found.closed_fraction == pytest.approx(1.0 - (left / 4.0) ** 2, abs=0.02)
-    assert found.unit == table.unit == "rpm"
+    table = disagreement_table([piece(made + misfit(4.0), made + misfit(left))])
+    found = table["recordings"]["made"]["motor_speed_rpm"]["used"]
+    assert found["closed_fraction"] == pytest.approx(1.0 - (left / 4.0) ** 2, abs=0.02)
+    assert found["unit"] == table["unit"] == "rpm"
 
 
 def test_no_share_is_given_of_a_misfit_that_noise_may_have_made() -> None:
-    table = disagreement_table([piece(noise(4) + misfit(0.2), noise(4))], in_units_of_noise=False)
-    assert table.pieces[0].closed_fraction is None
+    table = disagreement_table([piece(noise(4) + misfit(0.2), noise(4))])
+    assert table["over_all"]["used"]["closed_fraction"] is None
 
 
 def test_over_all_channels_no_unit_counts() -> None:
@@ -97,8 +97,8 @@ def test_over_all_channels_no_unit_counts() -> None:
     for factor in (1.0, 1e-3):
         before, after = noise(6) + misfit(2.0), noise(6)
         current = piece(factor * before, factor * after, channel="motor_current_a")
-        tables.append(disagreement_table([speed, current], in_units_of_noise=True))
-    one, other = (dataclasses.astuple(table.overall["used"]) for table in tables)
+        tables.append(disagreement_table([speed, current]))
+    one, other = (list(table["over_all"]["used"].values()) for table in tables)
     assert one[:4] == pytest.approx(other[:4])
     assert one[-1] == "noise"
 
@@ -110,17 +110,16 @@ def test_what_is_left_out_makes_neither_misfit_nor_noise_smaller() -> None:
     whole = Observed("one", signals, 1000.0, 2000.0, 1.0)
     some = dataclasses.replace(whole, excluded=np.arange(4000) % 500 < 300)
     sizes = [
-        (piece.noise_floor, float(np.sqrt(np.mean(piece.before**2))))
+        (piece.noise_floor, float(np.sqrt(np.mean(piece.left[0] ** 2))))
         for seen in (whole, some)
-        for piece in residuals_of(SimulatedPair(seen, "used", 0.0 * signals + 1.0, 0.0 * signals))
+        for piece in compared_channels(seen, "used", 0.0 * signals + 1.0, 0.0 * signals)
     ]
     assert np.array(sizes[2:]) == pytest.approx(np.array(sizes[:2]), rel=0.1)
 
 
 def test_where_a_floor_is_from_is_stored_beside_it() -> None:
-    pieces = [piece(noise(7), noise(7)), piece(noise(8), noise(8), None, "motor_current_a")]
-    table = disagreement_table(pieces, in_units_of_noise=True)
-    tree = diagnosis_tree(Diagnosis("nothing_missing", (), (), (), table), 0.9, "hdi")
+    pieces = piece(noise(7), noise(7)), piece(noise(8), noise(8), None, "motor_current_a")
+    tree = diagnosis_tree(Diagnosis("nothing_missing", (), (), (), pieces), 0.9, "hdi")
     summary = summarise_diagnosis(tree)["disagreement"]["recordings"]["made"]
     assert summary["motor_speed_rpm"]["used"]["noise_floor_from"] == "rotation"
     assert summary["motor_current_a"]["used"]["noise_floor_from"] == "samples"

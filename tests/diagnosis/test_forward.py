@@ -177,11 +177,11 @@ def test_naming_what_was_missing_rights_the_gap(friction: Found) -> None:
 
 def test_the_disagreement_closes_on_what_was_not_fitted(friction: Found) -> None:
     table = friction.answer.disagreement
-    assert table.overall["used"].closed_fraction > 0.95
-    assert table.overall["held_out"].closed_fraction > 0.9
-    held_out = {piece.channel: piece for piece in table.pieces if piece.use == "held_out"}
+    assert table["over_all"]["used"]["closed_fraction"] > 0.95
+    assert table["over_all"]["held_out"]["closed_fraction"] > 0.9
+    held_out = table["recordings"][f"{HELD_OUT_RPM:g} rpm"]
     assert set(held_out) == {MOTOR_SPEED, MOTOR_CURRENT}
-    assert all(found.after < found.before for found in held_out.values())
+    assert all(uses["held_out"]["after"] < uses["held_out"]["before"] for uses in held_out.values())
 
 
 def test_the_augmented_bench_is_a_bench_file_that_simulates(
@@ -550,6 +550,6 @@ def test_a_drift_goes_on_in_the_second_half_of_exactly_four_rotations() -> None:
     assert found.answer.verdict == "named"
     assert names(found) == ["friction_drift"]
     assert near(fitted(found, "friction_drift")["rate_nm_per_s"], 0.006)
-    closed = found.answer.disagreement.overall["held_out"].closed_fraction
+    closed = found.answer.disagreement["over_all"]["held_out"]["closed_fraction"]
     assert closed is not None
     assert closed > 0.98

@@ -207,7 +207,7 @@ def test_what_the_bench_states_is_what_the_disagreement_starts_from() -> None:
     made = replace(comparison(swinging(1.5, 0.0), bench, 20.0, WHOLE), bench=bench, unknown=())
     found = answer(made)
     left = (made.rows.measured - made.base)[made.rows.shown]
-    before = found.disagreement.overall["used"].before
+    before = found.disagreement["over_all"]["used"]["before"]
     assert before == pytest.approx(float(np.sqrt(np.mean(left**2))), rel=1e-6)
 
 
@@ -312,7 +312,8 @@ def test_nothing_is_decided_on_what_is_held_out() -> None:
     other = answer(comparison([recordings[0], spoilt], bench, 20.0, WHOLE))
     assert sizes(other) == sizes(first)
     assert (
-        other.disagreement.overall["held_out"].after > first.disagreement.overall["held_out"].after
+        other.disagreement["over_all"]["held_out"]["after"]
+        > first.disagreement["over_all"]["held_out"]["after"]
     )
 
 
@@ -327,5 +328,5 @@ def test_both_halves_of_a_split_recording_have_one_time() -> None:
     drifting = Recording("a", whole.time_s, {MOTOR_POSITION: position, MOTOR_TORQUE: torque})
     found = answer(comparison([drifting], believed(made), 20.0, (("used", "held_out"),)))
     assert sizes(found)["friction_drift"] == pytest.approx(0.05 * made.coulomb_nm, rel=0.1)
-    table = found.disagreement.overall
-    assert table["held_out"].after < 1.3 * table["used"].after
+    table = found.disagreement["over_all"]
+    assert table["held_out"]["after"] < 1.3 * table["used"]["after"]

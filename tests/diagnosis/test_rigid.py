@@ -18,7 +18,7 @@ from bayesbl.bench.effects.shaft import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.diagnosis import Diagnosis
-from bayesbl.diagnosis.disagreement import Use, piece_residuals
+from bayesbl.diagnosis.disagreement import ComparedPiece, Use
 from bayesbl.diagnosis.inference import Candidate, Look, Piece, _told, diagnose
 from bayesbl.diagnosis.rigid.free_motion import FREE_MOTION_LAWS, FreeMotionView
 from bayesbl.diagnosis.rigid.inverse import (
@@ -200,10 +200,10 @@ def test_hidden_frictions_are_named_with_their_size(seed: int) -> None:
         alike = set(item.indistinguishable_from) - {item.name.replace("motor_", "load_")}
         assert alike <= {"motor_stribeck_friction"}  # fading slowly, it is nearly Coulomb's
     for use in ("used", "held_out"):
-        overall = found.disagreement.overall[use]
-        assert overall.after < 0.12 < overall.before
-        assert overall.closed_fraction is not None
-        assert overall.closed_fraction > 0.95
+        overall = found.disagreement["over_all"][use]
+        assert overall["after"] < 0.12 < overall["before"]
+        assert overall["closed_fraction"] is not None
+        assert overall["closed_fraction"] > 0.95
 
 
 @pytest.mark.long
@@ -215,7 +215,7 @@ def test_nothing_hidden_leaves_nothing_missing() -> None:
         found = answer(inverse(recordings, bench()))
         false += found.verdict != "nothing_missing"
         passed = 0.1 * passed_by(CUTOFF_HZ)
-        assert found.disagreement.overall["used"].before == pytest.approx(passed, rel=0.1)
+        assert found.disagreement["over_all"]["used"]["before"] == pytest.approx(passed, rel=0.1)
     assert false <= 1
 
 
@@ -436,13 +436,13 @@ def test_both_frictions_of_a_free_pendulum_are_named_with_their_size() -> None:
     assert sizes["motor_coulomb_friction"] == pytest.approx(0.012, rel=0.1)
     assert sizes["motor_viscous_friction"] == pytest.approx(3e-3, rel=0.1)
     assert found.bench_parameters["motor_inertia_kg_m2"].value == pytest.approx(1e-3, rel=0.02)
-    assert found.disagreement.overall["held_out"].after < 3e-3
+    assert found.disagreement["over_all"]["held_out"]["after"] < 3e-3
 
 
 def test_a_free_pendulum_with_nothing_hidden_lacks_nothing() -> None:
     found = free([swing(s, 0.0, 0.0, 7 + i) for i, s in enumerate((0.4, 0.9))])
     assert found.verdict == "nothing_missing"
-    assert found.disagreement.overall["held_out"].after == pytest.approx(1e-3, rel=0.1)
+    assert found.disagreement["over_all"]["held_out"]["after"] == pytest.approx(1e-3, rel=0.1)
 
 
 @pytest.mark.parametrize("cutoff_hz", [25.0, 40.0, 63.0])
@@ -453,7 +453,8 @@ def test_a_floor_is_the_noise_however_densely_the_cut_off_is_sampled(cutoff_hz: 
     noisy = Recording("white", time, {MOTOR_POSITION: angle, MOTOR_TORQUE: made})
     piece = compared(noisy, MOTOR_TORQUE, ["used"], cutoff_hz)[0].piece
     left = piece.kept(piece.measured)
-    found = piece_residuals("white", MOTOR_TORQUE, "used", left, left, white=piece.white)
+    signals = piece.kept(piece.time_s), left, 0.0 * left, 0.0 * left
+    found = ComparedPiece.of("white", MOTOR_TORQUE, "used", *signals, white=piece.white)
     # At least 2900 samples: 1.3 % of scatter, and what an order of BIC's choice leaves of the rest.
     assert found.noise_floor == pytest.approx(math.sqrt(float(np.mean(left**2))), rel=0.06)
 
@@ -471,5 +472,5 @@ def test_samples_that_are_excluded_change_nothing() -> None:
             piece = replace(piece, measured=measured, excluded=excluded)
             parts.append(replace(part, piece=piece))
         found = answer(replace(view, parts=tuple(parts)))
-        answers.append((found.effects, found.disagreement.overall))
+        answers.append((found.effects, found.disagreement["over_all"]))
     assert answers[0] == answers[1]

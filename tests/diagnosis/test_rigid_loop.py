@@ -109,7 +109,7 @@ def test_a_ripple_and_two_harmonics_at_five_speeds_have_their_orders_and_sizes(
     for order, torque, _ in RIPPLE:
         assert named[order] == pytest.approx(torque, rel=0.1)
     assert len(found.effects) == len(RIPPLE)
-    assert (found.disagreement.overall["held_out"].closed_fraction or 0.0) > 0.95
+    assert (found.disagreement["over_all"]["held_out"]["closed_fraction"] or 0.0) > 0.95
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ import pytest
 
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.diagnosis.diagnosis import Diagnosis, LearnedAnswer
-from bayesbl.diagnosis.disagreement import disagreement_table, piece_residuals
+from bayesbl.diagnosis.disagreement import ComparedPiece
 from bayesbl.diagnosis.groups import answer_of, diagnosis_tree
 from bayesbl.presentation.diagnosis import headline, learned
 from bayesbl.presentation.figures.diagnosis import learned_course
@@ -23,15 +23,15 @@ ERROR = LearnedTerm(
 
 def diagnosis(term: LearnedTerm, *alike: LearnedTerm) -> Diagnosis:
     x = np.linspace(0.0, TURN, 50)
-    noise = np.random.default_rng(1).standard_normal((2, 300))
-    pieces = [piece_residuals("forward", "motor_speed_rpm", "used", *noise, 100)]
+    noise = np.random.default_rng(1).standard_normal((4, 300))
+    piece = ComparedPiece.of("forward", "motor_speed_rpm", "used", *noise, rotation=100)
     told = LearnedAnswer(term, x, np.full(x.size, 1e-5), alike)
     return Diagnosis(
         "unexplained",
         (),
         (),
         (),
-        disagreement_table(pieces, in_units_of_noise=True),
+        (piece,),
         gap_withheld="No gap is given." if alike else "",
         learned=told,
     )

@@ -25,15 +25,12 @@ from bayesbl.diagnosis.closed_loop.learned_in_loop import (
     why_no_gap,
 )
 from bayesbl.diagnosis.closed_loop.prediction import (
-    SimulatedPair,
     augmented_bench,
-    residuals_of,
-    signals_of,
-    simulated_pairs,
+    compared_pieces,
     suggested_recording,
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, NamedEffect, ParameterError, verdict_of
-from bayesbl.diagnosis.disagreement import disagreement_table
+from bayesbl.diagnosis.disagreement import ComparedPiece
 from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.task import (
     USES_OF,
@@ -98,8 +95,8 @@ class Findings:
     chosen
         The set of everything that is named, its noise estimated without what was missing; with what
         was learned, if anything was, and with laws that nothing shows.
-    pairs
-        Recordings, those that were held out too, beside both simulations.
+    pieces
+        Channels of recordings, those that were held out too, beside both simulations.
     before, after
         Without and with what is named.
     learned
@@ -109,7 +106,7 @@ class Findings:
     believed: Bench
     naming: Naming
     chosen: FittedSet
-    pairs: tuple[SimulatedPair, ...]
+    pieces: tuple[ComparedPiece, ...]
     before: ResidualAnalysis
     after: ResidualAnalysis
     learned: Learned | None = None
@@ -194,7 +191,7 @@ def search(
         bench,
         naming,
         weighed(final, laws(final.fit.model.bench)),
-        tuple(simulated_pairs(naming.nominal, final, held_out)),
+        compared_pieces(naming.nominal, final, held_out),
         before,
         compared(final),
         learned,
@@ -275,8 +272,6 @@ def diagnosis_of(
         if sampled is not None:
             posterior = sampled = whole
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
-    shown = [pair for pair in found.pairs if pair.use == "held_out"] or found.pairs
-    pieces = [residuals for pair in found.pairs for residuals in residuals_of(pair)]
     return Diagnosis(
         verdict_of(
             effects="effect" in kinds,
@@ -306,7 +301,7 @@ def diagnosis_of(
             if effect.candidate.kind == "parameter"
         ),
         found.after.remaining,
-        disagreement_table(pieces, in_units_of_noise=True),
+        found.pieces,
         (*notes, *doubts),
         bench_parameters=_declared_parameters(found, sampled),
         delta_before=_delta(naming.nominal),
@@ -314,7 +309,6 @@ def diagnosis_of(
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
-        signals=tuple(signals for pair in shown for signals in signals_of(pair)),
         augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
         learned=None if found.learned is None else answer_of(found.learned),
     )

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.learned import LearnedTerm
 from bayesbl.bench.simulation import simulate_channels
-from bayesbl.diagnosis.diagnosis import PieceSignals, Suggestion
-from bayesbl.diagnosis.disagreement import PieceResiduals, Use, piece_residuals
+from bayesbl.diagnosis.diagnosis import Suggestion
+from bayesbl.diagnosis.disagreement import ComparedPiece, Use
 from bayesbl.matching.alignment import aligned_starts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import noise_of
@@ -96,34 +96,30 @@ def _with_estimates(effect: BenchEffect, found: Mapping[str, tuple[float, float]
     return BenchEffect(effect.name, {**effect.parameters, **estimated})
 
 
-@dataclass(frozen=True, slots=True)
-class SimulatedPair:
-    """A recording beside its simulation before and after naming.
-
-    Attributes
-    ----------
-    before, after
-        Simulated channels, shape (c, n), in the channels' units.
-    """
-
-    seen: Observed
-    use: Use
-    before: FloatArray
-    after: FloatArray
-
-
-def simulated_pairs(
+def compared_pieces(
     nominal: Explanation, final: Explanation, held_out: Sequence[Observed]
-) -> list[SimulatedPair]:
-    """All recordings with both simulations; of held-out ones only start and phases are fitted."""
-    found = []
+) -> tuple[ComparedPiece, ...]:
+    """Every channel of all recordings beside both simulations; of held-out ones only start and
+    phases are fitted."""
+    both, found = (nominal, final), list[ComparedPiece]()
     for i, seen in enumerate(final.fit.model.recordings):
-        before, after = nominal.fit.simulated(i), final.fit.simulated(i)
-        found.append(SimulatedPair(seen, "used", before, after))
+        found += compared_channels(seen, "used", *(e.fit.simulated(i) for e in both))
     for seen in held_out:
-        before, after = predicted(nominal, seen), predicted(final, seen)
-        found.append(SimulatedPair(seen, "held_out", before, after))
-    return found
+        found += compared_channels(seen, "held_out", *(predicted(e, seen) for e in both))
+    return tuple(found)
+
+
+def compared_channels(
+    seen: Observed, use: Use, before: FloatArray, after: FloatArray
+) -> Iterator[ComparedPiece]:
+    """Each channel beside its simulations, (c, n) each; RMS as of the samples that count alone."""
+    time_s, measured = seen.begin_s + np.arange(seen.samples) / seen.sampling_hz, seen.signals
+    if seen.excluded is not None:
+        measured = np.where(seen.excluded, np.nan, measured)
+    left = np.stack([seen.left_by(made) for made in (before, after)], axis=1)
+    left *= float(np.mean(seen.compared)) ** -0.5
+    for name, own, *signals in zip(seen.channels, left, measured, before, after, strict=True):
+        yield ComparedPiece.of(seen.name, name, use, time_s, *signals, left=own, rotation=seen.lag)
 
 
 def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
@@ -159,27 +155,6 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
             trial[1 : 1 + len(phases)] = 0.5 * math.pi * k
     fits = [fit_simulated(model, trial) for trial in trials]
     return min(fits, key=lambda f: f.chi_square).simulated(0)
-
-
-def signals_of(pair: SimulatedPair) -> list[PieceSignals]:
-    """One entry for each channel; NaN where nothing was measured."""
-    seen = pair.seen
-    time = seen.begin_s + np.arange(seen.samples) / seen.sampling_hz
-    measured = seen.signals
-    if seen.excluded is not None:
-        measured = np.where(seen.excluded, np.nan, measured)
-    rows = zip(seen.channels, measured, pair.before, pair.after, strict=True)
-    return [PieceSignals(seen.name, name, pair.use, time, *signals) for name, *signals in rows]
-
-
-def residuals_of(pair: SimulatedPair) -> list[PieceResiduals]:
-    """One entry for each channel, its RMS that of the samples that are compared."""
-    scale = float(np.mean(pair.seen.compared)) ** -0.5
-    before, after = (scale * pair.seen.left_by(made) for made in (pair.before, pair.after))
-    return [
-        piece_residuals(pair.seen.name, channel, pair.use, before[k], after[k], pair.seen.lag)
-        for k, channel in enumerate(pair.seen.channels)
-    ]
 
 
 def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> Suggestion | None:

@@ -28,21 +28,14 @@ from scipy.optimize import least_squares
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effect_declaration import HIGHEST_ORDER
-from bayesbl.diagnosis.diagnosis import (
-    Diagnosis,
-    Estimate,
-    NamedEffect,
-    ParameterError,
-    PieceSignals,
-    verdict_of,
-)
-from bayesbl.diagnosis.disagreement import DisagreementTable, Use
+from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, NamedEffect, ParameterError, verdict_of
+from bayesbl.diagnosis.disagreement import ComparedPiece, Use
 from bayesbl.diagnosis.inference import (
     MOST_EFFECTS,
     Piece,
     Rows,
     bounded_least_squares,
-    compared_signals,
+    compared_pieces,
 )
 from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
@@ -850,16 +843,14 @@ class _Answer:
             remaining.append(self._unexplained(lines, group))
             unnamed -= {k for _, k in group}
         remaining += [self._unexplained(lines, [(-1, k)]) for k in sorted(unnamed)]
-        table, signals = self._compared(fit)
         return Diagnosis(
             verdict_of(effects=bool(effects), parameters=bool(errors), remains=bool(remaining)),
             tuple(effects),
             tuple(errors),
             tuple(remaining),
-            table,
+            self._compared(fit),
             tuple(notes),
             bench_parameters={n: fit.logarithm(n) for n in setting.priors} if fit else {},
-            signals=signals,
         )
 
     def _told(self, search: LoopSearch, notes: list[str]) -> list[list[Hypothesis]]:
@@ -950,7 +941,7 @@ class _Answer:
             self.found[place].score,
         )
 
-    def _compared(self, fit: LoopFit | None) -> tuple[DisagreementTable, tuple[PieceSignals, ...]]:
+    def _compared(self, fit: LoopFit | None) -> tuple[ComparedPiece, ...]:
         """Every piece, with a mean alone and with all laws."""
         every = sorted(self.setting.turning, key=lambda item: item.piece.use != "used")
         rows = Rows(tuple(item.piece for item in every))
@@ -962,7 +953,7 @@ class _Answer:
             speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
             sizes = np.reshape([fit.predicted(k, speeds) for k in places], (-1, len(every)))
             after = rows.stack(lambda i: every[i].predicted(orders, sizes[:, i]))
-        return compared_signals(rows, before, after)
+        return compared_pieces(rows, before, after)
 
 
 def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:

@@ -23,8 +23,8 @@ from bayesbl.recording.types import CHANNELS, FloatArray
 from bayesbl.units import in_words, unit_of
 
 if TYPE_CHECKING:
-    from bayesbl.diagnosis.disagreement import Use
-    from bayesbl.diagnosis.groups import Answer, DisagreementSummary
+    from bayesbl.diagnosis.disagreement import DisagreementSummary, Use
+    from bayesbl.diagnosis.groups import Answer
     from bayesbl.identification.groups import IdentificationAnswer, ParameterSummary
 
     Piece = tuple[str, str, Use, DisagreementSummary]
