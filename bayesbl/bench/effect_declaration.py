@@ -178,15 +178,13 @@ class RigidLaw:
         The parameter that is zero when the effect is absent.
     linear
         Parameters beside the amplitude that the signal is linear in.
-    scanned, grid, grid_unit
-        A parameter to scan, and the values to try in units of the recordings' own: RMS ``speed`` of
-        the motor, ``travel`` of the load. An order gets its own grid.
+    scanned, grid
+        A speed to scan, and the values to try in RMS speeds of the recordings' motor. An order gets
+        its own grid.
     same_as
         Effects that are the same law in this comparison, only named for another place.
     contains
         A simpler effect that this one holds as a special case, and replaces.
-    bench_parameters
-        What the bench file must give for the law to be known.
     usual
         Share that it usually has in the root mean square of what is compared: the scale of its
         size before anything is seen.
@@ -199,10 +197,8 @@ class RigidLaw:
     linear: tuple[str, ...] = ()
     scanned: str | None = None
     grid: tuple[float, ...] = ()
-    grid_unit: Literal["speed", "travel"] = "travel"
     same_as: tuple[str, ...] = ()
     contains: str | None = None
-    bench_parameters: tuple[str, ...] = ()
     usual: float = 0.3
     requires: str | None = None
 
@@ -247,9 +243,8 @@ class Effect:
     depends_on
         What its size depends on. An effect of the load angle is a candidate only where that is
         known absolutely; one of the torque passed on only where gravity's is.
-    torque, position
-        Its part in a rigid comparison of the torque at the motor (N m) and of the load's position
-        for a given motor position (rad at the load).
+    torque
+        Its part in a rigid comparison of the torque at the motor (N m).
     load_torque
         Its torque against a rigid bench's load, N m there.
     free_motion
@@ -285,7 +280,6 @@ class Effect:
     depends_on: tuple[Dependence, ...] = ()
     reference: str = ""
     torque: RigidLaw | None = None
-    position: RigidLaw | None = None
     load_torque: Law | None = None
     free_motion: bool = False
     replaces: str | None = None

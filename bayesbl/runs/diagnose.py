@@ -35,7 +35,6 @@ from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import is_constant, is_one_speed, moves, with_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import (
-    LOAD_POSITION,
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
@@ -244,8 +243,6 @@ def _method(
         return "forward", "the bench has a shaft with a gap, and each recording is of one speed"
     if _everywhere(recordings, (MOTOR_TORQUE, MOTOR_CURRENT)):
         return "inverse", "the bench is rigid, and torque or current is recorded with the motion"
-    if _everywhere(recordings, (LOAD_POSITION,)):
-        return "inverse", "the bench is rigid, and two encoders show the motor and the load"
     if all(steady):
         return "forward", (
             "the bench is rigid, neither torque nor current is recorded, and each speed is "
@@ -291,7 +288,7 @@ def _unknowns(bench: Bench, method: Method, channels: Sequence[str]) -> Iterator
         # Only the sum of the inertias shows: the one that is known worse at the motor is free.
         ratio = bench.value("gear_ratio")
         at_motor = dict(zip(INERTIAS, (1.0, ratio**-2), strict=True))
-        free = [name for name in INERTIAS if name in toleranced and LOAD_POSITION not in channels]
+        free = [name for name in INERTIAS if name in toleranced]
         free.sort(key=lambda name: -bench.tolerances[name] * at_motor[name])
         toleranced = tuple(free[:1])
     if toleranced:

@@ -171,7 +171,7 @@ def test_a_declaration_is_complete_and_consistent(effect: Effect) -> None:
     names = {item.name: item.role for item in effect.parameters}
     turning = {item.repeats == "whole_orders" for item in effect.amplitudes}
     assert turning == {"motor_angle" in effect.depends_on} == {effect.is_periodic}
-    for law in filter(None, (effect.torque, effect.position)):
+    if (law := effect.torque) is not None:
         assert all(names[name] == "amplitude" for name in (law.amplitude, *law.linear))
         assert law.scanned is None or law.scanned in names
         others = {*law.same_as, *([law.contains] if law.contains else [])}

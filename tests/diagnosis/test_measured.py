@@ -79,15 +79,6 @@ def test_kuka_axis_with_both_frictions_in_its_bench_is_within_085_on_the_third_r
     assert disagreement(second, "held_out")["before"] < 0.85
 
 
-def test_kuka_encoders_differ_by_a_skew_and_not_by_backlash(tmp_path: Path) -> None:
-    summary = run("diagnose_kuka_skew", tmp_path)
-    assert named(summary) == ["channel_time_skew"]
-    (effect,) = summary["effects"]
-    assert effect["parameters"]["position_s"]["median"] == pytest.approx(-3e-3, abs=2e-4)
-    assert effect["indistinguishable_from"] == []
-    assert disagreement(summary, "held_out")["closed_fraction"] > 0.98
-
-
 def test_pendulum_is_stopped_by_both_frictions(tmp_path: Path) -> None:
     summary = run("diagnose_pendulum", tmp_path)
     assert set(named(summary)) == {"motor_coulomb_friction", "motor_viscous_friction"}

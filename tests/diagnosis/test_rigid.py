@@ -13,25 +13,17 @@ from rigid_machine import LOAD_INERTIA, RATIO, SAMPLING_HZ, bench, motion, recor
 from scipy.integrate import solve_ivp
 
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
-from bayesbl.bench.effects.gap import play
-from bayesbl.bench.effects.shaft import dahl
 from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import ComparedPiece, Use
 from bayesbl.diagnosis.inference import Candidate, Look, Piece, _told, diagnose
 from bayesbl.diagnosis.rigid.free_motion import FREE_MOTION_LAWS, FreeMotionView
-from bayesbl.diagnosis.rigid.inverse import (
-    POSITION_LAWS,
-    TORQUE_LAWS,
-    InverseView,
-    compared,
-    required_torque,
-)
+from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, InverseView, compared, required_torque
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
 from bayesbl.errors import RecordingError
 from bayesbl.recording.repairs import even
-from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, MOTOR_TORQUE, Recording
+from bayesbl.recording.types import MOTOR_POSITION, MOTOR_TORQUE, Recording
 
 CUTOFF_HZ = 20.0
 
@@ -48,7 +40,6 @@ def inverse(
     phases_shared: bool = True,
 ) -> InverseView:
     """The last recording is held out."""
-    load = channel == LOAD_POSITION
     uses: list[Use] = ["held_out" if r is recordings[-1] else "used" for r in recordings]
     found = [
         part
@@ -58,8 +49,8 @@ def inverse(
     return InverseView(
         tuple(found),
         believed,
-        POSITION_LAWS if load else TORQUE_LAWS,
-        () if load else unknown,
+        TORQUE_LAWS,
+        unknown,
         load_angle_known=True,
         phases_shared=phases_shared,
     )
@@ -148,18 +139,6 @@ def test_uneven_stamps_are_brought_to_an_even_grid_of_the_same_motion() -> None:
 def test_a_cut_off_beyond_the_sampling_is_refused() -> None:
     with pytest.raises(RecordingError, match="cut-off"):
         motion_of(recording("a", 1), 200.0)
-
-
-def test_play_and_dahl_keep_their_laws() -> None:
-    angle = np.concatenate((np.linspace(0, 1, 500), np.linspace(1, -1, 900)))
-    lag = play(angle, 0.02)
-    assert np.max(np.abs(lag)) == pytest.approx(0.02)
-    assert lag[499] == pytest.approx(-0.02)
-    assert lag[-1] == pytest.approx(0.02)
-    z = dahl(angle, 0.05)
-    # From rest z = 1 − exp(−x/θ_p); it never passes 1.
-    assert z[:500] == pytest.approx(1.0 - np.exp(-angle[:500] / 0.05), abs=1e-12)
-    assert np.max(np.abs(z)) <= 1.0
 
 
 # Sizes
@@ -319,37 +298,6 @@ def test_a_wrong_inertia_is_a_parameter_error_and_no_effect() -> None:
     found = answer(inverse(recordings, bench(load_inertia_kg_m2=0.9 * LOAD_INERTIA)))
     assert found.verdict == "parameter_error"
     assert found.parameter_errors[0].fitted.value == pytest.approx(LOAD_INERTIA, rel=0.02)
-
-
-def load_positions(kind: str) -> list[Recording]:
-    """Recordings of a second encoder that lags 4 ms, or behind a clearance of ±0.4 mrad."""
-    made = []
-    for i, name in enumerate("abc"):
-        rng = np.random.default_rng(i)
-        time, angle, *_ = motion(90 + i)
-        late = np.interp(time - 0.004, time, angle) if kind == "skew" else angle
-        load = late / RATIO + 0.01 * i + 2e-5 * rng.standard_normal(time.size)
-        if kind == "backlash":
-            load = load + play(angle / RATIO, 4e-4)
-        made.append(Recording(name, time, {MOTOR_POSITION: angle, LOAD_POSITION: load}))
-    return made
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("kind", "name", "parameter", "size"),
-    [
-        ("skew", "channel_time_skew", "position_s", -0.004),
-        ("backlash", "backlash", "gap_rad", 4e-4),
-    ],
-)
-def test_a_delay_is_not_taken_for_backlash_nor_backlash_for_a_delay(
-    kind: str, name: str, parameter: str, size: float
-) -> None:
-    found = answer(inverse(load_positions(kind), bench(), LOAD_POSITION))
-    assert named(found) == {name}
-    assert found.effects[0].parameters[parameter].value == pytest.approx(size, rel=0.02)
-    assert not found.effects[0].indistinguishable_from
 
 
 def test_one_direction_at_one_speed_names_a_set() -> None:

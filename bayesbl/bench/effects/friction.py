@@ -85,7 +85,6 @@ MOTOR_STRIBECK_FRICTION = Effect(
         requires="motor_coulomb_friction",
         scanned="speed_rad_per_s",
         grid=tuple(np.geomspace(0.01, 2.0, 21)),
-        grid_unit="speed",
     ),
     free_motion=True,
 )

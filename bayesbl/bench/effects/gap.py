@@ -2,24 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
+from bayesbl.bench.effect_declaration import Effect, EffectParameter, amplitude
 
-from bayesbl.bench.effect_declaration import Effect, EffectParameter, RigidLaw, amplitude
-from bayesbl.recording.types import FloatArray
-
-
-def play(angle: FloatArray, half_width: float) -> FloatArray:
-    """Departure of the play operator from its input, shape (n,), within ±half_width."""
-    out = np.empty_like(angle)
-    held = angle[0]
-    for i, value in enumerate(angle):
-        held = min(max(held, value - half_width), value + half_width)
-        out[i] = held - value
-    return out
-
-
-# In a rigid comparison a load that friction holds lies half the clearance behind the motor and
-# waits at reversals: the play operator.
 BACKLASH = Effect(
     place=10,
     name="backlash",
@@ -32,14 +16,6 @@ BACKLASH = Effect(
     depends_on=("twist",),
     data="two ringing pulses of opposite sign in each load rotation",
     reference="Nordin & Gutman 2002, Automatica 38, 1633",
-    position=RigidLaw(
-        signal=lambda motion, bench, given: play(
-            motion.angle / bench.value("gear_ratio"), given["gap_rad"]
-        ),
-        amplitude="gap_rad",
-        scanned="gap_rad",  # the signal is not linear in the gap
-        grid=tuple(np.geomspace(1e-6, 0.1, 41)),
-    ),
     replaces="gap_rad",
 )
 

@@ -130,7 +130,6 @@ CHANNEL_TIME_SKEW = Effect(
     enters="measurement",
     data="channels whose pulses do not start together",
     torque=RigidLaw(signal=_NOTHING, amplitude="current_s", usual=0.2),
-    position=RigidLaw(signal=_NOTHING, amplitude="position_s", usual=0.2),
     sought_alone="current_s",
     may_change=True,
 )

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
-    ORDER,
     PHASE,
     Effect,
     Parameters,
@@ -44,13 +43,6 @@ GEAR_TRANSMISSION_ERROR = Effect(
     depends_on=("motor_angle",),
     data="a line at order n while the teeth touch, gone while they do not",
     reference="Tuttle & Seering 1996, IEEE Trans. Robot. Autom. 12, 368",
-    position=RigidLaw(
-        signal=lambda motion, bench, given: (
-            given["angle_rad"] * np.sin(given[ORDER] * motion.angle + given[PHASE])
-        ),
-        amplitude="angle_rad",
-        scanned=ORDER,
-    ),
 )
 
 
@@ -84,10 +76,4 @@ ENCODER_ECCENTRICITY = Effect(
     depends_on=("motor_angle",),
     data="a line at the motor's rotation in speed, answered by the current",
     torque=RigidLaw(signal=torque_nm, amplitude="angle_rad"),
-    position=RigidLaw(
-        signal=lambda motion, bench, given: (
-            -given["angle_rad"] / bench.value("gear_ratio") * np.sin(motion.angle + given[PHASE])
-        ),
-        amplitude="angle_rad",
-    ),
 )

@@ -6,10 +6,7 @@ motor and load.
 
 from __future__ import annotations
 
-import numpy as np
-
-from bayesbl.bench.effect_declaration import Effect, RigidLaw, amplitude, shape
-from bayesbl.recording.types import FloatArray
+from bayesbl.bench.effect_declaration import Effect, amplitude, shape
 
 STIFFNESS_HARDENING = Effect(
     place=150,
@@ -146,20 +143,6 @@ FLANK_ASYMMETRY = Effect(
 )
 
 
-def dahl(angle: FloatArray, reach: float) -> FloatArray:
-    """z of dz/dx = (1 − z sign dx)/θ_p along the angle, exactly for each step; shape (n,)."""
-    out = np.empty_like(angle)
-    z = 0.0
-    out[0] = z
-    steps = np.diff(angle)
-    fading = np.exp(-np.abs(steps) / reach)
-    signs = np.sign(steps)
-    for i, (keep, sign) in enumerate(zip(fading, signs, strict=True), start=1):
-        z = sign + (z - sign) * keep if sign else z
-        out[i] = z
-    return out
-
-
 SHAFT_HYSTERESIS = Effect(
     place=160,
     name="shaft_hysteresis",
@@ -183,17 +166,5 @@ SHAFT_HYSTERESIS = Effect(
     data="ringing that dies sooner; the gap is crossed more slowly",
     reference=(
         "Dahl 1976, AIAA Journal 14, 1675; Ruderman, Bertram & Iwasaki 2014, Mechatronics 24, 407"
-    ),
-    position=RigidLaw(
-        signal=lambda motion, bench, given: (  # the twist −(T/K_s) z
-            -given["torque_nm"]
-            / bench.value("shaft_stiffness_nm_per_rad")
-            * dahl(motion.angle / bench.value("gear_ratio"), given["angle_rad"])
-        ),
-        amplitude="torque_nm",
-        usual=0.2,
-        scanned="angle_rad",
-        grid=tuple(np.geomspace(1e-5, 1e-2, 13)),
-        bench_parameters=("shaft_stiffness_nm_per_rad",),
     ),
 )

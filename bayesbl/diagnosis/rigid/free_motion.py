@@ -452,7 +452,7 @@ def comparison(task: Task) -> Comparison:
             expected="inertia or gravity, not both",
         )
     if GRAVITY not in unknown:
-        unknown_parameters(task, (*INERTIAS, GRAVITY))
+        unknown_parameters(task)
     pieces = pieces_of(task, recordings, channel)
     every = FREE_MOTION_LAWS
     if not (compared.load_angle_known and gravity):

@@ -1,11 +1,10 @@
 """Inverse view of a rigid bench: measured motion in, what it should have needed out.
 
-    J dω_m/dt + (m g l/N) sin θ_l + effects + known torques = K_t i          (torque, current)
-    θ_l = θ_m/N + offset + effects                                          (load position)
+    J dω_m/dt + (m g l/N) sin θ_l + effects + known torques = K_t i
 
 Effects take part by the laws that their modules under ``bench/effects`` declare. A rigid drive has
-no shaft, so effects of the shaft enter only the second equation; lags inside the loop enter
-neither, since the recorded current is the one that flows and the motion the one that happened.
+no shaft, and lags inside the loop do not enter, since the recorded current is the one that flows
+and the motion the one that happened.
 
 All is linear in its amplitudes but a skew between the channels and the width of dry friction's
 sign, which move every column: the width is sought first, the skew linearised around. Shapes
@@ -85,7 +84,6 @@ from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
 from bayesbl.recording.repairs import widened
 from bayesbl.recording.types import (
-    LOAD_POSITION,
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_TORQUE,
@@ -101,11 +99,6 @@ TORQUE_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
     {effect.name: effect.torque for effect in EFFECTS if effect.torque is not None}
 )
 """Of effects in the torque at the motor, N m."""
-
-POSITION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
-    {effect.name: effect.position for effect in EFFECTS if effect.position is not None}
-)
-"""Of effects in the load's position for a given motor position, rad."""
 
 
 def without_load_angle(laws: Mapping[str, RigidLaw]) -> dict[str, RigidLaw]:
@@ -123,17 +116,13 @@ def within_turns(laws: Mapping[str, RigidLaw], turns: float) -> dict[str, RigidL
 
 
 def uncomputable(laws: Mapping[str, RigidLaw], bench: Bench, load_angle_known: bool) -> list[str]:
-    """Names of laws for which the bench file or the angles do not give enough, sorted.
+    """Names of laws for which the angles do not give enough, sorted.
 
     Without the load's angle gravity is unknown, and with it the torque that the gear passes on.
     """
-    gravity_unknown = bench.value("gravity_torque_nm") > 0.0 and not load_angle_known
-    return sorted(
-        name
-        for name, law in laws.items()
-        if bench.assumed & set(law.bench_parameters)
-        or (gravity_unknown and "transmitted_torque" in effect_named(name).depends_on)
-    )
+    if load_angle_known or bench.value("gravity_torque_nm") <= 0.0:
+        return []
+    return sorted(n for n in laws if "transmitted_torque" in effect_named(n).depends_on)
 
 
 def required_torque(motion: Motion, bench: Bench) -> FloatArray:
@@ -199,7 +188,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class InverseView:
-    """Motion of every piece against what was measured of torque, current or load position.
+    """Motion of every piece against what was measured of torque or current.
 
     Attributes
     ----------
@@ -252,13 +241,8 @@ class InverseView:
         return self.rows.pieces
 
     @cached_property
-    def load(self) -> bool:
-        """Whether the load's position is compared; its zero is fitted for each recording."""
-        return self.pieces[0].channel == LOAD_POSITION
-
-    @cached_property
     def unit(self) -> float:
-        """N m or rad in one unit of the channel: K_t where current is compared."""
+        """N m in one unit of the channel: K_t where current is compared."""
         current = self.pieces[0].channel == MOTOR_CURRENT
         return self.bench.value(TORQUE_CONSTANT) if current else 1.0
 
@@ -282,10 +266,8 @@ class InverseView:
         """Motion as the compared channel shows it: a channel that lags shows what was."""
         key = ("motions", self.skew_s)
         if key not in self.cache:
-            late = -self.skew_s if self.load else self.skew_s
-            self.cache[key] = [
-                part.motion.shifted(late) if late else part.motion for part in self.parts
-            ]
+            every = (part.motion for part in self.parts)
+            self.cache[key] = [m.shifted(self.skew_s) if self.skew_s else m for m in every]
         return [replace(m, friction_width=self.width) for m in self.cache[key]]
 
     def _seen(
@@ -316,7 +298,7 @@ class InverseView:
     def _torque(
         self, key: Hashable, make: Callable[[Motion], FloatArray], **how: Any
     ) -> FloatArray:
-        """The same of a torque, or of the load's angle, in the unit of the channel."""
+        """The same of a torque, in the unit of the channel."""
         return self._seen(key, lambda _, motion: make(motion) / self.unit, **how)
 
     def _signal(self, name: str, given: Mapping[str, float], *, above: bool = False) -> FloatArray:
@@ -339,9 +321,6 @@ class InverseView:
     @cached_property
     def base(self) -> FloatArray:
         """The nominal bench at the skew, (N,)."""
-        if self.load:
-            ratio = self.bench.value("gear_ratio")
-            return self._torque("base", lambda motion: motion.angle / ratio)
         known = {} if self.load_angle_known else {GRAVITY: 0.0}
         bench = self.bench.with_parameters(**known)
         rubs = any("direction" in effect_named(e.name).depends_on for e in bench.effects)
@@ -393,9 +372,6 @@ class InverseView:
     def _nuisances(self) -> dict[str, FloatArray]:
         """What is fitted of the bench itself, (N,) each."""
         names = dict.fromkeys(piece.name for piece in self.pieces)
-        if self.load:
-            ones = self._torque("one", lambda motion: np.ones_like(motion.angle))
-            return {f"offset@{name}": ones * self.rows.of(name) for name in names}
         made = {name: self._parameter(name) for name in self.unknown}
         if self.gravity_free:
             for name in names:
@@ -433,7 +409,7 @@ class InverseView:
             base,
             self._nuisances,
             tuple(self._candidates()),
-            (*self._torques(), self._drift(), *self._twist()),
+            (*self._torques(), self._drift()),
             believed_sds(self.bench, self.unknown),
         )
 
@@ -457,8 +433,7 @@ class InverseView:
             else:
                 parameters = (*amplitude, *law.linear)
                 yield candidate_of(law, name, parameters, tuple(self._looks(name, parameters)))
-        if not self.load:
-            yield from self._wrong_values()
+        yield from self._wrong_values()
         for line in self.lines:
             looks = self._alternatives("frequency_hz", line, self._hum)
             label = f"line {line.middle:.6g} Hz"
@@ -481,11 +456,6 @@ class InverseView:
     def _looks(self, name: str, parameters: Sequence[str]) -> Iterator[Look]:
         law = self.laws[name]
         grid = self._values(name)
-        if law.scanned == law.amplitude:  # not linear in it: around this size
-            for size in grid:
-                column = self._signal(name, {law.amplitude: size}) / size
-                yield Look({}, column[:, None], 1.0 / len(grid))
-            return
         for value in grid or (math.nan,):
             shape = {} if law.scanned is None or not grid else {law.scanned: value}
             off = dict.fromkeys(parameters, 0.0)
@@ -524,7 +494,7 @@ class InverseView:
     # What nothing explains
 
     def _torques(self) -> Iterator[Discrepancy]:
-        """Over each variable; of the load's position no torque, so none that could be told."""
+        """Over each variable."""
         ratio = self.bench.value("gear_ratio")
         for variable, period, reverses in self._kinds():
             every = np.concatenate(
@@ -538,16 +508,13 @@ class InverseView:
             series = Series.over(
                 variable, period, reverses=reverses, orders=LEARNED_HARMONICS, reach=reach
             )
-            if self.load:
-                series = replace(series, means=np.zeros(2 * LEARNED_HARMONICS))
 
             def columns(motion: Motion, series: Series = series) -> FloatArray:
                 waves = series.waves(variable_of(series.variable, motion, ratio))
                 return waves * direction(motion)[:, None] if series.reverses else waves
 
-            told = None if self.load else series
             key = (series.kind, period, self.width)
-            yield Discrepancy(series.kind, self._torque(key, columns), told)
+            yield Discrepancy(series.kind, self._torque(key, columns), series)
 
     def _kinds(self) -> Iterator[tuple[Variable, float, bool]]:
         longest = max(float(np.ptp(part.motion.angle)) for part in self.used)
@@ -567,20 +534,6 @@ class InverseView:
         angles = np.concatenate([part.motion.angle for part in self.used])
         way, turn = float(np.ptp(angles)) / self.bench.value("gear_ratio"), 2.0 * math.pi
         return turn if way >= 2.0 * turn else 2.0 * way
-
-    def _twist(self) -> tuple[Discrepancy, ...]:
-        """Of the shaft, by the load's inertia and dry friction; by viscous friction it is a skew.
-
-        How stiff a shaft is, and where in the gear it rubs, no data sheet says well enough.
-        """
-        if not self.load:
-            return ()
-        columns = self._torque(
-            ("twist", self.width), lambda m: np.column_stack([m.acceleration, direction(m)])
-        )
-        size = np.sqrt((columns[self.rows.used] ** 2).sum(axis=0))
-        columns = columns / np.where(size > 0.0, size, 1.0)
-        return (Discrepancy("load_position_over_torque", columns),)
 
     def _drift(self) -> Discrepancy:
         """A torque that drifts in each recording; where that is held out, nothing says how."""
@@ -633,11 +586,8 @@ class InverseView:
 
     def _finer(self, inference: Inference, name: str, grid: tuple[float, ...]) -> tuple[float, ...]:
         law = self.laws[name]
-        if law.scanned == law.amplitude:
-            best = max(inference.values(name)[law.amplitude].value, 1e-3 * grid[0])
-        else:
-            assert law.scanned is not None
-            best = inference.values(name)[law.scanned].value
+        assert law.scanned is not None
+        best = inference.values(name)[law.scanned].value
         near = int(np.searchsorted(grid, best))
         low, high = grid[max(0, near - 1)], grid[min(len(grid) - 1, near + 1)]
         if not low < high:
@@ -659,11 +609,7 @@ class InverseView:
         return self.shapes.get(name, self._grid(name))
 
     def _grid(self, name: str) -> tuple[float, ...]:
-        law = self.laws[name]
-        if law.scanned is None or law.scanned == ORDER or name == SKEW:
-            return ()
-        unit = self.speed_rad_per_s if law.grid_unit == "speed" else self._travel_rad
-        return tuple(unit * share for share in law.grid)
+        return tuple(self.speed_rad_per_s * share for share in self.laws[name].grid)
 
     @cached_property
     def speed_rad_per_s(self) -> float:
@@ -706,7 +652,7 @@ class InverseView:
 
     def _with_width(self) -> InverseView:
         names = (*self.laws, *(e.name for e in self.bench.effects))
-        if self.load or not any("direction" in effect_named(n).depends_on for n in names):
+        if not any("direction" in effect_named(n).depends_on for n in names):
             return self
         unit = self.speed_rad_per_s
         width = _minimum(
@@ -895,9 +841,9 @@ def _power(values: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.fft.rfft(tapered)) ** 2)
 
 
-CHANNELS = (MOTOR_TORQUE, MOTOR_CURRENT, LOAD_POSITION)
+CHANNELS = (MOTOR_TORQUE, MOTOR_CURRENT)
 MOTION_ALONE = (
-    "There is neither torque nor current of the motor, nor a second encoder at the load. "
+    "There is neither torque nor current of the motor. "
     "From motion alone the torque of the motor is unknown, and with it friction, offsets, "
     "ripple and inertia. Motion alone is enough when the motor is switched off "
     "(free_motion)."
@@ -918,14 +864,11 @@ def comparison(task: Task) -> Comparison:
     require_rigid(task)
     config, bench, asked = task.config, task.bench, task.config.comparison
     channel = compared_channel(task, CHANNELS, MOTION_ALONE)
-    load = channel == LOAD_POSITION
-    # A joint may rest at the end of its way: only what drives it is asked not to stand still.
-    driving = [channel] if channel in (MOTOR_TORQUE, MOTOR_CURRENT) else []
-    recordings = even_recordings(task, driving)
-    _require_position(config, recordings, load)
-    unknown = unknown_parameters(task, () if load else (*INERTIAS, GRAVITY))
+    recordings = even_recordings(task, [channel])
+    _require_position(config, recordings)
+    unknown = unknown_parameters(task)
     unit_tolerance = _tolerance_of_unit(task, channel)
-    every = POSITION_LAWS if load else TORQUE_LAWS
+    every = TORQUE_LAWS
     if not (asked.load_angle_known and bench.value(GRAVITY) > 0.0):
         every = without_load_angle(every)
     every = within_turns(every, turns_of(recordings))
@@ -957,8 +900,7 @@ def comparison(task: Task) -> Comparison:
     notes = [*notes_of(recordings), *_one_way(view.parts)]
     notes += _notes_on_sources(view.parts, cutoff, given=asked.cutoff_hz is not None)
     if left_out:
-        why = "the load's angle is unknown" if not load else "the bench names no shaft stiffness"
-        notes.append(f"Not tried, as {why}: {', '.join(left_out)}.")
+        notes.append(f"Not tried, as the load's angle is unknown: {', '.join(left_out)}.")
     if unit_tolerance:
         notes.append(
             f"The current is compared by the torque constant, which the bench knows to ± "
@@ -1040,15 +982,15 @@ def compared(
     require_enough(recording, channel, out)
     position = recording.channels.get(MOTOR_POSITION)
     noise = 0.0 if position is None else noise_of(position)
-    if channel != LOAD_POSITION:
-        resting = standstill(motion, noise, cutoff_hz)
-        out = resting if out is None else out if resting is None else out | resting
+    resting = standstill(motion, noise, cutoff_hz)
+    out = resting if out is None else out if resting is None else out | resting
     window = None if out is None else np.where(out, 0.0, 1.0)
     low_pass = LowPass(cutoff_hz, period)
     step = 0.0 if position is None else step_of(position)
-    windows = [Window(low_pass, window, thinned(recording, cutoff_hz), step_rad=step)]
-    if channel != LOAD_POSITION:
-        windows.append(Window(low_pass, window, inside(recording, cutoff_hz), True, step, noise))
+    windows = [
+        Window(low_pass, window, thinned(recording, cutoff_hz), step_rad=step),
+        Window(low_pass, window, inside(recording, cutoff_hz), True, step, noise),
+    ]
     compared_samples = len(range(*windows[0].rows.indices(recording.samples)))
     if compared_samples < FEWEST_SAMPLES:
         raise RecordingError(
@@ -1094,14 +1036,13 @@ def _require_motion(view: InverseView, recordings: Sequence[Recording]) -> None:
             )
 
 
-def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording], load: bool) -> None:
+def _require_position(config: DiagnoseConfig, recordings: Sequence[Recording]) -> None:
     if all(MOTOR_POSITION in recording.channels for recording in recordings):
         return
     compared = config.comparison
     for name, claimed in (
         ("load_angle_known", compared.load_angle_known),
         ("motor_angle_known", compared.motor_angle_known),
-        ("channels", load),
     ):
         if claimed:
             raise ConfigError(
