@@ -666,22 +666,6 @@ HIDDEN = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """Pieces, the loop, what of it is free (sd of logarithms), what may be named, and notes."""
-
-    turning: tuple[Turning, ...]
-    values: dict[str, float]
-    priors: Mapping[str, float]
-    candidates: tuple[str, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def used(self) -> tuple[Turning, ...]:
-        """Pieces to fit on."""
-        return tuple(item for item in self.turning if item.piece.use == "used")
-
-
 def loop_setting(task: Task) -> Setting:
     """What a configuration asks for.
 
@@ -758,7 +742,7 @@ def loop_setting(task: Task) -> Setting:
     priors = {n: bench.tolerances[n] / math.sqrt(3.0) / bench.value(n) for n in unknown}
     names = wanted(config, bench, dict.fromkeys(CANDIDATES))
     notes = (*notes_of(recordings), HIDDEN, *_soft_shaft(values))
-    return Setting(tuple(turning), values, priors, names, notes)
+    return Setting(task, tuple(turning), values, priors, names, notes)
 
 
 def _soft_shaft(values: Mapping[str, float]) -> Iterator[str]:
@@ -790,38 +774,50 @@ def comparison(task: Task) -> Comparison:
     """Lines of the speed at orders of the motor, and the laws that they follow over the speeds."""
     setting = loop_setting(task)
     used, held_out = len(setting.used), len(setting.turning) - len(setting.used)
-
-    def diagnose(progress: StageProgress | None) -> Diagnosis:
-        found = find_orders(setting.used, MOST_LINES, task.config.candidates.false_alarm)
-        if progress is not None:
-            progress("Seeking orders", 1, 2)
-        return _Answer(task, setting, found).diagnosis()
-
     return Comparison(
         f"forward, the speed alone of a rigid drive, {used} to fit on, {held_out} held out; "
         f"candidates {', '.join(setting.candidates)}",
-        diagnose,
+        setting.diagnosis,
     )
 
 
-@dataclass(slots=True)
-class _Answer:
-    """From orders to the answer."""
+@dataclass(frozen=True)
+class Setting:
+    """Pieces, the loop, what of it is free (sd of logarithms), what may be named, and notes; from
+    these to the answer.
+
+    ``true_angle``: pieces are over the angle without the encoder's error.
+    """
 
     task: Task
-    setting: Setting
-    found: list[Peak]
+    turning: tuple[Turning, ...]
+    values: dict[str, float]
+    priors: Mapping[str, float]
+    candidates: tuple[str, ...]
+    notes: tuple[str, ...]
     true_angle: bool = False
 
-    def diagnosis(self) -> Diagnosis:
+    @property
+    def used(self) -> tuple[Turning, ...]:
+        """Pieces to fit on."""
+        return tuple(item for item in self.turning if item.piece.use == "used")
+
+    @cached_property
+    def found(self) -> list[Peak]:
+        """Orders that stand out, the strongest first."""
+        return find_orders(self.used, MOST_LINES, self.task.config.candidates.false_alarm)
+
+    def diagnosis(self, progress: StageProgress | None = None) -> Diagnosis:
         """Name what follows a law, describe the rest."""
-        setting, notes = self.setting, list(self.setting.notes)
+        notes = list(self.notes)
         effects, errors = list[NamedEffect](), list[ParameterError]()
         periodic = list[Sequence[tuple[int, int]]]()
         fit, unnamed = None, set(range(len(self.found)))
-        lines = lines_of(setting.used, [line.order for line in self.found])
+        if progress is not None:
+            progress("Seeking orders", 1, 2)
+        lines = lines_of(self.used, [line.order for line in self.found])
         if self.found:
-            search = searched(lines, setting.values, setting.priors, setting.candidates)
+            search = searched(lines, self.values, self.priors, self.candidates)
             told = self._told(search, notes)
             periodic = [m[0].lines for m in search.sure if m[0].name == TIME]
             firsts = [members[0] for members in told]
@@ -850,7 +846,7 @@ class _Answer:
             tuple(remaining),
             self._compared(fit),
             tuple(notes),
-            bench_parameters={n: fit.logarithm(n) for n in setting.priors} if fit else {},
+            bench_parameters={n: fit.logarithm(n) for n in self.priors} if fit else {},
         )
 
     def _told(self, search: LoopSearch, notes: list[str]) -> list[list[Hypothesis]]:
@@ -875,7 +871,7 @@ class _Answer:
         most = self.task.config.candidates.max_effects or MOST_EFFECTS
         return laws[: max(0, most - len(loop))] + loop
 
-    def _by_true_angle(self, fit: LoopFit) -> _Answer | None:
+    def _by_true_angle(self, fit: LoopFit) -> Setting | None:
         """The same over the angle without the encoder's error, once it is named beside torques.
 
         Over the measured angle a torque of order n has sidebands of n ε/2 of its size.
@@ -897,10 +893,7 @@ class _Answer:
             error = math.sqrt(angle) * np.real(turn / abs(turn) * np.exp(1j * item.angle))
             return replace(item, angle=item.angle - error, made={})
 
-        turning = tuple(map(without_error, self.setting.turning))
-        setting = replace(self.setting, turning=turning)
-        alarm = self.task.config.candidates.false_alarm
-        return _Answer(self.task, setting, find_orders(setting.used, MOST_LINES, alarm), True)
+        return replace(self, turning=tuple(map(without_error, self.turning)), true_angle=True)
 
     def _effect(
         self, search: LoopSearch, fit: LoopFit, first: Hypothesis, rivals: Sequence[Hypothesis]
@@ -937,13 +930,13 @@ class _Answer:
             order,
             order,
             hertz,
-            tuple(self.setting.used[i].piece.name for i in places),
+            tuple(self.used[i].piece.name for i in places),
             self.found[place].score,
         )
 
     def _compared(self, fit: LoopFit | None) -> tuple[ComparedPiece, ...]:
         """Every piece, with a mean alone and with all laws."""
-        every = sorted(self.setting.turning, key=lambda item: item.piece.use != "used")
+        every = sorted(self.turning, key=lambda item: item.piece.use != "used")
         rows = Rows(tuple(item.piece for item in every))
         before = rows.stack(lambda i: every[i].predicted((), np.zeros(0)))
         after = before
