@@ -51,7 +51,8 @@ KNOWN_ANGLE_SD_RAD = 1e-3
 LEVEL_SD = 1.6449
 """Half-width of a 90 % interval in standard deviations."""
 
-EFFECT_NAMES = tuple(TYPICAL)
+EFFECT_NAMES = tuple(name for name in TYPICAL if effect_named(name).replaces is None)
+"""Without the gap, which is unknown anyway."""
 NAMES = (*EFFECT_NAMES, *CORRECTABLE_PARAMETERS)
 """Place of a name is its bit in ``set_1`` and so on."""
 VERDICTS = ("nothing_missing", "named", "parameter_error", "unexplained")
@@ -76,8 +77,6 @@ WRONG: Mapping[str, float] = {
 }
 """True value over the one believed."""
 
-_ONLY_ALONE = ("backlash", "gravity_phase")
-"""Need another set of declared unknowns than the rest."""
 _SAME_IN_THESE = (
     {"motor_coulomb_friction", "motor_stribeck_friction"},
     {"motor_viscous_friction", "motor_stribeck_friction"},
@@ -99,9 +98,11 @@ _NEVER_TOGETHER = (
     {"sampled_control", "speed_averaging"},
 )
 """The simulator's digital controller shows the speed of its ticks."""
+_WITH_OTHERS = [name for name in EFFECT_NAMES if name != "gravity_phase"]
+"""It shows only where the load's angle is known."""
 PAIRS = tuple(
     pair
-    for pair in combinations([name for name in EFFECT_NAMES if name not in _ONLY_ALONE], 2)
+    for pair in combinations(_WITH_OTHERS, 2)
     if set(pair) not in (*_SAME_IN_THESE, *_NEVER_TOGETHER)
 )
 
@@ -313,9 +314,6 @@ def believed() -> dict[str, float]:
 
 def _strong(name: str, strength: float) -> dict[str, float]:
     """A typical effect, made stronger; its shape stays."""
-    if name == "backlash":
-        # The gap itself, where the bench is believed to have none.
-        return {"gap_rad": 0.0, "backlash__gap_rad": strength * TYPICAL[name]["gap_rad"]}
     amplitudes = {item.name for item in effect_named(name).amplitudes}
     return {
         f"{name}__{key}": strength * value if key in amplitudes else value
@@ -326,7 +324,7 @@ def _strong(name: str, strength: float) -> dict[str, float]:
 def _diagnosed(hidden: Hidden, made: Sequence[Made], generator: np.random.Generator) -> Findings:
     bench = reference_bench()
     seen = [observed(m.recording, bench, m.truth.reference_speed_rpm) for m in made]
-    unknowns = [] if "backlash" in hidden.names else [gap_unknown(*GAP_RANGE_RAD)]
+    unknowns = [gap_unknown(*GAP_RANGE_RAD)]
     angle_known = "gravity_phase" in hidden.names
     for item in made[:-1]:
         name, angle = item.recording.name, item.truth.start_angle_rad
@@ -361,8 +359,7 @@ def _score(
     for use in ("used", "held_out"):
         score[f"closed_{use}"] = closed_share(found, made, use)
     first = made[0].truth
-    gap = first.gap_rad + first.backlash__gap_rad
-    score["delta_rad"] = gap
+    gap = score["delta_rad"] = first.gap_rad
     for stage, estimate in (
         ("before", diagnosis.delta_before),
         ("after", diagnosis.delta_after),

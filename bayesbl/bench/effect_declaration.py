@@ -251,7 +251,7 @@ class Effect:
         Whether a rigid bench that swings freely shows it; its parameters are then those that the
         simulator takes.
     replaces
-        A declared unknown that says the same: the effect is no candidate beside it.
+        An unknown of every comparison that says the same: the effect is no candidate.
     sought_alone
         Of parameters that recordings cannot show together, the one that a search frees.
     sought_in_loop

@@ -145,8 +145,8 @@ class Diagnosis:
     bench_parameters
         Declared unknown ones, fitted.
     delta_before, delta_after
-        δ (rad) with the bench as believed and with what was named; ``None`` where the gap is known
-        or withheld.
+        δ (rad) with the bench as believed and with what was named; ``None`` of a rigid bench, or
+        where it is withheld.
     gap_withheld
         Why no gap is given; empty where one is, or nothing is asked of it.
     augmented_bench

@@ -19,7 +19,7 @@ from bayesbl.bench.effects import EFFECTS, effect_named, parameters_on
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.signals import GAP, Unknown
+from bayesbl.matching.signals import Unknown
 from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 
@@ -248,7 +248,6 @@ def candidates(
     declared: Sequence[str] = (),
     load_angle_known: bool = False,
     motor_angle_known: bool = False,
-    gap_is_unknown: bool = True,
 ) -> list[Candidate]:
     """Every explanation that these recordings could speak for.
 
@@ -269,7 +268,7 @@ def candidates(
             continue
         if effects == "all" and not effect.sought_in_loop:
             continue
-        if effect.replaces == GAP and gap_is_unknown:
+        if effect.replaces is not None:
             continue
         if "load_angle" in effect.depends_on and not load_angle_known:
             continue

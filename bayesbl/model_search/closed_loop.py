@@ -28,7 +28,7 @@ from bayesbl.matching.loop_noise import loop_noise
 from bayesbl.matching.observed import Observed, whole_rotations
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import BANDS, is_explained
-from bayesbl.matching.signals import GAP, SimulatedSignals
+from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside
 from bayesbl.model_search.catalogue import Candidate, order_peaks
 from bayesbl.model_search.constants import (
@@ -615,9 +615,7 @@ def laws_of_shaft(explanation: Explanation) -> list[Candidate]:
     return [
         c
         for c in explanation.candidates
-        if c.kind == "effect"
-        and "twist" in effect_named(c.name).depends_on
-        and effect_named(c.name).replaces != GAP
+        if c.kind == "effect" and "twist" in effect_named(c.name).depends_on
     ]
 
 

@@ -91,10 +91,7 @@ def extended(model: SimulatedSignals, candidate: Candidate) -> SimulatedSignals:
 
 
 def refit(
-    base: Explanation,
-    added: Sequence[tuple[Candidate, FloatArray]],
-    shift: FloatArray,
-    goal: float = math.inf,
+    base: Explanation, added: Sequence[tuple[Candidate, FloatArray]], shift: FloatArray
 ) -> Explanation | None:
     """A set and some candidates more, fitted roughly; ``None`` if it cannot be simulated.
 
@@ -104,8 +101,6 @@ def refit(
         Candidates, each with the coordinates that the linearisation promises, shape (k,).
     shift
         What it promises of the unknowns that are there already, shape (d,).
-    goal
-        χ² above which the fit serves nothing.
     """
     model = base.fit.model
     for candidate, _ in added:
@@ -125,7 +120,7 @@ def refit(
     with suppress(SimulationError):
         best, steps = trials[int(np.argmin(chi_squares))], base.fit.steps
         known = base.fit.derivatives()
-        fit = fit_simulated(model, best, steps, rough=True, known=known, goal=goal)
+        fit = fit_simulated(model, best, steps, rough=True, known=known)
         return Explanation(candidates, fit)
     return None
 

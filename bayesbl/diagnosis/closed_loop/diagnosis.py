@@ -90,8 +90,6 @@ class Findings:
 
     Attributes
     ----------
-    believed
-        The bench as its file says.
     chosen
         The set of everything that is named, its noise estimated without what was missing; with what
         was learned, if anything was, and with laws that nothing shows.
@@ -103,13 +101,17 @@ class Findings:
         What was learned from what naming left; ``chosen`` has it.
     """
 
-    believed: Bench
     naming: Naming
     chosen: FittedSet
     pieces: tuple[ComparedPiece, ...]
     before: ResidualAnalysis
     after: ResidualAnalysis
     learned: Learned | None = None
+
+    @property
+    def believed(self) -> Bench:
+        """The bench as its file says."""
+        return self.naming.nominal.fit.model.bench
 
     @property
     def final(self) -> Explanation:
@@ -146,7 +148,7 @@ def search(
     used, held_out
         Recordings to fit on, and to predict.
     unknowns
-        Declared: gap, start angles, bench parameters.
+        Declared: the gap, start angles, bench parameters.
     effects, max_effects, load_angle_known, motor_angle_known
         As ``[candidates]`` and ``[comparison]`` say.
 
@@ -164,7 +166,6 @@ def search(
         declared=[u.name for u in unknowns],
         load_angle_known=load_angle_known,
         motor_angle_known=motor_angle_known,
-        gap_is_unknown=any(u.name == GAP for u in unknowns),
     )
     missing = partial(
         name_missing,
@@ -188,7 +189,6 @@ def search(
             naming, learned = beside
             final = learned.explanation
     return Findings(
-        bench,
         naming,
         weighed(final, laws(final.fit.model.bench)),
         compared_pieces(naming.nominal, final, held_out),
@@ -196,11 +196,6 @@ def search(
         compared(final),
         learned,
     )
-
-
-def _place_of_gap(fit: SimulatedFit) -> int | None:
-    """Among the unknowns; ``None`` where the gap is known."""
-    return fit.model.place_of(GAP, fit.model.recordings[0].name)
 
 
 def _with_learned(
@@ -264,7 +259,7 @@ def diagnosis_of(
     if posterior is not None and posterior.diagnostics.outcome == "withheld":
         sampled = None
     after, doubts = None, list[str]()
-    if not withheld and _place_of_gap(final.fit) is not None:
+    if not withheld:
         seed = np.random.SeedSequence(0)
         around = sampled or sample_direct(final.fit, SamplerSettings(), seed, withheld=True)
         whole = found.averaged(around, seed)
@@ -304,7 +299,7 @@ def diagnosis_of(
         found.pieces,
         (*notes, *doubts),
         bench_parameters=_declared_parameters(found, sampled),
-        delta_before=_delta(naming.nominal),
+        delta_before=_estimate(naming.nominal, naming.nominal.fit.model.index(GAP), None),
         delta_after=after,
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
@@ -345,11 +340,6 @@ def _estimate(explanation: Explanation, i: int, posterior: DirectPosterior | Non
     return Estimate(float(fit.point[i]), sd, draws, unknown.logarithmic)
 
 
-def _delta(explanation: Explanation) -> Estimate | None:
-    place = _place_of_gap(explanation.fit)
-    return None if place is None else _estimate(explanation, place, None)
-
-
 def _averaged_gap(posterior: DirectPosterior) -> Estimate:
     values = posterior.values(GAP)
     logs = np.log(values)
@@ -384,8 +374,6 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
         # Noise is told from what remains by its tests, not by a share of little.
         remains = bool(found.after.remaining) or not is_explained(found.final.fit)
         return why_no_gap(found.learned, found.after.closes(found.before), remains)
-    if _place_of_gap(found.final.fit) is None:
-        return ""
     if found.naming.repeats:
         return (
             "Something repeats that neither the bench nor the catalogue explains. It may move the "
