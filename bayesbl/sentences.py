@@ -423,8 +423,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "to be about a tenth of the lost motion, rarely two fifths, and the interval includes that."
     ),
     "positions_exchanged": (
-        "The motor turns {seen:.4g} times per turn of the load, the inverse of the stated "
-        "{stated:g}: motor_position_rad and load_position_rad are exchanged, or the units of both."
+        "The motor turns {seen:.4g} times per turn of the load: motor_position_rad and "
+        "load_position_rad are exchanged, or a unit is wrong. If the gear is like that, state it "
+        "as gear_ratio."
     ),
     "ratio_differs": "The gear ratio looks like {seen:.6g}, not {stated:g} as stated.",
     "motor_at_output": (

@@ -54,7 +54,7 @@ _WORDS = {
         ("time", 60.0, "min mins minute minutes"),
         ("time", 3600.0, "h hr hrs hour hours"),
         ("angle", 1.0, "rad rads radian radians"),
-        ("angle", math.pi / 180.0, "deg degs degree degrees"),
+        ("angle", math.pi / 180.0, "deg degs degree degrees grad"),
         ("angle", 2.0 * math.pi, "rev revs turn turns revolution revolutions umdr"),
         ("angle", 2.0 * math.pi, "rotation rotations"),
         ("angle", math.pi / 10800.0, "arcmin arcminute arcminutes '"),

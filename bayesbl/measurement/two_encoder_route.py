@@ -248,13 +248,14 @@ class TwoEncoderMeasurer(Measurer):
             yield Reason("no_torque")
         elif "compliance_rad_per_nm" not in found.draws:
             yield Reason("torque_unused")
-        stated = self.config.joint.gear_ratio
-        if stated is not None:
-            seen = np.abs(found.draws["gear_ratio"])
-            middle = float(np.median(seen))
+        stated, seen = self.config.joint.gear_ratio, np.abs(found.draws["gear_ratio"])
+        middle = float(np.median(seen))
+        if stated is None:
+            if np.log(middle) < -SAME_RATIO:
+                yield Reason("positions_exchanged", {"seen": middle})
+        else:
             if abs(np.log(middle * stated)) < SAME_RATIO < abs(np.log(stated)):
-                values = {"stated": stated, "seen": middle}
-                yield Reason("positions_exchanged", values)
+                yield Reason("positions_exchanged", {"seen": middle})
             elif self._is_at_output(found):
                 yield Reason("motor_at_output")
             elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):

@@ -23,7 +23,7 @@ from bayesbl.presentation.blocks import (
 from bayesbl.presentation.subjects import SUBJECTS, blocks
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.words import significant
-from bayesbl.recording.guessing import NO_UNIT
+from bayesbl.recording.guessing import NO_UNIT, UNKNOWN
 from bayesbl.runs.kinds import summarise
 
 if TYPE_CHECKING:
@@ -134,12 +134,12 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
             "Check",
         )
     for column in guess.columns:
-        if column.doubted:
-            yield Sentence(f"{column.name} is {column.reason}", "warning", "Check")
-        if not column.sure:
-            why = "" if column.reason == NO_UNIT else f" ({column.reason})"
-            unit = f"the unit of {column.name} is not stated{why}."
-            yield Sentence(unit, "warning", "Check")
+        why = "its unit is not stated" if column.reason == NO_UNIT else column.reason
+        if column.unit == UNKNOWN and not column.needed:
+            why = f"left out until its unit is filled in; {why}"
+        elif column.is_open or (column.sure and not column.doubted):
+            continue
+        yield Sentence(f"{column.name}: {why}.", "warning", "Check")
 
 
 def what_next(path: Path, *, sound: bool, route: str = "") -> str:

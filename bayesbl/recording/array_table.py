@@ -247,6 +247,8 @@ class ArrayTable:
         What was left out as the file was read, in words, and how many times.
     lines
         Of a text, the line that each row is in, from 1, shape (n,).
+    step_s
+        Time from row to row, where the file states it.
     """
 
     file: str
@@ -256,6 +258,7 @@ class ArrayTable:
     withheld: Mapping[str, str] = field(default_factory=dict)
     repairs: Mapping[str, int] = field(default_factory=dict)
     lines: NDArray[np.int64] | None = None
+    step_s: float | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -263,11 +266,12 @@ class ArrayTable:
         return tuple(self.arrays)
 
     def numbered(self) -> ArrayTable:
-        """With the rows' numbers for a time, in a file without a clock."""
+        """With the rows' numbers for a time, or their steps, in a file without a clock."""
         if TIME in self.arrays or self.clocks or not self.arrays:
             return self
         rows = max(values.size for values in self.arrays.values())
-        return replace(self, arrays={TIME: np.arange(rows, dtype=np.float64), **self.arrays})
+        time = np.arange(rows) * (1.0 if self.step_s is None else self.step_s)
+        return replace(self, arrays={TIME: time, **self.arrays})
 
     def place(self, row: int, column: str) -> str:
         """Where a value is, in words."""

@@ -28,7 +28,7 @@ _NUMBER_FIRST = re.compile(r"[x×*]?\s*(\d+)(?![\d/]*min)([^\s_A-Za-z]*)")
 _BY_TIME = re.compile(r"\S+/(?:s|sec|min)|(?:s|sec|min)\^?-1")
 _QUESTIONS = frozenset(
     "count counts cnt cnts inc incs increment increments tick ticks pulse pulses lsb lsbs digit "  # noqa: SIM905
-    "digits pu erpm percent pct permille grad cycles kmh kph mph mps mmps ips".split()
+    "digits pu erpm percent pct permille cycles kmh kph mph mps mmps ips".split()
 )
 """Words for units of a size that only the user knows."""
 

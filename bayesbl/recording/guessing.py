@@ -32,7 +32,7 @@ from bayesbl.recording.channels import (
     TIME,
 )
 from bayesbl.recording.columns import COUNTED, StatedUnit, stamps_and_values, stated_unit
-from bayesbl.recording.repairs import filled, unwrapped
+from bayesbl.recording.repairs import filled, unwrapped, without_strays
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import (
     RPM_PER_RAD_PER_S,
@@ -46,17 +46,20 @@ _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
         TIME: "t time timestamp zeit temps tempo clock sample samples",
         MOTOR_SPEED: "speed velocity vel omega w rpm erpm drehzahl n dq qd",
-        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel q aipos twist torsion "
-        "deflection displacement messuhr",
+        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q aipos twist "
+        "torsion deflection displacement messuhr",
         MOTOR_CURRENT: "current cur i iq strom amps macur",
         MOTOR_TORQUE: "torque tau trq moment drehmoment effort force kraft",
     }
 )
 """Channel to the words that files use for it, in small letters."""
 
+_TURNS_BY_MINUTE = "drehzahl"
+"""Words that say the unit: angular speeds are called otherwise."""
+
 _REFERENCE = "ref reference set setpoint cmd command target desired demand nominal soll sp goal"
-_LOAD = "load link joint output out arm l wheel pendulum secondary external"
-_MOTOR = "motor mot m"
+_LOAD = "load link joint output out arm l wheel pendulum secondary external abtrieb"
+_MOTOR = "motor mot m antrieb"
 _BESIDE = (
     "error err deviation difference diff lag residual abweichung fehler temperature temp "
     "supply bus battery dc ina"  # a monitor of the supply is called by its chip: INA219
@@ -86,11 +89,21 @@ _STEMS = frozenset(
 NO_UNIT = "no unit found: check it"
 """Reason for a unit that nothing in the file supports."""
 
+BY_ROS = "ROS logs in SI units (REP 103)"
+"""Reason for the unit of a column that a topic's path names."""
+
+_SI = {MOTOR_SPEED: "rad/s", MOTOR_POSITION: "rad", LOAD_POSITION: "rad", MOTOR_TORQUE: "N m"}
+_TOPIC = re.compile(r"/\w+/|field\.")
+"""As PlotJuggler and ``rostopic`` begin a column's name."""
+
 AS_SPEED = "as the speed: check it"
 """Reason for the unit of a reference that states none: it nearly always has the speed's."""
 
 NO_NAME = "enter the column of the motor's position and its unit; of its speed as motor_speed_rpm"
 """Reason for a column that no name tells."""
+
+COUNTS = 'it counts the samples: enter what lies between two of them, as "4 ms"'
+"""Reason for a time that no name tells, in steps of one."""
 
 OTHER_SIDE = 'enter its unit at the side of the position, as "0.01 N m" for N m at a gear of 100'
 """Reason for the torque of ramps that was measured at the other side of the gear."""
@@ -128,7 +141,7 @@ _AGREEMENT = 0.02
 class GuessedColumn:
     """A column, the channel it may be, and why; ``sure`` if the file itself states the unit.
 
-    ``doubted``: the reason is a question about the channel.
+    ``needed``: nothing runs without it. ``doubted``: the reason is a question about the channel.
     """
 
     channel: str
@@ -136,7 +149,13 @@ class GuessedColumn:
     unit: str
     reason: str
     sure: bool
+    needed: bool = True
     doubted: bool = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the user has to say what it is."""
+        return self.needed and self.unit == UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +175,7 @@ class Guess:
     @property
     def is_open(self) -> bool:
         """Whether anything is left for the user to fill in."""
-        return self.of_motor or any(column.unit == UNKNOWN for column in self.columns)
+        return self.of_motor or any(column.is_open for column in self.columns)
 
 
 @dataclass(frozen=True)  # without slots, for values that are read once
@@ -187,12 +206,13 @@ class _Named:
     @cached_property
     def positions(self) -> FloatArray:
         """Its values, shape (n,), as a recording has them: what begins again at a turn goes on."""
+        without_strays(values := self.values.copy(), Counter[str](), self.name)
         for unit in _possible(MOTOR_POSITION, self) or ("rad",):
             size, repairs = conversion_factor(MOTOR_POSITION, unit), Counter[str]()
-            whole = unwrapped(size * self.values, size, repairs, self.name)
+            whole = unwrapped(size * values, size, repairs, self.name)
             if repairs:
                 return whole / size
-        return self.values
+        return values
 
     @property
     def rad(self) -> float | None:
@@ -237,8 +257,9 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     if TIME not in chosen:
         rest = [column for column in named if column not in chosen.values()]
         found = next((column for column in rest if column.increases), None)
-        if found is None and ramps and (numbered := table.numbered()) is not table:
-            # Torque over twist needs no time, but the order.
+        numbered = table.numbered()
+        if numbered is not table and (table.step_s is not None or (found is None and ramps)):
+            # The file states its steps; torque over twist needs no time, but the order.
             guess = guess_columns(numbered, joint)
             return replace(guess, columns=tuple(c for c in guess.columns if c.channel != TIME))
         if found is None:
@@ -272,7 +293,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     elif len(motors) == 1 and any(c.is_called(_LOAD) for c in ramps.values()):
         guesses = _changed(guesses, MOTOR_TORQUE, unit=UNKNOWN, reason=OTHER_SIDE, sure=True)
     elif not ramps:
-        guesses = _doubted(guesses, held)
+        guesses = _of_motor(guesses, chosen, held)
     columns = tuple(guesses)
     taken = {column.name for column in columns}
     order = [TIME, *CHANNELS]
@@ -452,46 +473,49 @@ def _changed(columns: Sequence[GuessedColumn], channel: str, **changes: Any) -> 
 def _of_sides(
     columns: Sequence[GuessedColumn], chosen: Mapping[str, _Named]
 ) -> list[GuessedColumn]:
-    """Without a speed of unknown size, which is not needed; not sure of a motor that no name tells:
-    two joints, or two counters of different size, may be taken for both sides of one."""
-    needless = (MOTOR_SPEED, REFERENCE_SPEED)
-    columns = [c for c in columns if c.unit != UNKNOWN or c.channel not in needless]
-    if len({*_called([chosen[side] for side in (MOTOR_POSITION, LOAD_POSITION)])}) > 1:
+    """Needed are the positions; told is where no name says which one is the motor's: two joints, or
+    two counters of different size, may be taken for both sides of one."""
+    sides = (MOTOR_POSITION, LOAD_POSITION)
+    columns = [replace(c, needed=c.channel in (TIME, *sides)) for c in columns]
+    if len({*_called([chosen[side] for side in sides])}) > 1:
         return columns
     reason = next(c.reason for c in columns if c.channel == MOTOR_POSITION)
     asked = f"perhaps the load's, since neither name tells which side is the motor's; {reason}"
     return _changed(columns, MOTOR_POSITION, reason=asked, doubted=True)
 
 
-def _doubted(
-    columns: Sequence[GuessedColumn], values: Mapping[str, FloatArray]
+def _of_motor(
+    columns: Sequence[GuessedColumn],
+    chosen: Mapping[str, _Named],
+    values: Mapping[str, FloatArray],
 ) -> list[GuessedColumn]:
-    """Not sure of a motor's speed that is a load's: what ROS calls a joint's velocity is one.
-
-    The speed is that of the position where there is no other.
-    """
+    """Needed is the speed, or the position where there is none; doubted is one that is slow
+    for a motor: what ROS calls a joint's velocity is one."""
+    main = MOTOR_SPEED if any(c.channel == MOTOR_SPEED for c in columns) else MOTOR_POSITION
+    columns = [replace(c, needed=c.channel in (TIME, main)) for c in columns]
     sized = {
         column.channel: conversion_factor(column.channel, column.unit) * values[column.channel]
         for column in columns
         if column.unit != UNKNOWN
     }
-    of_position = all(column.channel != MOTOR_SPEED for column in columns)
-    needed = (MOTOR_POSITION, TIME) if of_position else (MOTOR_SPEED,)
-    if not sized.keys() >= {*needed}:
-        return list(columns)
+    needed = (main,) if main == MOTOR_SPEED else (main, TIME)
+    if not sized.keys() >= {*needed} or chosen[main].is_called(_MOTOR):
+        return columns
     known = np.array([sized[channel] for channel in needed])
     known = known[:, np.isfinite(known).all(axis=0)]
-    if of_position:
+    if main == MOTOR_SPEED:
+        rpm = float(np.abs(known).mean())
+    else:
         ways = np.abs(np.diff(known)).sum(axis=1)
         rpm = RPM_PER_RAD_PER_S * float(ways[0] / ways[1]) if ways[1] else np.inf
-    else:
-        rpm = float(np.abs(known).mean())
     if rpm >= _USUAL_SPEEDS_RPM[0]:
-        return list(columns)
-    reason = f"{rpm:.3g} rpm, slow for a motor: is it the joint's own, behind the gearbox?"
-    if not next(column.sure for column in columns if column.channel == needed[0]):
-        reason += " Or is this unit wrong?"
-    return _changed(columns, needed[0], reason=reason, doubted=True)
+        return columns
+    unit = next(column.unit for column in columns if column.channel == main)
+    asked = (
+        f"{rpm:.3g} rpm is slow for a motor: is it the joint's own, behind the gearbox? Of a gear "
+        f'of 120 the unit here is "120 {unit}"'
+    )
+    return _changed(columns, main, reason=asked, doubted=True)
 
 
 def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _Named:
@@ -598,14 +622,29 @@ def _stated(
     if stated.unit:
         said = "the name says so" if column.name == channel else "stated in the file"
         return GuessedColumn(channel, column.name, stated.unit, said, True)
-    # The size of everything may hang on a position: its unit is never taken for granted.
-    unheard = (
-        (UNKNOWN, f"enter its unit: {choice_of_units(channel)}")
-        if channel in (MOTOR_POSITION, LOAD_POSITION)
-        else (accepted_units(channel)[0], NO_UNIT)
-    )
-    unit, reason = (suggested or {}).get(channel, unheard)
-    return GuessedColumn(channel, column.name, unit, reason, False)
+    if suggested and channel in suggested:
+        return GuessedColumn(channel, column.name, *suggested[channel], False)
+    if channel in _SI and _TOPIC.match(column.name):
+        return GuessedColumn(channel, column.name, _SI[channel], BY_ROS, True)
+    if channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE):
+        return GuessedColumn(channel, column.name, "rpm", NO_UNIT, False)
+    # The size of everything hangs on these: their unit is never taken for granted.
+    if channel in (MOTOR_SPEED, MOTOR_POSITION, LOAD_POSITION):
+        asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
+        return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
+    return GuessedColumn(channel, column.name, accepted_units(channel)[0], NO_UNIT, False)
+
+
+def _readings(channel: str, column: _Named) -> str:
+    """What a speed would be in the units in which it is a motor's."""
+    if channel != MOTOR_SPEED or not np.isfinite(column.values).any():
+        return ""
+    mean = float(np.nanmean(np.abs(column.values)))
+    factors = [(unit, conversion_factor(channel, unit)) for unit in accepted_units(channel)]
+    sizes = {mean * factor: unit for unit, factor in reversed(factors)}
+    low, high = _USUAL_SPEEDS_RPM
+    told = [f"{rpm:.0f} rpm if in {unit}" for rpm, unit in sizes.items() if low <= rpm <= high]
+    return f"its mean is {', '.join(told)}; " if told else ""
 
 
 def _units(
@@ -622,9 +661,8 @@ def _units(
     if MOTOR_POSITION in values:
         seconds = conversion_factor(TIME, unit) * values[TIME]
         found |= _of_position(chosen, seconds, values[MOTOR_SPEED])
-    return found | {
-        REFERENCE_SPEED: (_stated(MOTOR_SPEED, chosen[MOTOR_SPEED], found).unit, AS_SPEED)
-    }
+    speed = _stated(MOTOR_SPEED, chosen[MOTOR_SPEED], found).unit
+    return found if speed == UNKNOWN else found | {REFERENCE_SPEED: (speed, AS_SPEED)}
 
 
 def _of_position(
@@ -632,7 +670,7 @@ def _of_position(
 ) -> dict[str, tuple[str, str]]:
     """Units in which the position's derivative is the speed, both of shape (n,).
 
-    Of those that agree alike the numbers tell none: joints are logged in rad.
+    None where several pairs agree alike: turns and turns per second do where rad and rad/s do.
     """
     known = np.isfinite(seconds) & np.isfinite(speed)
     at, along = seconds[known], np.full(seconds.shape, np.nan)
@@ -641,24 +679,20 @@ def _of_position(
     rate, explained = _slope(along, chosen[MOTOR_POSITION].positions)
     mean = float(np.mean(np.abs(speed[known])))
     units = list(product(*(_possible(c, chosen[c]) for c in (MOTOR_SPEED, MOTOR_POSITION))))
-    found: list[tuple[bool, str, str]] = []
+    found: dict[tuple[float, float], tuple[str, str]] = {}
     for mine, theirs in units:
         size = conversion_factor(MOTOR_SPEED, mine)
-        turned = abs(rate) * conversion_factor(MOTOR_POSITION, theirs) * RPM_PER_RAD_PER_S
-        if size * mean <= _USUAL_SPEEDS_RPM[1] and abs(turned / size - 1.0) <= _AGREEMENT:
-            found.append((size * mean < _USUAL_SPEEDS_RPM[0], mine, theirs))
-    pairs = [pair for _, *pair in sorted(found, key=lambda each: each[0])]
+        angle = conversion_factor(MOTOR_POSITION, theirs)
+        if abs(abs(rate) * angle * RPM_PER_RAD_PER_S / size - 1.0) <= _AGREEMENT:
+            found.setdefault((size, angle), (mine, theirs))
+    pairs = [pair for (size, _), pair in found.items() if size * mean <= _USUAL_SPEEDS_RPM[1]]
     if explained < _IS_INTEGRAL or not pairs:
         asked = "enter its unit, as it is the position's derivative in none: "
         return {MOTOR_SPEED: (UNKNOWN, asked + choice_of_units(MOTOR_SPEED))} if units else {}
-    unit, angle = ("rad/s", "rad") if ["rad/s", "rad"] in pairs else pairs[0]
-    others = dict.fromkeys(theirs for _, theirs in pairs if theirs != angle)
-    reason = "speed and position then agree"
     if len(pairs) > 1:
-        reason = (
-            f"speed and position agree in {' or '.join(others) or 'another unit'} too: check it"
-        )
-    return {MOTOR_SPEED: (unit, reason), MOTOR_POSITION: (angle, reason)}
+        return {}
+    reason = "speed and position then agree"
+    return {MOTOR_SPEED: (pairs[0][0], reason), MOTOR_POSITION: (pairs[0][1], reason)}
 
 
 def _possible(channel: str, column: _Named) -> Sequence[str]:
@@ -676,6 +710,8 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
         return None
     there = column.values[np.isfinite(column.values)]
     steps = np.diff(there)
+    if np.all(steps == 1.0) and _channel(column) != TIME:
+        return UNKNOWN, COUNTS
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     usual: dict[str, float] = {}
     for unit in ("s", "ms", "us", "100 ns", "ns"):

@@ -33,6 +33,7 @@ from bayesbl.recording.formats import FORMATS, Format
 from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
+    at_shared_times,
     bridge,
     held,
     mended_clock,
@@ -93,7 +94,7 @@ def read_recording(
     """
     path = Path(path)
     table, sha256 = _parsed(path)
-    if not timed and TIME not in (columns or {}):
+    if TIME not in (columns or {}) and not (timed and table.step_s is None):
         table = table.numbered()
     time_column, *others = choose_columns(table, columns or {})
     repairs = Counter(table.repairs)
@@ -116,8 +117,13 @@ def read_recording(
         called = CHANNELS.get(column.channel, column.channel)
         if column.channel in POSITIONS:
             values[:, i] = unwrapped(values[:, i], column.factor, repairs, called)
-        if column.channel not in (REFERENCES if even else (*REFERENCES, *POSITIONS)):
+        if column.channel not in REFERENCES:
             strays[i] = without_strays(values[:, i], repairs, called)
+
+    with np.errstate(all="ignore"):  # numbers near the limit of what a double holds
+        kept_rows, values = at_shared_times(time_s, values, repairs, even=even)
+    if kept_rows.size < time_s.size:
+        time_s, values, rows = time_s[kept_rows], values[kept_rows], rows[kept_rows]
 
     def place(row: int, column: int | None) -> str:
         if column is None:

@@ -36,6 +36,9 @@ MOST_CUT = 0.5
 GRID_TOLERANCE = 0.45
 """Largest distance of a time stamp from its point of an even grid, in sampling periods."""
 
+MOST_SPARED = 2.5
+"""Samples of the fastest column for one of the slowest, up to which the slowest sets the times."""
+
 HOLE = 3.0
 """Usual steps of a column, over which nothing is known between two of its values."""
 
@@ -126,30 +129,37 @@ def _on_a_running_grid(time_s: FloatArray, period: float) -> FloatArray:
     return number
 
 
-def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
-    """The samples that have a value in every column; arguments as :func:`bridge` takes them.
+def at_shared_times(
+    time_s: FloatArray, values: FloatArray, repairs: Counter[str], *, even: bool
+) -> tuple[IntArray, FloatArray]:
+    """Rows to keep, and all values, where columns have times of their own, each a row.
 
-    Columns with times of their own, each a row, are put to those of the column with the fewest, by
-    straight lines between their values.
+    The times are those of the column with the fewest; others get straight lines between their
+    values. Of even samples no more than :data:`MOST_SPARED` times as many are given up for it.
     """
     there = ~np.isnan(values)
-    whole, some = there.all(axis=1), there.any(axis=1)
-    drawn = 0
-    if whole.sum() < (1.0 - MOST_LOST) * some.sum() and there.sum(axis=0).min() > 1:
-        rows = there[:, np.argmin(there.sum(axis=0))]
-        drawn, values = int(np.sum(~there[rows])), values.copy()
-        for column, known in zip(values.T, there.T, strict=True):
-            at, steps = time_s[known], np.diff(time_s[known])
-            before = np.clip(np.searchsorted(at, time_s, "right") - 1, 0, steps.size - 1)
-            near = rows & ~known & (steps[before] <= HOLE * np.median(steps))
-            column[near] = np.interp(time_s[near], at, column[known], np.nan, np.nan)
-        whole = rows & ~np.isnan(values).any(axis=1)
+    whole, some, counts = there.all(axis=1), there.any(axis=1), there.sum(axis=0)
+    shared = whole.sum() >= (1.0 - MOST_LOST) * some.sum() or counts.min() < 2
+    if shared or (even and counts.max() > MOST_SPARED * counts.min()):
+        return np.arange(time_s.size), values
+    rows = there[:, np.argmin(counts)]
+    repairs["value put between two of the times of its own column"] += int(np.sum(~there[rows]))
+    values = values.copy()
+    for column, known in zip(values.T, there.T, strict=True):
+        at, steps = time_s[known], np.diff(time_s[known])
+        before = np.clip(np.searchsorted(at, time_s, "right") - 1, 0, steps.size - 1)
+        near = rows & ~known & (steps[before] <= HOLE * np.median(steps))
+        column[near] = np.interp(time_s[near], at, column[known], np.nan, np.nan)
+    return np.flatnonzero(rows), values
+
+
+def without_lost(file: Path, time_s: FloatArray, values: FloatArray, place: Place) -> Bridged:
+    """The samples that have a value in every column; arguments as :func:`bridge` takes them."""
+    whole = ~np.isnan(values).any(axis=1)
     lost = int(np.sum(~whole))
     if whole.sum() < 2:
         return bridge(file, time_s, values, place)  # which refuses it
     notes = (f"{lost} of {whole.size} samples lack a value and are left out.",) if lost else ()
-    if drawn:
-        notes = (f"{drawn} values are put between two of the times of their own column.", *notes)
     return Bridged(time_s[whole], values[whole], np.zeros(whole.size - lost, dtype=bool), notes)
 
 

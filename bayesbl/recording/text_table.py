@@ -3,7 +3,9 @@
 The policy, for every dialect alike:
 
 * the separator is the one that cuts the middle of the file into equal rows of numbers;
-* names are the last line above the samples with a name for each cell, units a line of units below;
+* names are the last line above the samples with a name for each cell, units a line of units below,
+  or one above that begins with the word; a line may state the time from sample to sample;
+* columns with times of their own, in front of them, become rows at the stamps of any of them;
 * lines that are no samples (comments, repeated headers, text, a cut last line) are left out; so are
   incomplete lines, as lost samples, up to :data:`MOST_INCOMPLETE` of all;
 * one decimal mark holds for the whole file, and thousands are grouped in threes by another mark;
@@ -27,11 +29,12 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import (
@@ -49,16 +52,26 @@ from bayesbl.recording.array_table import (
     parted,
     seconds_of_dates,
 )
+from bayesbl.recording.channels import TIME
 from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import is_unit, spelled
+from bayesbl.units import conversion_factor, is_unit, spelled
 
 _SEPARATORS = ("\t", ";", ",", "|", " ")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
+_NUMBERED = re.compile(r" \(\d+\)$")
 _OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]+$')
 """A cell that begins with a quotation mark and does not end; within one, as in ["], it is text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
+_UNITS, _LABELS = r"\b(?:.*_)?(?:units?|einheit)(?:\b|_)", r"^labels?$"
+_STEP = re.compile(
+    r"\W*(?:(?:delta.?x|x?.?increment|d[tx]|abtast(?:zeit|periode|intervall)"
+    r"|(?:sampl(?:e|ing)|scan|record(?:er|ing)?|trace).?(?:time|interval|period|resolution))"
+    r"|(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate))"
+    r"\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*[:=]?\s*(?P<value>.*)",
+    re.IGNORECASE,
+)
 MOST_ABOVE = 50
 """Lines that are not blank in which the first sample is looked for."""
 MOST_COLUMNS = 1000
@@ -89,6 +102,7 @@ class Layout:
     units: tuple[str, ...] = ()
     header: tuple[tuple[str, ...], ...] = ()
     begin: int = 0
+    step_s: float | None = None
 
     def cells(self, line: str) -> list[str]:
         """A line's cells, without empty ones beyond the last column."""
@@ -196,7 +210,9 @@ def layout_of(
     cut = [_split(line, separator) for line in head]
     first = None
     if len(values) >= fewest:
-        first = _first_sample([cut[i] for i in written[: MOST_ABOVE + 1]], values)
+        samples = [row for row in (_split(line, separator) for line in middle) if len(row) == width]
+        empty = [i for i, cells in enumerate(zip(*samples, strict=True)) if not any(cells)]
+        first = _first_sample([cut[i] for i in written[: MOST_ABOVE + 1]], values, empty)
     if first is None:
         raise _no_table(file, [head[i] for i in written], is_binary)
     # Some loggers end each line of samples with a separator, but not the header.
@@ -207,7 +223,9 @@ def layout_of(
             cut[i] = _split(head[i].lstrip().lstrip("#%/").strip(), separator)
         if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
             cut[i].pop()  # LabVIEW ends its header so, and no line of samples
-    found = _header_of([cut[i] for i in above], {width, width - 1} if trailing else {width})
+    above_cells = [cut[i] for i in above]
+    step_s = _stated_step(above_cells)
+    found = _header_of(above_cells, {width, width - 1} if trailing else {width})
     rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     numbers = [row[i] for row in rows for i in values if i < len(row)]
     mark = mark or decimal_mark(file, numbers)
@@ -226,11 +244,14 @@ def layout_of(
                 expected=f"{len(nearest)}, as in the header",
             )
         unnamed = tuple(f"column {i + 1}" for i in range(width))
-        return Layout(separator, unnamed, mark, stated, begin=begin)
+        return Layout(separator, unnamed, mark, stated, begin=begin, step_s=step_s)
     last, names, units = found
-    units = stated[: len(names)] if any(stated) else units
+    units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells)
+    labels = _of_key(_LABELS, above_cells)[: len(names)] if not any(stated) else ()
+    names = tuple(map(" ".join, zip(labels, names, strict=False))) + names[len(labels) :]
+    names = tuple(name.strip() for name in names)
     header = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
-    return Layout(separator, names, mark, units, header, begin)
+    return Layout(separator, names, mark, units, header, begin, step_s)
 
 
 def _joined(head: Sequence[str]) -> list[str]:
@@ -283,12 +304,37 @@ def _header_of(
     return named[-1], tuple(numbered(names)), tuple(units[: len(names)])
 
 
+def _of_key(words: str, rows: Iterable[Sequence[str]]) -> tuple[str, ...]:
+    """The cells of the last row whose first one is such a word, but for that one."""
+    found = [row for row in rows if len(row) > 2 and re.search(words, row[0], re.IGNORECASE)]
+    return ("", *found[-1][1:]) if found else ()
+
+
+def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
+    """Seconds from sample to sample, of a line above them: beside the word for it, or below."""
+    for row, below in zip(rows, [*rows[1:], []], strict=False):
+        for i, cell in enumerate(row):
+            found = _STEP.match(cell)
+            for held in (found["value"], *row[i + 1 : i + 2], *below[i : i + 1]) if found else ():
+                number, unit = parted(held)
+                value = number_in(number, decimal_mark(Path(), [number]))
+                if value and value > 0.0 and found is not None:
+                    unit = unit or spelled(found["unit"] or "")
+                    if found["rate"]:
+                        return 1.0 / value
+                    return value * (conversion_factor(TIME, unit) if is_unit(unit) else 1.0)
+    return None
+
+
 def _title_on(left: str, title: str) -> str:
     return title or left
 
 
-def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int | None:
-    """The first row with values where those amid the file have them, if another one follows it.
+def _first_sample(
+    rows: Sequence[Sequence[str]], values: Sequence[int], empty: Sequence[int]
+) -> int | None:
+    """The first row with values where those amid the file have them, if another one follows it, and
+    nothing in columns that are empty there.
 
     Numbers of columns are no sample: their names follow; nor are units with a number above cells
     without a unit.
@@ -296,9 +342,8 @@ def _first_sample(rows: Sequence[Sequence[str]], values: Sequence[int]) -> int |
 
     def is_sample(cells: Sequence[str]) -> bool:
         here = [cells[i] for i in values] if len(cells) > values[-1] else []
-        return any(map(is_value, here)) and all(
-            cell.lower() in MISSING or is_value(cell) for cell in here
-        )
+        known = all(cell.lower() in MISSING or is_value(cell) for cell in here)
+        return known and any(map(is_value, here)) and not any(cells[i] for i in empty)
 
     in_cells = [[bool(parted(cell)[1]) for cell in row if cell] for row in rows]
     of_units = [all(here) and not any(below) for here, below in pairwise(in_cells)]
@@ -416,7 +461,41 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
         part.clear()
     stated = {n: u for n, u in zip(layout.names, layout.units, strict=False) if u}
     repairs = {kind: count for kind, count in counts.items() if count > 0}
-    return ArrayTable(str(file), arrays, stated, repairs=repairs, lines=np.concatenate(places) + 1)
+    numbers = np.concatenate(places) + 1
+    return _with_one_clock(
+        ArrayTable(str(file), arrays, stated, {}, {}, repairs, numbers, layout.step_s)
+    )
+
+
+def _with_one_clock(table: ArrayTable) -> ArrayTable:
+    """Columns that stand behind times of one name, at the stamps of any of these."""
+    shared = _NUMBERED.sub("", table.columns[0])
+    clocks = [name for name in table.columns if _NUMBERED.sub("", name) == shared]
+    times = [table.arrays[name] for name in clocks]
+    if len(times) < 2 or any(time.dtype.kind != "f" for time in times):
+        return table
+    new = [np.isfinite(t) & (np.diff(t, prepend=np.nan) != 0.0) for t in times]
+    if not all(
+        np.all(np.diff(t[own]) > 0.0) and own.any() for t, own in zip(times, new, strict=True)
+    ):
+        return table
+    stamps, first = np.unique(
+        np.concatenate([t[own] for t, own in zip(times, new, strict=True)]), return_index=True
+    )
+    lines = np.concatenate([np.flatnonzero(own) for own in new])[first]
+    arrays: dict[str, AnyArray] = {shared: stamps}
+    for name, values in table.arrays.items():
+        if name in clocks:
+            at = clocks.index(name)
+            places = np.searchsorted(stamps, times[at][new[at]])
+        else:
+            missing = np.nan if values.dtype.kind == "f" else b""
+            arrays[name] = np.full(stamps.size, missing, dtype=values.dtype)
+            arrays[name][places] = values[new[at]]
+    units = {shared: table.units[clocks[0]]} if clocks[0] in table.units else {}
+    stated = units | {name: unit for name, unit in table.units.items() if name in arrays}
+    of_lines = None if table.lines is None else table.lines[lines]
+    return replace(table, arrays=arrays, units=stated, lines=of_lines)
 
 
 def _quickly(lines: list[str], layout: Layout) -> FloatArray | None:
@@ -508,6 +587,8 @@ _FORMS = tuple(
     re.compile(form + r"\s+(?P<value>\S+)(?:\s.*)?")
     for form in (rf"{_NAME}\s+{_STAMP}", rf"{_STAMP}\s+{_NAME}", rf"(?P<stamp>{_DATE})(?P<name>)")
 )
+_VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
+_MOST_NAMES = 64
 _ALIKE = 0.8
 """Share of the first lines that are events, from which the text is a log of them."""
 
@@ -547,15 +628,55 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
     else:
         time = np.array(stamps, dtype=float)
         time -= time.min()
+    return _of_events(ArrayTable(str(file), {}, repairs=repairs), "time_s", time, names, values)
+
+
+def in_columns(table: ArrayTable) -> ArrayTable:
+    """A column for each name, of a table with a value a line, as historians and InfluxDB write it.
+
+    ::
+
+        TagName,Timestamp,Value,Quality
+        J3.Position,2026-03-14T08:12:33.005Z,1.12222,192
+    """
+    held = [n for n, v in table.arrays.items() if _VALUE.search(n) and v.dtype.kind == "f"]
+    texts = [n for n, v in table.arrays.items() if v.dtype.kind == "S"]
+    if len(held) != 1 or not texts:
+        return table
+    found: tuple[str, AnyArray, NDArray[np.intp]] | None = None
+    for name in texts:
+        words, index = np.unique(table.arrays[name], return_inverse=True)
+        several = (1 if found is None else found[1].size) < words.size <= _MOST_NAMES
+        if several and np.bincount(index).min() >= 2 and table.timestamps(name) is None:
+            found = name, words, index
+    if found is None:
+        return table
+    for name, stamps in table.arrays.items():
+        time = table.timestamps(name)
+        if time is None and stamps.dtype.kind == "f":
+            time = stamps
+        if time is not None and np.all(np.diff(time[found[2] == 0]) > 0.0):
+            called = "time_s" if stamps.dtype.kind == "S" else name
+            names = np.array([word.decode() for word in found[1]])[found[2]]
+            return _of_events(table, called, time, names, table.arrays[held[0]])
+    return table
+
+
+def _of_events(
+    table: ArrayTable, clock: str, time: FloatArray, names: AnyArray, values: FloatArray
+) -> ArrayTable:
+    """Columns over all stamps from the first at which every name has a value; all shapes (n,)."""
+    repairs = Counter(table.repairs)
     order = np.argsort(time, kind="stable")
     order = order[np.isfinite(values[order])]
     of_name = {name: order[names[order] == name] for name in dict.fromkeys(names.tolist())}
     of_name = {name: own for name, own in of_name.items() if own.size > 1}
     rows = np.unique(time)
     rows = rows[rows >= max((time[own[0]] for own in of_name.values()), default=0.0)]
-    columns: dict[str, AnyArray] = {"time_s": rows}
+    columns: dict[str, AnyArray] = {clock: rows}
     for name, own in of_name.items():
         last = own[np.searchsorted(time[own], rows, "right") - 1]
         columns[name] = values[last]
         repairs["value of an event log, held until the next"] += int((time[last] < rows).sum())
-    return ArrayTable(str(file), columns, repairs=repairs)
+    units = {name: unit for name, unit in table.units.items() if name == clock}
+    return ArrayTable(table.file, columns, units, repairs=repairs)

@@ -13,7 +13,7 @@ from bayesbl.config.loading import require_text_names
 from bayesbl.config.sections import name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import FORMATS
-from bayesbl.recording.guessing import Guess, guess_columns
+from bayesbl.recording.guessing import UNKNOWN, Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
 from bayesbl.results.folder import require_apart
@@ -163,8 +163,8 @@ route = "two_encoders"
 def column_lines(guess: Guess) -> str:
     """The entries of ``[columns]``, each with its reason, and the columns that have none."""
     lines = [
-        f"{column.channel} = {{name = {quoted(column.name)}, unit = {quoted(column.unit)}}}"
-        f"    # {column.reason}\n"
+        f"{'# ' if column.unit == UNKNOWN and not column.needed else ''}{column.channel} = "
+        f"{{name = {quoted(column.name)}, unit = {quoted(column.unit)}}}    # {column.reason}\n"
         for column in guess.columns
     ]
     if guess.unused:

@@ -17,6 +17,7 @@ from bayesbl.recording.columns import stamps_and_values
 from bayesbl.recording.guessing import UNKNOWN, guess_columns
 from bayesbl.recording.readers import read_recording, read_table
 from bayesbl.recording.types import Recording
+from bayesbl.runs.first_configuration import start_config
 from bayesbl.units import RPM_PER_RAD_PER_S, conversion_factor, is_accepted
 
 COUNT = 600
@@ -548,11 +549,14 @@ def test_units_that_agree_alike_are_not_told_apart(tmp_path: Path) -> None:
     lines = [f"{t:.3f},{q:.8f},{v:.8f}" for t, q, v in zip(TIME, angle, speed, strict=True)]
     file = tmp_path / "joint.csv"
     file.write_text(text(lines, "time,position,velocity"), encoding="utf-8")
-    columns = {c.channel: c for c in guess_columns(read_table(file)).columns}
-    assert columns["motor_position_rad"].unit == "rad"
-    assert columns["motor_speed_rpm"].unit == "rad/s"
-    assert columns["motor_speed_rpm"].doubted
-    assert "check it" in columns["motor_position_rad"].reason
+    _, speed_, position = guess_columns(read_table(file)).columns
+    assert speed_.is_open
+    assert position.unit == UNKNOWN
+    assert not position.needed
+    file.write_text(text(lines, "time,/joint_states/arm/position,/joint_states/arm/velocity"))
+    _, speed_, position = guess_columns(read_table(file)).columns
+    assert (speed_.unit, position.unit) == ("rad/s", "rad")  # ROS logs in SI units
+    assert "slow for a motor" in speed_.reason
     # The position alone: its unit is asked for, and stated it is slow for a motor.
     file.write_text(text([line.rpartition(",")[0] for line in lines], "time,position"))
     assert guess_columns(read_table(file)).columns[1].unit == UNKNOWN
@@ -1013,9 +1017,10 @@ def test_the_side_before_the_slash_tells_motor_and_joint_apart(
         f"{motor}/velocity": 50.0 * speed,
     }
     found = guessed(tmp_path / "a.csv", columns)
-    assert found["motor_speed_rpm"] == (f"{motor}/velocity", "rad/s")
-    assert found["motor_position_rad"] == (f"{motor}/position", "rad")
-    assert found["load_position_rad"] == (f"{joint}/position", UNKNOWN)
+    by_ros = motor.startswith("/")
+    assert found["motor_speed_rpm"] == (f"{motor}/velocity", "rad/s" if by_ros else UNKNOWN)
+    assert found["motor_position_rad"] == (f"{motor}/position", "rad" if by_ros else UNKNOWN)
+    assert found["load_position_rad"] == (f"{joint}/position", "rad" if by_ros else UNKNOWN)
     two = columns | {f"motor_7/{kind}": speed for kind in ("position", "velocity")}
     if motor == "motor_2":
         with pytest.raises(RecordingError, match="several joints"):
@@ -1035,6 +1040,7 @@ def test_a_speeds_unit_is_that_of_the_positions_derivative_to_and_fro(
     }
     told = guessed(tmp_path / "a.csv", columns)["motor_speed_rpm"][1]
     factor = conversion_factor("motor_speed_rpm", unit)
+    assert told != UNKNOWN
     assert conversion_factor("motor_speed_rpm", told) == pytest.approx(factor)
     columns["velocity"] = np.abs(columns["velocity"])  # a sign that the log writes as a bit
     assert guessed(tmp_path / "a.csv", columns)["motor_speed_rpm"][1] == UNKNOWN
@@ -1069,7 +1075,7 @@ def test_titles_above_columns_of_one_name_tell_them_apart(tmp_path: Path) -> Non
     path.write_text(text(["X,Y,X,Y", *lines], "Speed [0x2201/31],,Current,,"))
     names = ("Speed [0x2201/31] X", "Speed [0x2201/31] Y", "Current X", "Current Y")
     assert read_table(path).columns == names
-    assert guess_columns(read_table(path)).columns[0].unit == "ms"
+    assert "counts the samples" in guess_columns(read_table(path)).columns[0].reason
 
 
 @pytest.mark.parametrize(
@@ -1124,7 +1130,7 @@ def test_columns_with_times_of_their_own_are_put_to_shared_ones(tmp_path: Path) 
     motor, load = read.channels["motor_position_rad"], read.channels["load_position_rad"]
     bend = (6.0 * np.pi) ** 2 * 0.002**2 / 8.0  # of the sine over a hole of 2 ms
     np.testing.assert_allclose(motor, 50.0 * load, atol=50.0 * 1.1 * bend)
-    assert "values are put between two of the times of their own column" in read.notes[0]
+    assert "value put between two of the times of its own column" in read.notes[0]
 
 
 # Ramps of torque: what turns lags behind by its friction, what is held follows.
@@ -1188,9 +1194,94 @@ def test_of_two_counters_which_is_the_motors_is_a_question(tmp_path: Path) -> No
     columns |= {"velocity [inc/s]": np.gradient(4e3 * TO_AND_FRO, TIME)}
     names = {"A [inc]": "pos A [inc]", "B [inc]": "pos B [inc]"}
     guessed(tmp_path / "a.csv", {names.get(name, name): v for name, v in columns.items()})
-    _, motor, load = guess_columns(read_table(tmp_path / "a.csv")).columns
+    _, speed, motor, load = guess_columns(read_table(tmp_path / "a.csv")).columns
+    assert not speed.needed
     assert (motor.name, load.name) == ("pos B [inc]", "pos A [inc]")
     assert motor.reason.startswith("perhaps the load's")
     assert motor.doubted
     guessed(tmp_path / "b.csv", {"t": TIME, "theta_m": 3e4 * TO_AND_FRO, "theta_l": TO_AND_FRO})
     assert not any(c.doubted for c in guess_columns(read_table(tmp_path / "b.csv")).columns)
+
+
+# Forms of tools whose files state more above the samples than names
+
+
+def test_a_stated_step_is_the_clock_of_a_file_without_times(tmp_path: Path) -> None:
+    # LabVIEW without times, and Yaskawa's SigmaWin+.
+    labview = (
+        "LabVIEW Measurement\t\nX_Columns\tNo\n***End_of_Header***\t\n\t\nChannels\t1\t\n"
+        f"Samples\t{COUNT}\t\nY_Unit_Label\trad/s\tVolts\t\nX0\t0.0E+0\t\nDelta_X\t0.002000\t\n"
+        "***End_of_Header***\t\t\nX_Value\tMotor Speed\tSpare\tComment\n"
+    )
+    yaskawa = "SigmaWin+,Trace\nSampling Time,2 ms\n\nNo.,Feedback Speed[rad/s]\n"
+    for header, form, name in (
+        (labview, "\t{n}\t{i}", "Motor Speed"),
+        (yaskawa, "{i},{n}", "Feedback Speed[rad/s]"),
+    ):
+        path = tmp_path / "a.csv"
+        path.write_text(header + "\n".join(form.format(i=i, n=n) for i, n in enumerate(SPEED)))
+        (column,) = guess_columns(read_table(path)).columns
+        assert (column.name, column.unit, column.sure) == (name, "rad/s", True)
+        read = read_recording(path, columns={"motor_speed_rpm": ColumnSpec(name, "rad/s")})
+        np.testing.assert_allclose(read.time_s, 2.0 * TIME, atol=1e-9)
+
+
+def test_numbers_of_samples_are_no_milliseconds(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{i},{n}" for i, n in enumerate(SPEED)]
+    path.write_text("\n".join(["No.,Feedback Speed[rpm]", *lines]))
+    assert guess_columns(read_table(path)).columns[0].unit == UNKNOWN
+    path.write_text("\n".join(["t,Feedback Speed[rpm]", *lines]))
+    assert guess_columns(read_table(path)).columns[0].unit == "ms"
+
+
+@pytest.mark.parametrize("form", ["historian", "influx"])
+def test_a_value_a_line_with_its_name_is_a_column_for_each_name(form: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    both = [("pos_deg", TO_AND_FRO), ("speed_rpm", SPEED)]
+    stamp = "2026-03-14T08:12:{:06.3f}Z"
+    if form == "historian":
+        head = "TagName,Timestamp,Value,Quality"
+        lines = [f"{n},{stamp.format(t)},{v[i]},192" for i, t in enumerate(TIME) for n, v in both]
+    else:
+        head = "#group,false,false,true,false,false,true\n,result,table,_start,_time,_value,_field"
+        begin = "2026-03-14T08:00:00Z"
+        lines = [
+            f",,{k},{begin},{stamp.format(t)},{v[i]},{n}"
+            for k, (n, v) in enumerate(both)
+            for i, t in enumerate(TIME)
+        ]
+    path.write_text("\n".join([head, *lines]))
+    table = read_table(path)
+    assert set(table.columns) == {"time_s", "pos_deg", "speed_rpm"}
+    np.testing.assert_allclose(table.arrays["speed_rpm"], SPEED)
+    np.testing.assert_allclose(table.arrays["pos_deg"], TO_AND_FRO)
+    np.testing.assert_allclose(table.arrays["time_s"], TIME, atol=1e-6)
+
+
+def test_a_second_time_is_the_clock_of_the_columns_behind_it(tmp_path: Path) -> None:
+    # As LabVIEW, CODESYS and Excel write channels of several rates.
+    path, slow = tmp_path / "a.csv", SPEED[::2] / 500.0
+    lines = [
+        f"{1e3 * t:.1f};{n};" + (f"{2e3 * t + 0.4:.1f};{slow[i]}" if i < slow.size else ";")
+        for i, (t, n) in enumerate(PAIRS)
+    ]
+    path.write_text("\n".join(["Time [ms];Speed [rpm];Time [ms];Current [A]", *lines]))
+    assert read_table(path).columns == ("Time [ms]", "Speed [rpm]", "Current [A]")
+    guess = guess_columns(read_table(path))
+    read = read_recording(path, columns={c.channel: ColumnSpec(c.name) for c in guess.columns})
+    assert read.sampling_period_s == pytest.approx(2e-3)
+    expected = np.interp(read.time_s, TIME, SPEED)
+    np.testing.assert_allclose(read.motor_speed_rpm, expected, atol=1e-6)
+    assert any("between two of the times" in note for note in read.notes)
+
+
+def test_what_is_not_needed_does_not_ask(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{t};{n};{i};{n / 20.0}" for i, (t, n) in enumerate(PAIRS)]
+    path.write_text("\n".join(["time [s];speed [rpm];position [inc];torque [‰]", *lines]))
+    guess = guess_columns(read_table(path))
+    assert not guess.is_open
+    assert [c.unit for c in guess.columns] == ["s", "rpm", UNKNOWN, UNKNOWN]
+    written, _ = start_config([path], tmp_path / "a.toml")
+    assert "\n# motor_torque_nm = {" in written.read_text(encoding="utf-8")

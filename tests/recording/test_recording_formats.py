@@ -76,7 +76,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path], Path]]] = {
 def test_the_same_numbers_come_out_of_every_format(tmp_path: Path, kind: str) -> None:
     suffix, write = WRITERS[kind]
     recording = read_recording(write(tmp_path / f"recording.{suffix}"))
-    np.testing.assert_array_equal(recording.time_s, TIME)
+    np.testing.assert_allclose(recording.time_s, TIME, rtol=1e-15)  # some formats count in ms
     np.testing.assert_array_equal(recording.motor_speed_rpm, SPEED)
     assert recording.source is not None
     assert recording.source.unused_columns == ("note",)
@@ -315,14 +315,14 @@ def test_a_slower_channel_of_a_scope_export_keeps_its_own_times(tmp_path: Path) 
     path = tmp_path / "scope.csv"
     path.write_text(header + "\n" + kept)
     table = read_table(path)
-    assert table.columns == ("clock 1/time_s", "n", "clock 2/time_s", "slow")
-    assert [table.units[table.columns[i]] for i in (1, 3)] == ["rad/s", "A"]
-    assert table.clocks[table.columns[3]] == table.columns[2]
-    assert table.numbers(table.columns[2:4]).shape == (20, 2)
+    assert table.columns == ("time_s", "n", "slow")
+    assert (table.units["n"], table.units["slow"]) == ("rad/s", "A")
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(table.arrays["slow"]))[:3], [0, 2, 4])
     # Interpolated by Scope: the slow one's samples repeated to fill the lines.
     filled = "".join(f"{i}\t{i % 7}\t{2 * (i // 2)}\t{i // 2}\n" for i in range(40))
     path.write_text(header + "\n" + filled)
-    np.testing.assert_array_equal(read_table(path).arrays[table.columns[3]], np.arange(20))
+    slow = read_table(path).arrays["slow"]
+    np.testing.assert_array_equal(slow[np.isfinite(slow)], np.arange(20))
 
 
 def test_a_channel_of_text_in_a_scope_export_is_left_and_text_among_numbers_refused(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
+import bayesbl
 from bayesbl.measurement.two_encoder_route import upper_bound_rad
 from bayesbl.recording.types import MOTOR_TORQUE
 from bayesbl.two_encoders.paths import Channels, load_lag, scaled_paths
@@ -465,3 +466,15 @@ def test_only_a_motion_to_and_fro_at_a_constant_speed_has_one_speed():
     angle = 2.0 * np.pi * time / 3.0
     for path, is_one in ((np.arcsin(np.sin(angle)), True), (np.sin(angle), False)):
         assert has_one_speed(scaled_paths(Channels(time, path, path), 1.0)) is is_one
+
+
+def test_a_load_that_turns_further_than_the_motor_is_a_question(tmp_path):
+    channels = recorded()
+    header = "time_s,motor_position_rad,load_position_rad"
+    columns = [channels.time_s, channels.load_rad, channels.motor_rad]
+    path = tmp_path / "exchanged.csv"
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
+    told = bayesbl.fit(path, route="two_encoders").summary
+    assert (told["outcome"], told["reason"]["code"]) == ("withheld", "positions_exchanged")
+    stated = bayesbl.fit(path, route="two_encoders", gear_ratio=1.0 / RATIO).summary
+    assert "positions_exchanged" not in str(stated)

@@ -14,6 +14,7 @@ from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.text_table import (
     EXPECTED,
     form_of_events,
+    in_columns,
     layout_of,
     lines_of,
     middle_of,
@@ -65,7 +66,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
         require_memory(file, _TIMES * len(data), "events")
         return read_events(file, lines_of(text), form)
     layout = layout_of(file, head, middle_of(text), text.count(b"\n"), is_binary=control > 0)
-    return table_of_text(file, text, layout, control)
+    return in_columns(table_of_text(file, text, layout, control))
 
 
 def _in_utf8(file: Path, data: bytes) -> tuple[bytes, int]:

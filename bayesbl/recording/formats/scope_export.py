@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from bayesbl.errors import RecordingError, shortened
-from bayesbl.recording.array_table import AnyArray, ArrayTable, Group, numbered, table_of_groups
+from bayesbl.recording.array_table import ArrayTable, number_in, numbered
+from bayesbl.recording.channels import TIME
 from bayesbl.recording.text_table import Layout, table_of_text
-from bayesbl.recording.types import FloatArray
 
 _SEPARATORS = "\t;,"
 _KEYS = (
@@ -44,7 +41,7 @@ def is_scope_export(text: str) -> bool:
 
 
 def read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
-    """Every channel with its clock; a unit only where no scale leaves open what it belongs to.
+    """All channels; a unit only where no scale leaves open what it belongs to.
 
     Raises
     ------
@@ -67,11 +64,12 @@ def read_scope_export(file: Path, lines: Sequence[str]) -> ArrayTable:
             expected="a line of channels' names with a column of times before each group",
         )
     body = [*[""] * (about[-1] + 1), *_padded(lines[about[-1] + 1 :], separator, width)]
-    layout = Layout(separator, tuple(numbered(known["Name"])))
-    table = table_of_text(file, "\n".join(body).encode(), layout)
-    return replace(
-        table_of_groups(file, list(_groups(known, starts, table))), repairs=table.repairs
-    )
+    first = number_in(body[about[-1] + 1].partition(separator)[0], ".") if body[-1] else None
+    time = "100 ns" if first is not None and first >= _FILETIME else "ms"
+    names = numbered([TIME if i in starts else name for i, name in enumerate(known["Name"])])
+    units = [time if i in starts else _unit(known, i) for i in range(width)]
+    layout = Layout(separator, tuple(names), units=tuple(units))
+    return table_of_text(file, "\n".join(body).encode(), layout)
 
 
 def _padded(lines: Sequence[str], separator: str, width: int) -> Iterator[str]:
@@ -81,36 +79,6 @@ def _padded(lines: Sequence[str], separator: str, width: int) -> Iterator[str]:
             break
         cells = (line if separator == "," else line.replace(",", ".")).split(separator)
         yield separator.join([*cells[:width], *[""] * (width - len(cells))])
-
-
-def _groups(
-    known: Mapping[str, Sequence[str]], starts: Sequence[int], table: ArrayTable
-) -> Iterator[Group]:
-    """Channels that have the same times; a line that only repeats a time is left out."""
-    width = len(table.columns)
-    channels = [column for column in range(width) if column not in starts]
-    names = dict(
-        zip(channels, numbered([known["Name"][column] for column in channels]), strict=True)
-    )
-    times: list[FloatArray] = []
-    columns: list[dict[str, AnyArray]] = []
-    units: dict[str, str] = {}
-    for start, end in zip(starts, [*starts[1:], width], strict=True):
-        stamps = table.numbers([table.columns[start]])[:, 0]
-        kept = np.isfinite(stamps) & (stamps != np.concatenate([[np.nan], stamps[:-1]]))
-        time = stamps[kept]
-        if time.size and time[0] >= _FILETIME:
-            time = (time - time[0]) / 1e4
-        same = next((i for i, other in enumerate(times) if np.array_equal(other, time)), len(times))
-        if same == len(times):
-            times.append(time)
-            columns.append({})
-        for column in range(start + 1, end):
-            name = names[column]
-            columns[same][name] = table.arrays[table.columns[column]][kept]
-            units[name] = _unit(known, column)
-    for number, (time, held) in enumerate(zip(times, columns, strict=True), 1):
-        yield Group(f"clock {number}", held, time / 1e3, {n: units[n] for n in held})
 
 
 def _unit(known: Mapping[str, Sequence[str]], column: int) -> str:
