@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from bayesbl.cli.running import WRONG, print_json, run_config, run_file
-from bayesbl.errors import ConfigError
+from bayesbl.errors import ConfigError, UserError
 from bayesbl.recording import formats
 
 if TYPE_CHECKING:
@@ -282,8 +282,13 @@ def _print_findings(plan: Plan) -> None:
 
     for warning in plan.warnings:
         say(f"warning: {warning}")
+    alike: dict[str, list[UserError]] = {}
     for problem in plan.problems:
-        error(make_console(stderr=True), problem)
+        alike.setdefault(str(problem).removeprefix(problem.file or ""), []).append(problem)
+    for first, *others in alike.values():
+        error(make_console(stderr=True), first)
+        if others:
+            say(f"The same of {', '.join(str(other.file) for other in others)}.", err=True)
     if plan.problems:
         raise typer.Exit(WRONG)
 

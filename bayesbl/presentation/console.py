@@ -134,7 +134,11 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
             "Check",
         )
     for column in guess.columns:
-        why = "its unit is not stated" if column.reason == NO_UNIT else column.reason
+        why = "its unit is not stated"
+        if column.doubted or column.unit == UNKNOWN:
+            why = column.reason
+        elif column.reason != NO_UNIT:
+            why += f" ({column.reason})"
         if column.unit == UNKNOWN and not column.needed:
             why = f"left out until its unit is filled in; {why}"
         elif column.is_open or (column.sure and not column.doubted):

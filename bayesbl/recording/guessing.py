@@ -62,7 +62,8 @@ _LOAD = "load link joint output out arm l wheel pendulum secondary external abtr
 _MOTOR = "motor mot m antrieb"
 _BESIDE = (
     "error err deviation difference diff lag residual abweichung fehler temperature temp "
-    "supply bus battery dc ina"  # a monitor of the supply is called by its chip: INA219
+    "supply bus battery dc freq frequency term "
+    "ina"  # a monitor of the supply is called by its chip: INA219
 )
 """What stands beside a channel under its name and is another quantity."""
 

@@ -66,9 +66,9 @@ _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"\b(?:.*_)?(?:units?|einheit)(?:\b|_)", r"^labels?$"
 _STEP = re.compile(
-    r"\W*(?:(?:delta.?x|x?.?increment|d[tx]|abtast(?:zeit|periode|intervall)"
+    r"\W*(?:(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate)|abtast\w*"
+    r"|delta.?x|x?.?increment|d[tx]"
     r"|(?:sampl(?:e|ing)|scan|record(?:er|ing)?|trace).?(?:time|interval|period|resolution))"
-    r"|(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate))"
     r"\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*[:=]?\s*(?P<value>.*)",
     re.IGNORECASE,
 )
@@ -316,7 +316,7 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
         for i, cell in enumerate(row):
             found = _STEP.match(cell)
             for held in (found["value"], *row[i + 1 : i + 2], *below[i : i + 1]) if found else ():
-                number, unit = parted(held)
+                number, unit = parted(held.translate(dict.fromkeys(map(ord, "[]()"))))
                 value = number_in(number, decimal_mark(Path(), [number]))
                 if value and value > 0.0 and found is not None:
                     unit = unit or spelled(found["unit"] or "")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 from collections.abc import Sequence
+from datetime import date
 from importlib import resources
 from pathlib import Path
 
@@ -89,15 +91,19 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
         "# decide_before = 2027-01-01   # asks how probably the gap passes the limit by then; "
         "needs dates\n"
     )
-    dated = (
-        "# date = 2026-07-01            # when it was taken; for every recording, or for none\n"
-        "# repaired = true              # if this is the first one after a repair\n"
-    )
+    dates = [_date_in(file.name) for file in recordings]
+    repaired = "# repaired = true              # if this is the first one after a repair\n"
+    entry, why = "# date = 2026-07-01", "when it was taken; for every recording, or for none"
+    dated = [
+        (f"{f'date = {day}':<31}# from its name\n" if all(dates) else f"{entry:<31}# {why}\n")
+        + repaired
+        for day in dates
+    ]
     entries = "\n".join(
         f"[[recordings]]\nname = {quoted(name)}\nfile = {quoted(relative(file, path))}\n"
         + (_MORE_FILES if ramps else "" if guess.route else _ASKED_SPEED)
-        + (dated if kind == "compare" else "")
-        for name, file in zip(names, recordings, strict=True)
+        + (day if kind == "compare" else "")
+        for name, file, day in zip(names, recordings, dated, strict=True)
     )
     return f"""\
 # Check the columns, then:   bayesbl run {shlex.quote(path.name)}
@@ -123,6 +129,15 @@ output = {quoted(f"results/{name_of(path.stem)}")}
 level = 0.9             # of the credible intervals
 
 {_ESTIMATORS[guess.route]}"""
+
+
+def _date_in(name: str) -> str:
+    """The date in a file's name, 2026-03-01; empty without one."""
+    found = re.search(r"(?<!\d)(20\d\d)-(\d\d)-(\d\d)(?!\d)", name)
+    try:
+        return "" if found is None else date.fromisoformat(found[0]).isoformat()
+    except ValueError:
+        return ""
 
 
 _JOINT = "# gear_ratio = 120.0    # motor turns per turn of the load\n"

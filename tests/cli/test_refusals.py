@@ -256,6 +256,27 @@ def test_unknown_columns_lead_to_init_and_leave_nothing(foreign, capsys):
     assert (foreign / "results").is_dir()
 
 
+def test_init_takes_dates_from_names_where_all_have_one(foreign, capsys):
+    names = ["axis3_2026-03-01.csv", "2026-07-31 axis3.csv"]
+    for old, new in zip(("monday.csv", "friday.csv"), names, strict=True):
+        (foreign / old).rename(foreign / new)
+    assert cli.status(["init", *names, "--out", "dated.toml"]) == 0
+    days = load_config(foreign / "dated.toml").dates
+    assert [day.isoformat() for day in days] == ["2026-03-01", "2026-07-31"]
+    (foreign / names[1]).rename(foreign / "2026-02-31.csv")  # no day
+    assert cli.status(["init", names[0], "2026-02-31.csv", "--out", "plain.toml"]) == 0
+    assert load_config(foreign / "plain.toml").dates is None
+
+
+def test_problems_that_recordings_share_are_said_once(foreign, capsys):
+    for name in ("monday.csv", "friday.csv"):
+        write_csv(foreign / name, {"Zeit": np.arange(2000) / 1e3, "Drehzahl": np.full(2000, 1e3)})
+    assert cli.status(["init", "monday.csv", "friday.csv"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("Error:") == 1
+    assert "The same of" in told
+
+
 def test_init_says_what_is_still_to_be_filled_in(foreign, capsys):
     assert cli.status(["init", "monday.csv", "friday.csv"]) == 0
     told = capsys.readouterr().out
