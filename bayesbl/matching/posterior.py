@@ -59,9 +59,10 @@ OTHER_SHAPE = (
     "find them from recordings (bayesbl identify)."
 )
 FROM_TICK_TO_TICK = (
-    "the period of the drive's controller is not known, and the signals change with it from tick "
-    "to tick. State period_s and delay_periods of sampled_control under [[effects]] without sd, as "
-    "the drive's manual has them; a dead time of bus or torque filter adds to delay_periods."
+    "period or delay of the drive's controller are not known, and the signals change with them "
+    "from tick to tick. State period_s and delay_periods of sampled_control under [[effects]] "
+    "without sd, as the drive's manual has them; a dead time of bus or torque filter adds to "
+    "delay_periods."
 )
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01

@@ -266,15 +266,15 @@ def above_limit(summary: MeasuredSummary) -> str | None:
         for name, part in limited
     )
     first = limited[0][1]
-    limit = f"{1e3 * first['limit_rad']:.4g} mrad"
-    if (stated := first.get("limit")) is not None:
-        limit = f"{limit} ({words.limit(stated['text'])})"
+    limit = words.limit(first["limit_rad"], first.get("limit", {}).get("text"))
     return f"Probability that the gap is above its limit of {limit}: {each}."
 
 
 def in_unit_of_limit(summary: MeasuredSummary) -> str | None:
     """Each gap in the unit and of the kind that the limit was stated in; ``None`` without one."""
     stated = [(n, p["limit"]) for n, p in snapshots(summary) if "limit" in p]
+    if stated and stated[0][1]["unit"] == "mrad of δ":
+        return None  # as in the table
     values = ", ".join(
         f"{words.middle(one)} ({words.bounds(one)}){words.of(name)}"
         for name, limit in stated

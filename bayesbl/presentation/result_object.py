@@ -185,6 +185,8 @@ class RouteResult:
         import xarray
 
         groups: Any = {n: node.to_dataset() for n, node in self._tree.children.items()}
+        for name, data in groups.items():  # what only another snapshot has is NaN here
+            groups[name] = data.drop_vars([n for n in data if data[n].isnull().all()])
         noise_posterior = groups.pop("noise_posterior", None)
         if noise_only and noise_posterior is not None:
             groups = {**groups, "posterior": noise_posterior}

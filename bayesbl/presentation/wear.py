@@ -197,8 +197,7 @@ def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
     years = wear["years_to_limit"]
     if years is None or wear["limit_rad"] is None:
         return
-    stated = "" if wear["limit"] is None else f" ({words.limit(wear['limit'])})"
-    limit = f"the limit of {1e3 * wear['limit_rad']:.4g} mrad{stated}"
+    limit = f"the limit of {words.limit(wear['limit_rad'], wear['limit'])}"
     earliest = not_before(wear)
     if years["high"] == 0.0:
         yield f"The gap passed {limit} before {wear['last_date']}."

@@ -161,7 +161,10 @@ def glued(sentence: str) -> str:
     return re.sub(f"{before_unit}|{within}", "\N{NO-BREAK SPACE}", sentence)
 
 
-def limit(text: str) -> str:
-    """A limit as it was given, in words: ``1 arcmin of lost motion at 3 %``."""
+def limit(delta_rad: float, text: str | None) -> str:
+    """A limit of δ, and as it was given: ``1.16 mrad (8 arcmin of play)``."""
+    told = f"{1e3 * delta_rad:.4g} mrad"
+    if text is None or text.endswith("mrad delta"):
+        return told
     value, unit, rest = text.split(" ", 2)
-    return f"{value} {unit} of {rest.replace('_', ' ').replace('delta', 'δ')}"
+    return f"{told} ({value} {unit} of {rest.replace('_', ' ').replace('delta', 'δ')})"

@@ -50,7 +50,6 @@ from bayesbl.recording.array_table import (
     number_in,
     numbered,
     parted,
-    seconds_of_dates,
 )
 from bayesbl.recording.channels import TIME
 from bayesbl.recording.input_bytes import require_memory
@@ -620,15 +619,11 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
     found = {n: _event(form, line) for n, line in enumerate(lines, 1) if line.strip()}
     events = {n: event for n, event in found.items() if event is not None}
     repairs = Counter({"line that is no event left out": len(found) - len(events)})
-    stamps, *rest = zip(*events.values(), strict=True)
-    names, values = map(np.array, rest)
-    if is_date(stamps[0]):
-        places = list(events)
-        time = seconds_of_dates(stamps, str(file), lambda row: f"line {places[row]}")
-    else:
-        time = np.array(stamps, dtype=float)
-        time -= time.min()
-    return _of_events(ArrayTable(str(file), {}, repairs=repairs), "time_s", time, names, values)
+    stamps, names, values = map(np.array, zip(*events.values(), strict=True))
+    table = ArrayTable(str(file), {"stamp": stamps}, {}, {}, {}, repairs, np.array([*events]))
+    time = table.timestamps("stamp")
+    time = stamps.astype(float) if time is None else time
+    return _of_events(table, "time_s", time - time.min(), names, values)
 
 
 def in_columns(table: ArrayTable) -> ArrayTable:
