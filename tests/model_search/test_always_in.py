@@ -22,6 +22,7 @@ from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unkn
 from bayesbl.measurement.direct_route import JointFit, direct_unknowns, fit_directly, fit_jointly
 from bayesbl.model_search.always_in import (
     Direction,
+    Label,
     always_terms,
     beside,
     directions,
@@ -280,6 +281,53 @@ def test_teeth_that_let_go_do_not_move_the_gap_though_nothing_shows_it() -> None
         error = alone.point[alone.model.index(GAP, name)] - math.log(gap)
         assert error < -4.0 * alone.sd(GAP, name)
     assert_holds_the_gaps(fit_jointly(damped, seen, (1e-4, 1e-2), {}))
+
+
+@pytest.mark.long
+def test_a_law_many_times_as_large_as_usual_is_not_pulled_back_to_its_usual_size() -> None:
+    """Damping in the gap as large as the shaft's, where a data sheet is off within its tolerances.
+
+    A normal prior of the usual size pulls by 19 of its standard deviations, along which tolerances
+    move the gap: 4 %.
+    """
+    rng = np.random.default_rng(5)
+    names = (INERTIA, STIFFNESS, DAMPING, GRAVITY, "motor_inertia_kg_m2")
+    sheet = replace(
+        BENCH,
+        parameters={
+            name: BenchParameter(item.value, 0.08 * item.value) if name in names else item
+            for name, item in BENCH.parameters.items()
+        },
+    )
+    share = {name: 1.0 + 0.08 * rng.uniform(-1.0, 1.0) for name in names}
+    coefficient = EffectParameterValue(BENCH.value(DAMPING))
+    made = scaled(**share).with_effects(
+        BenchEffect("gap_damping", {"coefficient_nm_s_per_rad": coefficient})
+    )
+    seen = [
+        observed(made.simulate(gap, rotations=3, seed=rng, name=name), sheet)
+        for name, gap in GAPS_RAD.items()
+    ]
+    whole = fit_jointly(sheet, seen, (1e-4, 1e-2), {})
+    assert any(u.name.startswith("gap_damping") for u in whole.rest.fit.model.unknowns)
+    assert_holds_the_gaps(whole)
+
+
+@pytest.mark.parametrize("share", [0.8, 1.0, 1.3])
+def test_the_least_that_a_change_leaves_is_a_hundredth_of_what_there_was(share: float) -> None:
+    """Also where that is not the bench's value."""
+    fit = pair(BENCH)
+    value = share * BENCH.value(STIFFNESS)
+    label = Label((Direction(STIFFNESS, 0.0, 0.0, 0.1 * value),), "after", "shaft")
+    bench_values = BENCH.vector(**{STIFFNESS: value})[0]
+    shared = Unknown(STIFFNESS, 0.1 * value, 10.0 * value)
+    (change_of,) = label.unknowns(bench_values, np.ones(1))
+    model = fit.model.beside(BENCH, [shared, change_of])
+    point = np.array([*fit.point, value, change_of.low])
+    _, after = (
+        float(model.vectors(point[None], own)[0, Slot[STIFFNESS]]) for own in model.recordings
+    )
+    assert after == pytest.approx(0.01 * value)
 
 
 def test_drift_and_a_changed_payload_are_not_taken_for_wear() -> None:

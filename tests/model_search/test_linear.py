@@ -256,6 +256,33 @@ def test_draws_of_sizes_keep_their_signs_and_agree_with_expectation_propagation(
     assert sizes.std(axis=0) == pytest.approx(np.sqrt(np.diag(v[0])), rel=0.04)
 
 
+@pytest.mark.parametrize("signs", [(0.0, 0.0), (0.6, -0.3), (2.5, 0.0)])
+def test_a_size_that_may_be_none_is_so_as_often_as_integration_says(signs) -> None:
+    """Of two that are there or not: each of the four cases by quadrature of its density."""
+    rng = np.random.default_rng(5)
+    c = rng.standard_normal((30, 2)) * 0.4
+    terms = [Term(f"h{i}", c[:, i : i + 1], True, True, absent=0.5) for i in range(2)]
+    lin = view(c @ signs + rng.standard_normal(30), terms)
+    gram, pull = c.T @ c + np.eye(2), c.T @ lin.residual
+
+    def density(a: float, b: float) -> float:
+        x = np.array([a, b])
+        return math.exp(pull @ x - 0.5 * x @ gram @ x)
+
+    half = math.sqrt(2.0 / math.pi)
+    one = [
+        half * integrate.quad(lambda a: density(a, 0.0), 0.0, 12.0)[0],
+        half * integrate.quad(lambda b: density(0.0, b), 0.0, 12.0)[0],
+    ]
+    both = half**2 * integrate.dblquad(density, 0.0, 12.0, 0.0, 12.0)[0]
+    total = 1.0 + sum(one) + both
+    sizes = search(lin).draw(rng, 40_000).sizes
+    assert (sizes >= 0.0).all()
+    for k in range(2):
+        there = (one[k] + both) / total
+        assert np.mean(sizes[:, k] > 0.0) == pytest.approx(there, abs=0.012)
+
+
 def test_a_departure_is_not_there_without_what_it_departs_from() -> None:
     rng = np.random.default_rng(15)
     whole, part = rng.standard_normal((2, 100, 1))
