@@ -208,9 +208,10 @@ def _columns(
         own[candidate.phases] = phase
     amount = float(start[amplitude] - candidate.neutral[amplitude])
     if amount == 0.0:
-        # A thousandth of the range; to its lower end from a neutral value below it.
+        # A thousandth of the range, back from its upper end; to its lower end from below it.
         unknown, at = candidate.unknowns[amplitude], float(own[amplitude])
         amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - at)
+        amount = amount if at + amount <= unknown.high else -amount
     moved = np.tile(np.concatenate([point, own]), (2, 1))
     moved[1, point.size + amplitude] += amount
     z = model.whitened(moved)

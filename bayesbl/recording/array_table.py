@@ -102,6 +102,7 @@ def decimal_mark(file: Path, cells: Sequence[str]) -> str:
 
 
 _STAMP = re.compile(
+    r"(?:\d+ days? +)?"  # as pandas writes a duration: begun again after a day, it is the next
     r"(?:(\d{1,4})([-./])(\d{1,2})\2(\d{1,4})[T ,;_]*)?"
     r"(\d{1,2}):(\d{2})(?:(?<=\d[T ]\d\d:\d\d)|:(\d{2})(?:[.,:;](\d{1,9}))?)"
     r"\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"

@@ -44,7 +44,7 @@ from bayesbl.units import (
 
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
-        TIME: "t time timestamp zeit temps tempo clock sample samples",
+        TIME: "t time timestamp stamp zeit temps tempo clock sample samples",
         MOTOR_SPEED: "speed velocity vel omega w rpm erpm drehzahl n dq qd",
         MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q aipos twist "
         "torsion deflection displacement messuhr",
@@ -348,7 +348,12 @@ def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
         )
     if not joints:
         return [_named(table, name) for name in table.columns]
-    return [column for name, column in zip(names, inner, strict=True) if name in ("", chosen)]
+    above = f"{joints.get(chosen or '', '')}/"  # of a group that the joint is in may be its clock
+    return [
+        column
+        for name, group, column in zip(names, groups, inner, strict=True)
+        if name in ("", chosen) or above.startswith(f"{group}/")
+    ]
 
 
 def _without(group: str, sides: str) -> str:
@@ -547,8 +552,9 @@ def _parts_of(word: str) -> tuple[str, ...]:
     if re.fullmatch("(q|w|theta|phi|omega)[ml]", word):  # a symbol and the index of its side
         return (word[:-1], word[-1])
     for end in range(len(word) - 2, 2, -1):
-        if word[:end] in _STEMS and all(p in _STEMS for p in _parts_of(word[end:])):
-            return (word[:end], *_parts_of(word[end:]))
+        for rest in (word[end:], word[end:].removeprefix("s")):  # antriebs|position
+            if word[:end] in _STEMS and all(p in _STEMS for p in _parts_of(rest)):
+                return (word[:end], *_parts_of(rest))
     return (word,)
 
 

@@ -63,7 +63,7 @@ _OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]+$')
 """A cell that begins with a quotation mark and does not end; within one, as in ["], it is text."""
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
-_UNITS, _LABELS = r"\b(?:.*_)?(?:units?|einheit)(?:\b|_)", r"^labels?$"
+_UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
 _STEP = re.compile(
     r"\W*(?:(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate)|abtast\w*"
     r"|delta.?x|x?.?increment|d[tx]"
@@ -229,6 +229,9 @@ def layout_of(
     numbers = [row[i] for row in rows for i in values if i < len(row)]
     mark = mark or decimal_mark(file, numbers)
     stated = tuple(_unit_of(file, rows, k) if k in values else "" for k in range(width))
+    labels = _of_key(_LABELS, above_cells)[:width]
+    if found is None and any(labels):
+        found = len(above) - 1, ("",) * width, ()
     if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
         return layout_of(file, head, middle, lines, (" ",))  # tabs among spaces
     begin = written[first]
@@ -246,9 +249,10 @@ def layout_of(
         return Layout(separator, unnamed, mark, stated, begin=begin, step_s=step_s)
     last, names, units = found
     units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells)
-    labels = _of_key(_LABELS, above_cells)[: len(names)] if not any(stated) else ()
+    if found[2] or not any(labels):
+        labels = ()
     names = tuple(map(" ".join, zip(labels, names, strict=False))) + names[len(labels) :]
-    names = tuple(name.strip() for name in names)
+    names = tuple(name.strip() or f"column {i}" for i, name in enumerate(names, 1))
     header = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
     return Layout(separator, names, mark, units, header, begin, step_s)
 
@@ -278,7 +282,8 @@ def _header_of(
     for i, cells in enumerate(above):
         while len(cells) > max(widths) and not cells[-1]:
             cells.pop()
-        if not any(cells):
+        of_units = re.match(r"\w*(?:unit|einheit)", cells[0], re.IGNORECASE) if cells else None
+        if not any(cells) or (of_units and any(is_unit(spelled(cell)) for cell in cells[1:])):
             continue
         if len(cells) in widths and not any(map(is_bare_number, cells)):
             named.append(i)

@@ -1285,3 +1285,35 @@ def test_what_is_not_needed_does_not_ask(tmp_path: Path) -> None:
     assert [c.unit for c in guess.columns] == ["s", "rpm", UNKNOWN, UNKNOWN]
     written, _ = start_config([path], tmp_path / "a.toml")
     assert "\n# motor_torque_nm = {" in written.read_text(encoding="utf-8")
+
+
+def test_names_and_units_may_stand_in_lines_that_begin_with_a_word(tmp_path: Path) -> None:
+    # As Yokogawa's recorders write them, with a step in place of a clock.
+    head = (
+        '"Model","DL850"\n"TraceName","n_mot","i_mot"\n"BlockSize",1000,1000\n"VUnit","rpm","A"\n'
+        '"SampleRate",1.0E+03,1.0E+03\n"HUnit","s","s"\n\n'
+    )
+    path = tmp_path / "a.csv"
+    path.write_text(head + "\n".join(f",{n:.6E},{n / 500:.4E}" for n in SPEED))
+    guess = guess_columns(read_table(path))
+    assert [(c.name, c.unit) for c in guess.columns] == [("n_mot", "rpm"), ("i_mot", "A")]
+    read = read_recording(path, columns={c.channel: ColumnSpec(c.name) for c in guess.columns})
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+
+
+def test_a_clock_of_the_group_that_a_joint_is_in_is_the_joints(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    joints = [{"joint3": {"speed_rpm": n}, "joint4": {"speed_rpm": 1}} for n in SPEED]
+    records = [{"stamp": t, **joint} for t, joint in zip(TIME, joints, strict=True)]
+    path.write_text(json.dumps({"samples": records}))
+    time, speed = guess_columns(read_table(path), "samples/joint3").columns
+    assert (time.name, speed.name) == ("samples/stamp", "samples/joint3/speed_rpm")
+
+
+def test_durations_as_pandas_writes_them_are_times(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"0 days 00:00:{t:09.6f},{n}" for t, n in PAIRS]
+    path.write_text("\n".join([",speed_rpm", *lines]))
+    time, speed = guess_columns(read_table(path)).columns
+    read = read_recording(path, columns={c.channel: ColumnSpec(c.name) for c in (time, speed)})
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-6)
