@@ -174,7 +174,7 @@ def test_a_recording_that_is_not_there_leaves_no_configuration(tmp_path, capsys)
 
 
 def test_what_cannot_run_is_not_told_to_run(measured, tmp_path, capsys):
-    values = {"t [s]": measured.time_s[::40], "speed": measured.motor_speed_rpm[::40]}
+    values = {"t [s]": measured.time_s[::40], "speed [rpm]": measured.motor_speed_rpm[::40]}
     path = write_csv(tmp_path / "slow.csv", values)
     assert cli.status(["init", str(path), "--out", str(tmp_path / "a.toml")]) == cli.WRONG
     printed = capsys.readouterr()
@@ -193,7 +193,7 @@ def test_a_configuration_is_not_written_over(tmp_path, capsys):
 
 def test_strange_names_stay_text(measured, tmp_path, capsys):
     path = tmp_path / 'x\' #1 (old) "now".csv'
-    write_csv(path, {"time_s": measured.time_s, 'n "rpm"': measured.motor_speed_rpm})
+    write_csv(path, {"time_s": measured.time_s, 'n "1" [rpm]': measured.motor_speed_rpm})
     out = tmp_path / "strange.toml"
     assert cli.status(["init", str(path), "--out", str(out)]) in (0, cli.WRONG)
     assert load_config(out).recordings[0].file == path
