@@ -35,6 +35,7 @@ from bayesbl.recording.channels import ColumnSpec
 from bayesbl.recording.checks import is_constant, is_one_speed, moves, with_speed
 from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import (
+    LOAD_POSITION,
     MOTOR_CURRENT,
     MOTOR_POSITION,
     MOTOR_SPEED,
@@ -255,6 +256,14 @@ def _method(
             file=driven[0].place,
             found=", ".join(driven[0].channels),
             expected="one of " + ", ".join(INVERSE),
+        )
+    if _everywhere(recordings, (LOAD_POSITION,)):
+        raise RecordingError(
+            "Two encoders show what lies between motor and load, not what a rigid bench lacks.",
+            file=recordings[0].place,
+            found=", ".join(recordings[0].channels),
+            expected="one of " + ", ".join(INVERSE) + " beside the motion; or `bayesbl fit "
+            "RECORDING --route two_encoders`, which tells play, skew and transmission error",
         )
     return "free_motion", (
         "the bench is rigid, and nothing drives the motor that is recorded: taken for let go with "

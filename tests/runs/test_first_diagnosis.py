@@ -97,7 +97,6 @@ def test_what_is_too_short_for_two_halves_is_not_split() -> None:
     [
         ((MOTOR_TORQUE, LOAD_POSITION), "inverse", (MOTOR_TORQUE,), ("load_inertia_kg_m2",)),
         ((MOTOR_CURRENT,), "inverse", (MOTOR_CURRENT,), ("load_inertia_kg_m2",)),
-        ((LOAD_POSITION,), "inverse", (LOAD_POSITION,), None),
         ((), "free_motion", (MOTOR_POSITION,), ("load_inertia_kg_m2",)),
     ],
 )
@@ -109,6 +108,11 @@ def test_a_rigid_machine_s_method_follows_from_its_channels(
     assert found["comparison", "channels"] == compared
     assert found.get(("unknowns", "bench_parameters")) == unknown
     assert (found["a", "use"], found["b", "use"]) == ("fit", "hold_out")
+
+
+def test_two_encoders_alone_are_no_free_motion(rigid: Bench) -> None:
+    with pytest.raises(RecordingError, match="two_encoders"):
+        guess_diagnosis(rigid, [swinging("a", LOAD_POSITION)])
 
 
 def test_a_torque_that_never_changes_is_none(rigid: Bench) -> None:
