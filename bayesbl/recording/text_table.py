@@ -347,7 +347,8 @@ def _first_sample(
     def is_sample(cells: Sequence[str]) -> bool:
         here = [cells[i] for i in values] if len(cells) > values[-1] else []
         known = all(cell.lower() in MISSING or is_value(cell) for cell in here)
-        return known and any(map(is_value, here)) and not any(cells[i] for i in empty)
+        filled = any(cells[i] for i in empty if i < len(cells))
+        return known and any(map(is_value, here)) and not filled
 
     in_cells = [[bool(parted(cell)[1]) for cell in row if cell] for row in rows]
     of_units = [all(here) and not any(below) for here, below in pairwise(in_cells)]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from places import BEFORE
 
@@ -285,6 +285,7 @@ TABLES = st.builds(
 
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(content=st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode), TABLES))
+@example(content=b",0,0\n,0,0,")
 def test_no_file_whatever_its_bytes_ends_in_a_traceback(tmp_path: Path, content: bytes) -> None:
     path = write(tmp_path, content)
     with suppress(UserError):
