@@ -615,6 +615,25 @@ def figures_command(
         say(str(path))
 
 
+@_takes("force")
+def export_command(
+    result: ResultPath,
+    bench: Annotated[
+        Path, typer.Option("--bench", metavar="FILE|RESULT", help="The bench it was measured with.")
+    ],
+    out: Annotated[
+        Path | None, _option("--out", "FOLDER", "Output folder. [default: RESULT_export]")
+    ] = None,
+    **given: Any,
+) -> None:
+    """Write a measured joint as MuJoCo models and tables of draws."""
+    from bayesbl.presentation.terminal import say
+    from bayesbl.runs.export import export
+
+    for path in export(result, bench, out, force=given["force"]):
+        say(str(path))
+
+
 def report_command(result: ResultPath) -> None:
     """Write a result as one HTML page, report.html, that opens anywhere."""
     from bayesbl.presentation.page.build import write_page
@@ -663,6 +682,7 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     figures_command,
     report_command,
     inspect_command,
+    export_command,
     init_command,
     cite_command,
 )

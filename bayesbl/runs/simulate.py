@@ -75,7 +75,7 @@ def run_simulate(
     _require_possible(config, config_path, bench)
     seed = config.run.seed if seed is None else seed
     workers = config.run.workers if workers is None else workers
-    _refuse_existing(targets, force)
+    refuse_existing(targets, force)
 
     # A generator of its own for each recording: neither order nor workers change the numbers.
     seeds = np.random.SeedSequence(seed).spawn(len(config.recordings))
@@ -87,7 +87,7 @@ def run_simulate(
     contents = [recording_csv(recording) for recording in recordings]
     if config.truth_file is not None:
         contents.append(_truth(bench, seed, config.recordings, recordings, contents))
-    _write_all(targets, contents)
+    write_all(targets, contents)
     return targets
 
 
@@ -202,7 +202,14 @@ def _of_entry(config_path: Path, number: int) -> Iterator[None]:
         raise error.at(ConfigError, f"[[recordings]] {number + 1} ", config_path) from None
 
 
-def _refuse_existing(targets: Sequence[Path], force: bool) -> None:
+def refuse_existing(targets: Sequence[Path], force: bool) -> None:
+    """None of these files is there, or may be replaced.
+
+    Raises
+    ------
+    ResultError
+        Naming the file.
+    """
     for target in targets:
         if target.exists() and not force:
             raise ResultError(
@@ -244,8 +251,14 @@ def _truth(
     return json.dumps(sealed, indent=2, ensure_ascii=False) + "\n"
 
 
-def _write_all(targets: Sequence[Path], contents: Sequence[str]) -> None:
-    """None before all are written: a run that is killed leaves no half-written recording."""
+def write_all(targets: Sequence[Path], contents: Sequence[str]) -> None:
+    """None before all are written: a run that is killed leaves no half-written file.
+
+    Raises
+    ------
+    ResultError
+        If one cannot be written.
+    """
     try:
         with ExitStack() as stack:
             for target, content in zip(targets, contents, strict=True):
@@ -253,5 +266,5 @@ def _write_all(targets: Sequence[Path], contents: Sequence[str]) -> None:
                 temporary.write_text(content, encoding="utf-8", newline="\n")
     except OSError as error:
         raise ResultError(
-            "The recordings cannot be written.", file=error.filename, found=error.strerror
+            "The files cannot be written.", file=error.filename, found=error.strerror
         ) from None

@@ -1,0 +1,120 @@
+"""A measured joint for simulators: a model of MuJoCo, and a table of its draws."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import effect_named
+from bayesbl.bench.kernel import Slot
+from bayesbl.bench.mjcf import WRITTEN, mjcf
+from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.errors import ResultError
+from bayesbl.recording.types import FloatArray
+from bayesbl.results.folder import require_inside
+from bayesbl.results.identified import bench_from, require_gap
+from bayesbl.runs.kinds import read_result
+from bayesbl.runs.simulate import refuse_existing, write_all
+
+GAP = Slot.gap_rad.name
+DRIFT = "drift__"
+GAP_GROUP = "gap"
+
+
+def export(
+    result: Path, bench: Path, folder: str | Path | None = None, *, force: bool = False
+) -> list[Path]:
+    """Write ``SNAPSHOT.xml`` and ``SNAPSHOT.csv`` of every snapshot whose gap is reported.
+
+    The model has the medians. The table has a row for each draw: gap and bench parameters, those
+    that the recordings told as they were drawn together, the others as the bench has them.
+
+    Parameters
+    ----------
+    result
+        Of a fit or a comparison.
+    bench
+        The bench that it was measured with.
+    folder
+        ``None`` for one beside the result's, ``RESULT_export``.
+    force
+        Replace files that exist.
+
+    Returns
+    -------
+    The files written.
+
+    Raises
+    ------
+    ResultError
+        If the result has no gap, is of another bench, or a file exists.
+    ConfigError
+        If the bench cannot be used.
+    """
+    tree, own = read_result(result), bench_from(bench)
+    require_gap(own, bench)
+    if GAP_GROUP not in tree.children:
+        raise ResultError(
+            "This result reports no gap.",
+            file=result,
+            found=f"{tree.attrs['kind']}, {tree.attrs.get('outcome')}",
+            expected="the result of a fit or a comparison that is not withheld",
+        )
+    measured_with = tree.attrs.get("bench")
+    if measured_with not in (None, own.fingerprint()):
+        raise ResultError(
+            "This result was measured with another bench.",
+            file=bench,
+            found=own.fingerprint(),
+            expected=f"the bench of {result}, {measured_with}",
+        )
+    beside = (result if result.is_dir() else result.parent).absolute()
+    home = Path(folder or beside.with_name(f"{beside.name}_export"))
+    targets, contents = [], []
+    for name in map(str, np.atleast_1d(tree.attrs["recordings"])):
+        draws = _draws(tree, own, name)
+        medians = {slot: float(np.median(values)) for slot, values in draws.items()}
+        gap_rad = medians.pop(GAP)
+        if np.isfinite(gap_rad):
+            targets += [require_inside(home, f"{name}.{kind}") for kind in ("xml", "csv")]
+            contents += [mjcf(own, gap_rad, medians), _table(draws)]
+    refuse_existing(targets, force)
+    home.mkdir(parents=True, exist_ok=True)
+    write_all(targets, contents)
+    return targets
+
+
+def _draws(tree: xr.DataTree, bench: Bench, name: str) -> dict[str, FloatArray]:
+    """By slot, of one snapshot, shape (draw,)."""
+    slots = [info.name for info in BENCH_PARAMETERS]
+    for effect in (effect_named(written) for written in WRITTEN):
+        slots += [slot.name for slot in effect.slots.values()]
+    gap = _of_snapshot(tree[GAP_GROUP].to_dataset(), name)["delta_rad"].values.ravel()
+    posterior = _of_snapshot(tree[f"{tree.attrs['route']}/posterior"].to_dataset(), name)
+    draws = {GAP: gap}
+    for slot in slots:
+        values = np.full(gap.size, bench.value(slot))
+        if slot in posterior:
+            values = posterior[slot].values.ravel()
+        if DRIFT + slot in posterior:
+            drift = posterior[DRIFT + slot].values.ravel()
+            values = np.maximum(values + np.nan_to_num(drift), 0.0)
+        draws[slot] = values
+    return draws
+
+
+def _of_snapshot(data: xr.Dataset, name: str) -> xr.Dataset:
+    return data.sel(snapshot=name) if "snapshot" in data.dims else data
+
+
+def _table(draws: dict[str, FloatArray]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(draws)
+    writer.writerows(zip(*(values.tolist() for values in draws.values()), strict=True))
+    return text.getvalue()

@@ -1,0 +1,140 @@
+"""A measured joint as MuJoCo has it: the same joint, and as uncertain."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from places import BEFORE, CONFIGS
+
+import bayesbl
+from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
+from bayesbl.bench.mjcf import mjcf
+from bayesbl.bench.simulation import simulate_channels
+from bayesbl.config.bench import load_bench
+from bayesbl.errors import BenchError, ConfigError, ResultError
+from bayesbl.results.store import write_tree
+from bayesbl.runs.export import export
+
+GAP_RAD = 8e-4
+FRICTION = {
+    "motor_viscous_friction": ("coefficient_nm_s_per_rad", 2e-3),
+    "motor_coulomb_friction": ("torque_nm", 0.3),
+    "load_viscous_friction": ("coefficient_nm_s_per_rad", 60.0),
+    "load_coulomb_friction": ("torque_nm", 40.0),
+}
+
+
+def joint(*, friction: bool = False, **parameters: float) -> Bench:
+    bench = replace(load_bench(CONFIGS / "bench.toml"), gap_form="dead_zone")
+    effects = [
+        BenchEffect(name, {parameter: EffectParameterValue(size)})
+        for name, (parameter, size) in FRICTION.items()
+        if friction
+    ]
+    return bench.with_parameters(**parameters).with_effects(*effects)
+
+
+def turned_by_mujoco(bench: Bench, samples: int, hz: float) -> Any:
+    """Motor speed, rpm, of the second rotation under the bench's controller."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(mjcf(bench, GAP_RAD))
+    data = mujoco.MjData(model)
+    ratio, step_s = bench.value("gear_ratio"), model.opt.timestep
+    gains = bench.value("speed_gain_nm_s_per_rad"), bench.value("integral_gain_nm_per_rad")
+    wanted = bench.value("reference_speed_rpm") * math.pi / 30.0
+    data.qvel[0], summed = wanted / ratio, 0.0
+    steps = int(2.05 * bench.rotation_period_s() / step_s)
+    angle, speed = np.empty(steps), np.empty(steps)
+    for k in range(steps):
+        error = wanted - data.qvel[0] * ratio
+        summed += error * step_s
+        data.ctrl[0] = gains[0] * error + gains[1] * summed
+        angle[k], speed[k] = data.qpos.sum(), data.qvel[0] * ratio
+        mujoco.mj_step(model, data)
+    begin = int(np.argmin(np.abs(angle - 2.0 * math.pi)))
+    time = np.arange(steps) * step_s
+    return np.interp(time[begin] + np.arange(samples) / hz, time, speed) * 30.0 / math.pi
+
+
+@pytest.mark.parametrize(
+    "bench",
+    [joint(), joint(friction=True), joint(gravity_angle_rad=0.4)],
+    ids=["bare", "with friction", "gravity turned"],
+)
+def test_mujoco_turns_the_exported_joint_as_the_bench_turns(bench: Bench) -> None:
+    """Two solvers of one joint: their motor speeds differ by less than one part in a hundred."""
+    samples, hz = 3500, 1000.0
+    own = simulate_channels(bench.vector(gap_rad=GAP_RAD), samples, hz)[0, 1]
+    difference = turned_by_mujoco(bench, samples, hz) - own
+    assert np.std(difference) < 0.01 * np.std(own)
+
+
+def test_the_model_has_the_bench_s_inertia_weight_and_gap() -> None:
+    bench = joint(gravity_angle_rad=0.3)
+    root = ET.fromstring(mjcf(bench, GAP_RAD))
+    motor, shaft, load = root.iter("body")
+    hinge, inertial = load.find("joint"), load.find("inertial")
+    assert hinge is not None
+    assert inertial is not None
+    assert [float(end) for end in hinge.attrib["range"].split()] == [-GAP_RAD, GAP_RAD]
+    x, _, z = map(float, inertial.attrib["pos"].split())
+    mass = float(inertial.attrib["mass"])
+    own = [
+        float(body.find("inertial").attrib["diaginertia"].split()[0])  # type: ignore[union-attr]
+        for body in (motor, shaft, load)
+    ]
+    inertia = bench.value("load_inertia_kg_m2")
+    assert sum(own) + mass * (x**2 + z**2) == pytest.approx(inertia, rel=1e-7)
+    torque = mass * 9.81 * math.hypot(x, z)
+    assert torque == pytest.approx(bench.value("gravity_torque_nm"), rel=1e-7)
+    assert math.atan2(-x, -z) == pytest.approx(0.3, rel=1e-7)
+    armature = float(motor.find("joint").attrib["armature"])  # type: ignore[union-attr]
+    of_motor = bench.value("motor_inertia_kg_m2") * bench.value("gear_ratio") ** 2
+    assert armature == pytest.approx(of_motor, rel=1e-7)
+
+
+def test_what_mjcf_cannot_say_is_listed() -> None:
+    bench = joint().with_effects(
+        BenchEffect("shaft_hysteresis", {"torque_nm": EffectParameterValue(1.0)})
+    )
+    assert "Not written: shaft_hysteresis" in mjcf(bench, GAP_RAD)
+    with pytest.raises(BenchError, match="no gap"):
+        mjcf(load_bench(CONFIGS / "bench_pendulum.toml"), GAP_RAD)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fit")
+    fitted = bayesbl.fit(BEFORE, bench=CONFIGS / "joint.toml", route="direct", seed=1, workers=1)
+    write_tree(fitted.to_datatree(), folder / "result.nc")
+    return folder
+
+
+def test_the_table_has_the_draws_and_the_model_their_median(result: Path, tmp_path: Path) -> None:
+    model, table = export(result, CONFIGS / "joint.toml", tmp_path / "out")
+    drawn = np.genfromtxt(table, delimiter=",", names=True)
+    posterior = bayesbl.read_result(result)
+    assert np.array_equal(drawn["gap_rad"], posterior["gap/delta_rad"].values.ravel())
+    told = posterior["direct/posterior/shaft_stiffness_nm_per_rad"].values.ravel()
+    assert np.array_equal(drawn["shaft_stiffness_nm_per_rad"], told)
+    assert np.ptp(drawn["gear_ratio"]) == 0.0
+    hinge = next(j for j in ET.parse(model).iter("joint") if j.get("name") == "gap")
+    low, high = map(float, hinge.attrib["range"].split())
+    assert high == -low == pytest.approx(float(np.median(drawn["gap_rad"])), rel=1e-8)
+
+
+def test_another_bench_and_existing_files_are_refused(result: Path, tmp_path: Path) -> None:
+    with pytest.raises(ResultError, match="another bench"):
+        export(result, CONFIGS / "bench_precision.toml", tmp_path)
+    with pytest.raises(ConfigError, match="no gap"):
+        export(result, CONFIGS / "bench_pendulum.toml", tmp_path)
+    export(result, CONFIGS / "joint.toml", tmp_path)
+    with pytest.raises(ResultError, match="exists already"):
+        export(result, CONFIGS / "joint.toml", tmp_path)
+    assert len(export(result, CONFIGS / "joint.toml", tmp_path, force=True)) == 2
