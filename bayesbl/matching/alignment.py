@@ -90,6 +90,7 @@ def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
     for _ in range(NOISE_ROUNDS):
         model = replace(model, noise=remaining_noise(best))
         best = fit_simulated(model, best.point, best.steps)
+    best = best.without_derivatives()
     return with_model(best, model)
 
 

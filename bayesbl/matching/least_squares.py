@@ -373,17 +373,21 @@ def _jacobian(
             ends[0][row, i] = min(point[i] + steps[i], model.high[i])
             if not one_sided or ends[0][row, i] <= point[i]:
                 ends[1][row, i] = max(point[i] - steps[i], model.low[i])
-        z = model.whitened(moved)
+        begin, half = 0, pending.size
+        for place in range(len(model.recordings)):
+            # One after the other: twice as many signals as derivatives would fill the memory.
+            z = model.whitened_of(moved, place)
+            # The residual falls where the simulation rises.
+            columns.T[pending, begin : begin + z.shape[1]] = z[half:] - z[:half]
+            begin += z.shape[1]
         again = []
         for row, i in enumerate(pending):
-            distance = ends[0][row, i] - ends[1][row, i]
-            change = z[pending.size + row] - z[row]  # residual falls where the simulation rises
-            if not np.all(np.isfinite(change)):
+            size = float(np.linalg.norm(columns[:, i])) / sides
+            if not math.isfinite(size):
                 steps[i] *= 0.1
                 again.append(i)
                 continue
-            columns[:, i] = change / distance
-            size = float(np.linalg.norm(change)) / sides
+            columns[:, i] /= ends[0][row, i] - ends[1][row, i]
             better = steps[i] * float(np.clip(STEP_CHANGE / max(size, 1e-12), 1e-3, 1e3))
             better = min(better, LONGEST_STEP * model.unknowns[int(i)].prior_sd)
             if not 0.2 < size / STEP_CHANGE < 5.0 and not np.isclose(better, steps[i]):

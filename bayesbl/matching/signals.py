@@ -359,6 +359,10 @@ class SimulatedSignals:
         """Whitened residuals of all recordings, N."""
         return sum(seen.size for seen in self._white_recordings)
 
+    def samples_of(self, recording: int) -> int:
+        """Whitened residuals of one recording, over its channels."""
+        return self._white_recordings[recording].size
+
     def signals(self, points: FloatArray, recording: int) -> FloatArray:
         """Predicted channels of one recording, (m, d) to (m, c, n); nan where a run fails."""
         return continued(self.stretch(points, recording), self.recordings[recording].samples)

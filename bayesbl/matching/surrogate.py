@@ -108,17 +108,16 @@ def regress(
         u = (points[:, index] - centre[index]) @ inverse_root.T
         terms = _terms(u)
         p = terms.shape[1]
-        normal, right = np.zeros((p, p)), np.zeros((p, 0))
+        normal, right = np.zeros((p, p)), np.zeros((p, model.samples_of(i)))
         for begin in range(0, len(points), AT_ONCE):
             rows = slice(begin, begin + AT_ONCE)
             residual = model.whitened_of(points[rows], i)
             own = _sums_of_squares(residual)
             chi_square[rows] += own
-            good = np.isfinite(own)
-            phi = terms[rows][good]
+            residual[~np.isfinite(own)] = 0.0
+            phi = terms[rows] * np.isfinite(own)[:, None]
             normal += phi.T @ phi
-            product = phi.T @ residual[good]
-            right = product if begin == 0 else right + product
+            right += phi.T @ residual
             made = i * len(points) + min(begin + AT_ONCE, len(points))
             progress(made, len(points) * len(model.recordings))
         # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.

@@ -646,21 +646,18 @@ def _banded(
     widths = [term.columns.shape[1] for term in terms]
     # What the end of its range has stopped goes no further, whatever would explain more there.
     stopped = (fit.point <= model.low) | (fit.point >= model.high)
-    derivatives = np.where(stopped, 0.0, fit.derivatives())
     pull = np.where(stopped, 0.0, prior_pull(model, fit.point))
-    everything = np.hstack(
-        [
-            derivatives,
-            *(term.columns for term in terms),
-            *(form[:, None] for form in forms),
-            fit.residual[:, None],
-        ]
-    )
-    total = everything.T @ everything
-    size, own = everything.shape[1], len(forms)
+    columns = [fit.derivatives(), *(term.columns for term in terms)]
+    columns += [signal[:, None] for signal in (*forms, fit.residual)]
+    size, own = sum(part.shape[1] for part in columns), len(forms)
+    total = np.zeros((size, size))
     pieces: list[list[FloatArray]] = [[] for _ in BANDS]
-    ends = np.cumsum([part.size for part in model.by_recording(fit.residual)])[:-1]
-    for seen, rows in zip(model.recordings, np.split(everything, ends), strict=True):
+    ends = np.cumsum([0, *(part.size for part in model.by_recording(fit.residual))])
+    for seen, (begin, end) in zip(model.recordings, itertools.pairwise(ends), strict=True):
+        # One recording after the other: all columns of all of them once more would fill the memory.
+        rows = np.hstack([part[begin:end] for part in columns])
+        rows[:, :d][:, stopped] = 0.0
+        total += rows.T @ rows
         channels = rows.reshape(len(seen.signals), -1, size)
         for channel in channels:
             for place, piece in enumerate(_by_band(channel[seen.first_compared :], seen)):
