@@ -503,7 +503,7 @@ def config_from_options(
         tables["joint"] = {key: one for key, one in joint.items() if key not in _LIMITS}
     for option, value in options.items():
         if value is not None:
-            path_like = option in _PATH_OPTIONS and value != PUBLISHED
+            path_like = option in _PATH_OPTIONS and str(value) != PUBLISHED
             plain = str(Path(str(value)).absolute()) if path_like else value
             location = _OF_KIND.get(kind, OPTIONS).get(option, OPTIONS[option])
             _set(tables, location, plain)

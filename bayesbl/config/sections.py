@@ -118,7 +118,7 @@ def _input_path(value: object, info: ValidationInfo) -> Path:
 
 
 def _curve_source(value: object, info: ValidationInfo) -> Path | str:
-    return PUBLISHED if value == PUBLISHED else _result_file(value, info)
+    return PUBLISHED if str(value) == PUBLISHED else _result_file(value, info)
 
 
 def _result_file(value: object, info: ValidationInfo) -> Path:

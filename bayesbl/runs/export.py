@@ -76,7 +76,9 @@ def export(
     beside = (result if result.is_dir() else result.parent).absolute()
     home = Path(folder or beside.with_name(f"{beside.name}_export"))
     targets, contents = [], []
-    for name in map(str, np.atleast_1d(tree.attrs["recordings"])):
+    gap = tree[GAP_GROUP]
+    reported = gap["snapshot"].values if "snapshot" in gap.dims else tree.attrs["recordings"]
+    for name in map(str, np.atleast_1d(reported)):
         draws = _draws(tree, own, name)
         medians = {slot: float(np.median(values)) for slot, values in draws.items()}
         gap_rad = medians.pop(GAP)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import BEFORE, CONFIGS
+from places import AFTER, BEFORE, CONFIGS
 
 import bayesbl
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
@@ -138,3 +138,12 @@ def test_another_bench_and_existing_files_are_refused(result: Path, tmp_path: Pa
     with pytest.raises(ResultError, match="exists already"):
         export(result, CONFIGS / "joint.toml", tmp_path)
     assert len(export(result, CONFIGS / "joint.toml", tmp_path, force=True)) == 2
+
+
+def test_only_snapshots_with_a_gap_are_written(tmp_path: Path) -> None:
+    """Of two recordings by the amplitude and the paper's curve, one with no gap to report."""
+    both = bayesbl.compare(BEFORE, AFTER, curve="published", seed=1, workers=1).to_datatree()
+    both["gap"] = both["gap"].to_dataset().isel(snapshot=[1])
+    write_tree(both, tmp_path / "result.nc")
+    written = export(tmp_path, CONFIGS / "joint.toml", tmp_path / "out")
+    assert [path.name for path in written] == ["wear_after.xml", "wear_after.csv"]
