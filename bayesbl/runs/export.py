@@ -76,7 +76,7 @@ def export(
     beside = (result if result.is_dir() else result.parent).absolute()
     home = Path(folder or beside.with_name(f"{beside.name}_export"))
     targets, contents = [], []
-    gap = tree[GAP_GROUP]
+    gap = tree[GAP_GROUP].to_dataset()
     reported = gap["snapshot"].values if "snapshot" in gap.dims else tree.attrs["recordings"]
     for name in map(str, np.atleast_1d(reported)):
         draws = _draws(tree, own, name)
