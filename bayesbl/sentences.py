@@ -239,6 +239,41 @@ def torque_offset(low_nm: float, high_nm: float) -> str:
     )
 
 
+def tolerance_decides(name: str, side: str, shift_rad: float) -> str:
+    """δ follows a value that is at the edge of what the bench states of it, or beyond."""
+    effect, dot, _ = name.partition(".")
+    width, mend = "tolerance", "Correct the bench file, or widen this tolerance."
+    if dot:
+        width = "range that it is sought in"
+        mend = f"Something else acts like it, or {effect} belongs in the bench file."
+    return (
+        f"δ depends on {name}, which lies at the {side} edge of the {width} or beyond: that could "
+        f"move δ by {1e3 * shift_rad:.2g} mrad, further than its interval. {mend}"
+    )
+
+
+def gap_unseen(
+    pull_rpm_per_s: float, bound_rad: float | None = None, is_larger: bool = False, level: float = 0
+) -> str:
+    """In a motion the load stays on one flank, with the bound that this leaves."""
+    bound = ""
+    if bound_rad is not None:
+        side = "larger" if is_larger else "smaller"
+        bound = f"It is {side} than {1e3 * bound_rad:.2g} mrad ({level:.0%}). "
+    wanted = (
+        "takes the load through the angle at which gravity's torque changes its sign (hanging "
+        "straight down or standing upright), or one that brakes and accelerates the load harder "
+        f"than gravity pulls at it: here by more than {pull_rpm_per_s:.3g} rpm/s of the motor"
+        if pull_rpm_per_s > 0.0
+        else "brakes and accelerates the load both ways"
+    )
+    return (
+        "In this motion the load never passes from one tooth flank to the other, so δ leaves no "
+        f"trace that could be measured. {bound}Record a motion that {wanted}. "
+        "`bayesbl plan --bench FILE` ranks motions."
+    )
+
+
 SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Which route answers.
     "only_route": "It is the only route that was asked for.",
@@ -340,6 +375,30 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "counted_twice": (
         "The bench was identified from {name} as well, so this recording counts twice and its "
         "interval is somewhat too narrow. Measure later recordings with that bench."
+    ),
+    "tolerance_decides": tolerance_decides,
+    # Of a motion.
+    "gap_unseen": gap_unseen,
+    "start_unknown": (
+        "The flank at the start of the recording is unknown, because nothing presses the teeth "
+        "together there, and the compared part still depends on it. Record the same motion for "
+        "longer, or begin where gravity presses the load against its flank."
+    ),
+    "motion_once": (
+        "The motion does not repeat, so the noise is taken from what is faster than the motion, "
+        "and only slow disagreement with the bench can be seen: a motion recorded twice or more in "
+        "a row is checked better."
+    ),
+    "reference_held": (
+        "The reference is taken as held from each sample to the next, as a digital drive has it: a "
+        "straight line between samples does not explain the recording."
+    ),
+    "standstills_left_out": (
+        "Standstills are left out, because friction at rest is not that of motion."
+    ),
+    "start_left_out": (
+        "The first {begin_s:.2g} s are left out, because the state of teeth and controller at the "
+        "start is unknown."
     ),
     # Of wear.
     "other_benches": (

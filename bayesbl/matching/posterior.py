@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -139,8 +139,9 @@ class DirectPosterior:
     model_widening: FloatArray
     noise_only: NoiseOnly | None = None
 
-    def beyond_tolerance(self, recording: str | None, level: float) -> str | None:
-        """Why the gap of a recording cannot be told; ``None`` where no tolerance decides it.
+    def beyond_tolerance(self, recording: str | None, level: float) -> dict[str, Any] | None:
+        """What of the bench decides the gap of a recording beyond its tolerance, with the shift of
+        δ; ``None`` where nothing does.
 
         ``recording``: ``None`` for the one gap that all recordings share.
 
@@ -152,22 +153,13 @@ class DirectPosterior:
         gap = self.values(GAP, recording).ravel()
         low, high = np.quantile(gap, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
         for i, side, reach, _ in _contradicted(model, self.draws):
-            unknown, own = model.unknowns[i], self.draws[..., i].ravel()
+            own = self.draws[..., i].ravel()
             variance = float(own.var(ddof=1))
             slope = float(np.cov(own, gap)[0, 1]) / variance if variance > 0.0 else 0.0
-            shift = abs(slope) * reach
-            if shift > 0.5 * (high - low):
-                effect, dot, parameter = unknown.name.partition("__")
-                if dot:
-                    width = "range that it is sought in"
-                    mend = f"Something else acts like it, or {effect} belongs in the bench file."
-                else:
-                    width, mend = "tolerance", "Correct the bench file, or widen this tolerance."
-                return (
-                    f"δ depends on {effect}{'.' if dot else ''}{parameter}, which lies at the "
-                    f"{side} edge of the {width} or beyond: that could move δ by "
-                    f"{1e3 * shift:.2g} mrad, further than its interval. {mend}"
-                )
+            shift_rad = abs(slope) * reach
+            if shift_rad > 0.5 * (high - low):
+                name = model.unknowns[i].name.replace("__", ".")
+                return {"name": name, "side": side, "shift_rad": shift_rad}
         return None
 
     @property

@@ -474,7 +474,7 @@ def direct_reasons(
     repeating = found.repeating(recording.name)
     with_current = len(recording.signals) > 1
     decides = found.posterior.beyond_tolerance(recording.name, level)
-    against = _told("tolerance_decides", decides)
+    against = [] if decides is None else [Reason("tolerance_decides", decides)]
     if contradicted := found.posterior.contradicted_together():
         against.append(Reason("sheet_contradicted", {"names": contradicted[:4]}))
     if not (repeating or found.joint.explained or found.allows_for_misfit):
@@ -486,14 +486,8 @@ def direct_reasons(
         # What nothing explains pulls at values of the bench too: they are no cause of it.
         against.insert(0, Reason("repeats_beyond_noise", misfit))
     # Where δ is not seen, its prior's range may decide: that needs no saying.
-    reasons = [
-        *against,
-        *(
-            _told("gap_unseen", unseen_gap(found.posterior, index))
-            or _told("start_unknown", unknown_start(fit, index))
-            or sampling_reasons(found.posterior.diagnostics)
-        ),
-    ]
+    unseen = unseen_gap(found.posterior, index) or unknown_start(fit, index)
+    reasons = [*against, *([unseen] if unseen else sampling_reasons(found.posterior.diagnostics))]
     answered = outcome_of(reasons) != "withheld"
     unknown = fit.model.unknowns[fit.model.index(GAP, recording.name)]
     ends = excluded_ends(found.posterior, recording.name)
@@ -515,13 +509,7 @@ def direct_reasons(
     variance = float(edge_variances(found.posterior).mean())
     if answered and variance > 0.0:
         reasons.append(Reason("soft_edges", {"sd_rad": math.sqrt(variance)}))
-    reasons += [Reason.of_text("motion", text) for text in motion_notes(fit, index)]
-    return [*reasons, *notes]
-
-
-def _told(code: str, text: str | None) -> list[Reason]:
-    """The reason of that code, where there is a sentence."""
-    return [] if text is None else [Reason.of_text(code, text)]
+    return [*reasons, *motion_notes(fit, index), *notes]
 
 
 def _repeating_values(entries: Sequence[RepeatingPower], is_motion: bool) -> dict[str, Any]:

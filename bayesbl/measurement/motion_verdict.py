@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from bayesbl.bench.kernel import Slot
@@ -10,7 +12,7 @@ from bayesbl.matching.motions import flank_changes, remembered_start
 from bayesbl.matching.observed import standstills
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY
-from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL
+from bayesbl.measurement.measurement import UPPER_BOUND_LEVEL, Reason
 from bayesbl.units import RPM_PER_RAD_PER_S
 
 EXCLUDED_END = 0.1
@@ -22,39 +24,33 @@ REMEMBERED = 1.0
 """χ² left of an unknown start in what is compared: one standard deviation of δ at most."""
 
 
-def unseen_gap(posterior: DirectPosterior, index: int) -> str | None:
+def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
     """Why a motion does not tell δ of a recording, with the bound that it leaves; ``None`` if it
     does, or turns at one speed."""
     fit = posterior.fit
     seen = fit.model.recordings[index]
     if seen.motion is None or flank_changes(fit, index):
         return None
-    asked = largest_pull(fit, index)
-    sentences = [
-        "In this motion the load never passes from one tooth flank to the other, so δ leaves no "
-        "trace that could be measured.",
-        _bound(posterior, index),
-        "Record a motion that takes the load through the angle at which gravity's torque changes "
-        "its sign (hanging straight down or standing upright), or one that brakes and accelerates "
-        f"the load harder than gravity pulls at it: here by more than {asked:.3g} rpm/s of the "
-        "motor."
-        if asked > 0.0
-        else "Record a motion that brakes and accelerates the load both ways.",
-        "`bayesbl plan --bench FILE` ranks motions.",
-    ]
-    return " ".join(filter(None, sentences))
+    values: dict[str, float | bool] = {"pull_rpm_per_s": largest_pull(fit, index)}
+    match excluded_ends(posterior, seen.name):
+        case True, False:
+            values |= {"is_larger": True, "level": UPPER_BOUND_LEVEL}
+            share = 1.0 - UPPER_BOUND_LEVEL
+        case False, True:
+            values |= {"is_larger": False, "level": UPPER_BOUND_LEVEL}
+            share = UPPER_BOUND_LEVEL
+        case _:
+            return Reason("gap_unseen", values)
+    draws = posterior.values(GAP, seen.name)
+    return Reason("gap_unseen", values | {"bound_rad": float(np.quantile(draws, share))})
 
 
-def unknown_start(fit: SimulatedFit, index: int) -> str | None:
+def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:
     """Why how a motion began keeps δ unknown; ``None`` if it does not."""
     seen = fit.model.recordings[index]
     if seen.motion is None or remembered_start(fit, index)[seen.first_compared] <= REMEMBERED:
         return None
-    return (
-        "The flank at the start of the recording is unknown, because nothing presses the teeth "
-        "together there, and the compared part still depends on it. Record the same motion for "
-        "longer, or begin where gravity presses the load against its flank."
-    )
+    return Reason("start_unknown")
 
 
 def largest_pull(fit: SimulatedFit, index: int) -> float:
@@ -70,21 +66,6 @@ def largest_pull(fit: SimulatedFit, index: int) -> float:
     return float(least * RPM_PER_RAD_PER_S)
 
 
-def _bound(posterior: DirectPosterior, index: int) -> str | None:
-    """The one-sided bound that the posterior leaves, in words; ``None`` where it leaves none."""
-    name = posterior.fit.model.recordings[index].name
-    draws = posterior.values(GAP, name).ravel()
-    match excluded_ends(posterior, name):
-        case True, False:
-            side, share = "larger", 1.0 - UPPER_BOUND_LEVEL
-        case False, True:
-            side, share = "smaller", UPPER_BOUND_LEVEL
-        case _:
-            return None
-    bound_rad = float(np.quantile(draws, share))
-    return f"It is {side} than {1e3 * bound_rad:.2g} mrad ({UPPER_BOUND_LEVEL:.0%})."
-
-
 def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, bool]:
     """Whether a recording excludes the lower, and the upper, end of the range of its δ."""
     model = posterior.fit.model
@@ -96,30 +77,18 @@ def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, boo
     return at_low < EXCLUDED_SHARE, at_high < EXCLUDED_SHARE
 
 
-def motion_notes(fit: SimulatedFit, index: int) -> list[str]:
+def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
     """What a reader has to know of how a motion was compared."""
     seen = fit.model.recordings[index]
     if seen.motion is None:
-        return []
-    notes = []
+        return
     if seen.cycle is None:
-        notes.append(
-            "The motion does not repeat, so the noise is taken from what is faster than the "
-            "motion, and only slow disagreement with the bench can be seen: a motion recorded "
-            "twice or more in a row is checked better."
-        )
+        yield Reason("motion_once")
     if all(u.name != REFERENCE_DELAY for u in fit.model.unknowns):
-        notes.append(
-            "The reference is taken as held from each sample to the next, as a digital drive has "
-            "it: a straight line between samples does not explain the recording."
-        )
+        yield Reason("reference_held")
     begin = seen.first_compared
     stands = standstills(seen, fit.model.bench)[begin:]
     if seen.excluded is not None and stands.any() and seen.excluded[begin:][stands].all():
-        notes.append("Standstills are left out, because friction at rest is not that of motion.")
+        yield Reason("standstills_left_out")
     if begin > 0:
-        notes.append(
-            f"The first {begin / seen.sampling_hz:.2g} s are left out, because the state "
-            "of teeth and controller at the start is unknown."
-        )
-    return notes
+        yield Reason("start_left_out", {"begin_s": begin / seen.sampling_hz})

@@ -221,7 +221,7 @@ def test_a_start_that_a_short_motion_still_remembers_withholds_the_gap() -> None
     assert unknown_start(fitted(recording, VERTICAL), 0) is None
     reason = unknown_start(fitted(cut(recording, 0, 400), VERTICAL), 0)
     assert reason is not None
-    assert "Record the same motion for longer" in reason
+    assert "Record the same motion for longer" in sentence(reason.stored)
 
 
 @pytest.mark.long

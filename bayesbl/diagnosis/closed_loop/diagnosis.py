@@ -79,6 +79,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.sampling.chains import SamplerSettings
+from bayesbl.sentences import tolerance_decides
 from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
@@ -380,7 +381,8 @@ def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float
             "gap by more than anything else, so no gap is given. Record another speed or "
             "direction, and look at the residuals."
         )
-    return "" if posterior is None else posterior.beyond_tolerance(None, level) or ""
+    decides = None if posterior is None else posterior.beyond_tolerance(None, level)
+    return "" if decides is None else tolerance_decides(**decides)
 
 
 CHANNELS = (MOTOR_SPEED, MOTOR_CURRENT)
