@@ -246,14 +246,6 @@ def digest_of_file(file: str) -> tuple[str | None, str | None]:
         return None, f"The file cannot be read: {told}."
 
 
-def file_of_another(joint: str, date: str) -> str:
-    """Why a recording is not used whose file is there for another joint too."""
-    return (
-        f"Its file is to the last byte that of joint {joint}, {date}, so it counts for neither. "
-        "Was a file copied by mistake?"
-    )
-
-
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
     parts = re.split(r"(\{joint\}|\{date\})", pattern)

@@ -1,9 +1,9 @@
 """One joint measured: each recording by itself, then its wear from gaps that are paired.
 
-A recording is measured as ``bayesbl fit`` measures it. By the amplitude, its search starts from the
-optimum of the recording before it, and the change is that of ``bayesbl compare``, which takes the
-finished fits from where they are kept. By the direct route gaps are paired through the bench that
-they share (:mod:`bayesbl.fleet.shared_bench`), so that a new recording is matched alone.
+A recording is measured as ``bayesbl fit`` measures it. By the amplitude, the change is that of
+``bayesbl compare``, which takes the finished fits from where they are kept. By the direct route
+gaps are paired through the bench that they share (:mod:`bayesbl.fleet.shared_bench`), so that a new
+recording is matched alone.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from bayesbl.errors import UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, Found, Joint, digest_of_file, file_state
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
-from bayesbl.measurement.amplitude_route import optima_of
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason, Seeds
 from bayesbl.measurement.routes import measure
@@ -37,7 +36,6 @@ from bayesbl.measurement.wear import wear_of, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.optimum import EarlierOptimum
 from bayesbl.sentences import sentence, with_sentences
 
 REFUSED, FAILED = "refused", "failed"
@@ -61,8 +59,6 @@ class RecordingAnswer:
         (unknown, draw), paired with ``gap_rad``; ``None`` by the amplitude.
     amplitude_rpm
         Median, low and high.
-    optimum
-        Symbols and RMSE, by the amplitude.
     lasting
         Whether content and code alone decide it, so that it is the same whenever it is asked.
     """
@@ -75,7 +71,6 @@ class RecordingAnswer:
     gap_rad: FloatArray | None = None
     bench: FloatArray | None = None
     amplitude_rpm: tuple[float, float, float] | None = None
-    optimum: Mapping[str, float] | None = None
     lasting: bool = True
 
     @property
@@ -185,14 +180,12 @@ class JointJob:
             "wear": self.settings["wear"],
         }
 
-    def problem_of(self, number: int, before: RecordingAnswer | None) -> dict[str, Any]:
-        """The same of one recording; ``before``: what was measured before it."""
-        optimum = None if before is None or not self.by_amplitude else before.optimum
+    def problem_of(self, number: int) -> dict[str, Any]:
+        """The same of one recording."""
         return {
             **self._of_all(),
             "recording": (self.names[number], self.sha256[number]),
             "reference_speed_rpm": self.recordings[number].reference_speed_rpm,
-            "earlier": optimum,
         }
 
     def config(self, kind: str, numbers: Sequence[int], route: str | None = None) -> SnapshotConfig:
@@ -285,31 +278,24 @@ def measure_joint(job: JointJob) -> MeasuredJoint:
     OSError
         If nothing can be written where fits are kept.
     """
-    answers: list[RecordingAnswer] = []
-    for number in range(len(job.recordings)):
-        answer = job.known.get(number)
-        answers.append(answer or measure_recording(job, number, answers[-1] if answers else None))
+    numbers = range(len(job.recordings))
+    answers = [job.known.get(number) or measure_recording(job, number) for number in numbers]
     wear = _wear(job, answers)
     lasting = wear.lasting and all(answer.lasting for answer in answers)
     return tuple(answers), replace(wear, lasting=lasting)
 
 
-def measure_recording(
-    job: JointJob, number: int, before: RecordingAnswer | None
-) -> RecordingAnswer:
-    """One recording by itself; ``before``: of the recording before it, where the search starts.
+def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
+    """One recording by itself.
 
     Raises
     ------
     OSError
         If nothing can be written where fits are kept.
     """
-    name = job.names[number]
     before_it = _states(job, [number])
     try:
-        config = job.config("fit", [number])
-        tree = _measured(job, config, [number], {} if before is None else {name: before})
-        answer = _answer(job, number, tree)
+        answer = _answer(job, _measured(job, job.config("fit", [number]), [number]))
     except UserError as error:
         lasting = not isinstance(error, UnavailableError)
         answer = RecordingAnswer(REFUSED, str(error), lasting=lasting)
@@ -337,7 +323,7 @@ def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
     return states
 
 
-def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
+def _answer(job: JointJob, tree: xr.DataTree) -> RecordingAnswer:
     route, whole = tree.attrs["route"], with_sentences(summary_of(tree))
     (stored,) = stored_answers(tree)
     gap = bench = None
@@ -352,11 +338,6 @@ def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
     if route == "amplitude":
         found = whole["amplitude_rpm"]
         amplitude = found["median"], found["low"], found["high"]
-    optimum = None
-    if route == "amplitude" and job.by_amplitude:
-        start = optima_of(tree)[stored.name]
-        if not start.withheld:
-            optimum = {**start.symbols, "rmse_rpm": start.rmse_rpm}
     outcome, reason = whole["diagnostics"]["outcome"], whole["routes"][route]["reason"]
     if gap is None:
         outcome = outcome if outcome == "withheld" else "no_curve"
@@ -370,7 +351,6 @@ def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
         gap,
         bench,
         amplitude,
-        optimum,
     )
 
 
@@ -407,10 +387,7 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
     asked = used if route == "amplitude" else []
     before_it = _states(job, asked)
     try:
-        if route == "direct":
-            answer = _by_bench(job, used, answers)
-        else:
-            answer = _by_curve(job, used, answers)
+        answer = _by_bench(job, used, answers) if route == "direct" else _by_curve(job, used)
     except UserError as error:
         lasting = not isinstance(error, UnavailableError)
         answer = JointAnswer(str(error), route, tuple(used), lasting=lasting)
@@ -439,11 +416,8 @@ def _by_bench(
     return _of_group(wear, None if against is None else _text(against), "direct", used, gaps)
 
 
-def _by_curve(
-    job: JointJob, used: Sequence[int], answers: Sequence[RecordingAnswer]
-) -> JointAnswer:
-    before = {job.names[n]: answers[n - 1] for n in used if n > 0}
-    tree = _measured(job, job.config("compare", used, "amplitude"), used, before)
+def _by_curve(job: JointJob, used: Sequence[int]) -> JointAnswer:
+    tree = _measured(job, job.config("compare", used, "amplitude"), used)
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
     found = with_sentences(summary_of(tree))["wear"]
@@ -493,39 +467,12 @@ def _unknowns(bench: Bench, name: str) -> list[Unknown]:
     return [*own, *tolerance_unknowns(bench)]
 
 
-def _earlier(job: JointJob, before: Mapping[str, RecordingAnswer]) -> dict[str, EarlierOptimum]:
-    """Where the search of each recording starts, by its name."""
-    if not job.by_amplitude:
-        return {}
-    starts = {}
-    for name, answer in before.items():
-        if answer.optimum is not None:
-            symbols = dict(answer.optimum)
-            rmse = symbols.pop("rmse_rpm")
-            starts[name] = EarlierOptimum("the optimum of the recording before", symbols, rmse)
-    return starts
-
-
-def _measured(
-    job: JointJob,
-    config: SnapshotConfig,
-    numbers: Sequence[int],
-    before: Mapping[str, RecordingAnswer],
-) -> xr.DataTree:
-    """Recordings measured, with fits kept that ``compare`` takes up again.
-
-    ``before``: where the search of each recording starts, by its name.
-    """
+def _measured(job: JointJob, config: SnapshotConfig, numbers: Sequence[int]) -> xr.DataTree:
+    """Recordings measured, with fits kept that ``compare`` takes up again."""
     work, swept = NOTHING_KEPT, WorkStore.shared(Path(job.output).parent / STORE)
     if job.by_amplitude:
         work = WorkStore.shared(fits_beside(Path(job.output)))
-    return measure(
-        config,
-        work=work,
-        swept=swept,
-        seeds=job.seeds(numbers),
-        earlier=_earlier(job, before),
-    )
+    return measure(config, work=work, swept=swept, seeds=job.seeds(numbers))
 
 
 def fits_beside(output: Path) -> Path:

@@ -24,14 +24,7 @@ from bayesbl.config.kinds import FleetConfig
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import PUBLISHED
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.fleet.inventory import (
-    Found,
-    Joint,
-    digest_of_file,
-    file_of_another,
-    find_recordings,
-    read_joints,
-)
+from bayesbl.fleet.inventory import Found, Joint, digest_of_file, find_recordings, read_joints
 from bayesbl.fleet.measured_joint import (
     REFUSED,
     JointAnswer,
@@ -98,11 +91,10 @@ class FleetSummary(Head):
 
 @dataclass(frozen=True, slots=True)
 class KeptJoint:
-    """A joint's answer with the rows of its recordings, and where their own answers are kept."""
+    """A joint's answer with the rows of its recordings."""
 
     answer: JointAnswer
     rows: tuple[dict[str, Any], ...]
-    addresses: tuple[str, ...]
 
 
 def describe(config: FleetConfig, plan: Plan) -> None:
@@ -203,15 +195,12 @@ def job_of(
 
 def _copied(one: Found, alike: Sequence[Found]) -> str | None:
     """Why a recording that is there twice is not measured; the first of one joint is."""
-    others = [other for other in alike if other is not one]
-    if not others:
+    strange = next((other for other in alike if other.joint != one.joint), None)
+    if strange is None and one is alike[0]:
         return None
-    strange = [other for other in others if other.joint != one.joint]
-    if strange:
-        return file_of_another(strange[0].joint, strange[0].date)
-    if one is alike[0]:
-        return None
-    return f"Its file is to the last byte that of {alike[0].date}. Was a file copied by mistake?"
+    whose = f"joint {strange.joint}, {strange.date}" if strange else alike[0].date
+    neither = ", so it counts for neither" if strange else ""
+    return f"Its file is to the last byte that of {whose}{neither}. Was a file copied by mistake?"
 
 
 def _answers(
@@ -221,14 +210,12 @@ def _answers(
 
     At the end, what no file that is there leads to any more is forgotten.
     """
-    used: set[str] = set()
     lacking = []
     for job in jobs:
         kept = None if store.fresh else store.recall("joint", job.problem(), KeptJoint)
         if kept is None:
             lacking.append(_with_known(job, store))
         else:
-            used |= {store.address_of("joint", job.problem()), *kept.addresses}
             yield job, kept
     if lacking:
         new = sum(len(job.recordings) - len(job.known) for job in lacking)
@@ -239,38 +226,34 @@ def _answers(
     if options.progress is not None:
         options.progress("Joints", done, len(jobs))
     for job, (answers, wear) in _measured(config, lacking, options.say):
-        addresses = []
         for number, answer in enumerate(answers):
-            problem = job.problem_of(number, answers[number - 1] if number else None)
-            addresses.append(store.address_of("recording", problem))
             if number not in job.known and answer.lasting:
-                store.keep("recording", problem, answer)
+                store.keep("recording", job.problem_of(number), answer)
         rows = tuple(
             recording_row(answer, job.joint, number in wear.used, config.interval)
             for number, answer in enumerate(answers)
         )
-        kept = KeptJoint(wear, rows, tuple(addresses))
+        kept = KeptJoint(wear, rows)
         if wear.lasting:
             store.keep("joint", job.problem(), kept)
-        used |= {store.address_of("joint", job.problem()), *addresses}
         done += 1
         if options.progress is not None:
             options.progress("Joints", done, len(jobs))
         yield job, kept
+    used = {store.address_of("joint", job.problem()) for job in jobs}
+    for job in jobs:
+        numbers = range(len(job.recordings))
+        used |= {store.address_of("recording", job.problem_of(number)) for number in numbers}
     store.keep_only(used)
 
 
 def _with_known(job: JointJob, store: WorkStore) -> JointJob:
     """With the answers that earlier runs have kept."""
-    known: dict[int, RecordingAnswer] = {}
-    before = None
-    if not store.fresh:
-        for number in range(len(job.recordings)):
-            before = store.recall("recording", job.problem_of(number, before), RecordingAnswer)
-            if before is not None:
-                known[number] = before
-            elif job.by_amplitude:
-                break  # where the next search starts is not known
+    if store.fresh:
+        return job
+    numbers = range(len(job.recordings))
+    kept = (store.recall("recording", job.problem_of(n), RecordingAnswer) for n in numbers)
+    known = {n: answer for n, answer in zip(numbers, kept, strict=True) if answer is not None}
     return replace(job, known=known)
 
 

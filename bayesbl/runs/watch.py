@@ -14,7 +14,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,6 @@ from bayesbl.fleet.inventory import (
 from bayesbl.fleet.measured_joint import (
     CHANGED,
     REFUSED,
-    JointJob,
     RecordingAnswer,
     fits_beside,
     measure_recording,
@@ -194,36 +193,21 @@ class _Measuring:
 
     def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
         job = job_of(self.config, self.joints[one.joint], [one], [sha256])
-        before = self._before(job)
-        problem = job.problem_of(0, before)
+        problem = job.problem_of(0)
         answer = self.store.recall("recording", problem, RecordingAnswer)
         if answer is None:
-            answer = measure_recording(job, 0, before)
+            answer = measure_recording(job, 0)
             if answer.lasting:
                 self.store.keep("recording", problem, answer)
-        if answer.lasting:
-            optimum = replace(answer, gap_rad=None, bench=None)
-            self.store.keep("optimum", (one.joint, sha256), optimum)
         for kept in (self.store, WorkStore.shared(fits_beside(self.config.run.output))):
             kept.keep_latest(size_bytes=LARGEST_KEPT_BYTES)
         return answer
-
-    def _before(self, job: JointJob) -> RecordingAnswer | None:
-        """What the joint's recording before this one gave, where its search starts."""
-        (one,) = job.recordings
-        sha256 = self.table.before(one.joint, one.date) if job.by_amplitude else None
-        if sha256 is None:
-            return None
-        return self.store.recall("optimum", (one.joint, sha256), RecordingAnswer)
 
     def _put(self, one: Found, sha256: str | None, answer: RecordingAnswer) -> None:
         used = False if answer.outcome == REFUSED else None
         row = recording_row(answer, self.joints.get(one.joint), used, self.config.interval)
         row |= identity(one, sha256)
-        if self.table.knows(row):
-            return
-        changed = self.table.put(row)
-        self.table.save()
-        self.offer(changed)
-        for one_row in changed:
-            self.tell(one_row)
+        if self.table.put(row):
+            self.table.save()
+            self.offer([row])
+            self.tell(row)

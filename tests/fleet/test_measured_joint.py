@@ -159,8 +159,8 @@ def test_the_bench_of_the_paper_gives_no_date(job):
 def test_addresses_follow_what_decides_the_numbers(job):
     """The limit decides no gap; a name, a speed and the file do."""
     same = replace(job, joint=other_joint(job, limit_rad=2e-3, load=3.0))
-    assert same.problem_of(0, None) == job.problem_of(0, None)
+    assert same.problem_of(0) == job.problem_of(0)
     assert same.problem() != job.problem()
     other = replace(job, sha256=("f" * 64, *job.sha256[1:]))
-    assert other.problem_of(0, None) != job.problem_of(0, None)
-    assert other.problem_of(1, None) == job.problem_of(1, None)
+    assert other.problem_of(0) != job.problem_of(0)
+    assert other.problem_of(1) == job.problem_of(1)

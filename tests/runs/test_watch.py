@@ -146,9 +146,9 @@ def test_a_device_that_is_killed_loses_nothing_and_measures_nothing_twice(plant)
     measured = []
     real = watching.measure_recording
 
-    def counted(job, number, before):
+    def counted(job, number):
         measured.append(job.joint.name)
-        return real(job, number, before)
+        return real(job, number)
 
     with patch.object(watching, "measure_recording", counted):
         assert cli.status(arguments) == 0
