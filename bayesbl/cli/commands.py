@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import os
-import shlex
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -177,17 +176,6 @@ ResultPath = Annotated[
 @_takes("out seed workers scheduler before force json")
 def run_command(config: ConfigPath, **given: Any) -> None:
     """Run a configuration, whatever its kind."""
-    from bayesbl.runs.kinds import kind_of
-
-    kind = kind_of(config)
-    if given["scheduler"] is not None and kind not in ("study", "fleet", ""):
-        raise ConfigError(
-            "Only studies and fleets run on a cluster.",
-            file=config,
-            where="--scheduler",
-            found=f'kind = "{kind}"',
-            expected='kind = "study" or "fleet"',
-        )
     run_file(config, **given)
 
 
@@ -316,20 +304,12 @@ def compare_command(
         Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
     ],
     later: Annotated[
-        list[Path] | None,
+        list[Path],
         typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order."),
-    ] = None,
+    ],
     **given: Any,
 ) -> None:
     """Measure each gap, the change from first to last, and with dates how fast it grows."""
-    if not later:
-        quoted = shlex.quote(str(first))
-        raise ConfigError(
-            "A comparison needs two recordings or more.",
-            where="SECOND",
-            found=f"{first} alone",
-            expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
-        )
     _run_options("compare", [first, *later], **given)
 
 

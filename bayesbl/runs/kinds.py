@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from bayesbl.arguments import Tree, checked
 from bayesbl.config.loading import config_from_options, files_of, load_config, require_text_names
 from bayesbl.config.sections import RunConfig
-from bayesbl.errors import ConfigError, ResultError, UserError
+from bayesbl.errors import ResultError, UserError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import AUGMENTED_BENCH, CONFIG_FILE, IDENTIFIED_BENCH, require_apart
 from bayesbl.results.work import NOTHING_KEPT
@@ -85,13 +85,6 @@ def load_run(path: str | Path, *, kind: str | None = None, **options: object) ->
     ConfigError
         As :func:`bayesbl.config.loading.load_config`.
     """
-    if kind_of(path) == "bench":
-        raise ConfigError(
-            "A bench is simulated on, not run.",
-            file=path,
-            found='kind = "bench"',
-            expected='a configuration that names this bench, e.g. of kind = "simulate"',
-        )
     config = load_config(path, kind=kind)
     given: dict[str, Any] = {o: value for o, value in options.items() if value is not None}
     return config_from_options(config.kind, (), path, **given) if given else config

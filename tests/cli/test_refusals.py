@@ -300,7 +300,6 @@ def test_commands_to_type_are_quoted(foreign, capsys):
     assert cli.status(["init", name]) == 0
     assert "then: bayesbl run 'Mess ung ä.toml'" in capsys.readouterr().out
     assert "bayesbl run 'Mess ung ä.toml'" in (foreign / "Mess ung ä.toml").read_text()
-    refused(["compare", name], capsys, f"bayesbl fit '{name}'")
     refused(["run", name], capsys, f"`bayesbl init '{name}'`")
     refused(["report", name], capsys, f"`bayesbl fit '{name}'`")
     refused(["report", "Mess ung ä.toml"], capsys, "`bayesbl run 'Mess ung ä.toml'`")
@@ -309,7 +308,6 @@ def test_commands_to_type_are_quoted(foreign, capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["compare", "monday.csv"], "for one recording: bayesbl fit monday.csv"),
         (["run", "monday.csv"], "bayesbl init monday.csv"),
         (["check", "monday.csv"], "bayesbl init monday.csv"),
         (["report", "monday.csv"], "bayesbl fit monday.csv"),
