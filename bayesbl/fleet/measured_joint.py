@@ -121,8 +121,6 @@ class JointJob:
 
     Attributes
     ----------
-    sha256
-        Of each recording's file.
     of_bench, of_curve
         SHA-256 of the files that the joint names.
     settings
@@ -135,7 +133,6 @@ class JointJob:
 
     joint: Joint
     recordings: tuple[Found, ...]
-    sha256: tuple[str, ...]
     of_bench: str | None
     of_curve: str | None
     settings: Mapping[str, Any]
@@ -153,6 +150,11 @@ class JointJob:
         """Of the joint, beside its recordings."""
         named = (self.joint.bench, None if self.of_curve is None else self.joint.curve)
         return [str(file) for file in named if file is not None]
+
+    @property
+    def sha256(self) -> tuple[str, ...]:
+        """Of the recordings' files."""
+        return tuple(str(one.sha256) for one in self.recordings)
 
     @property
     def names(self) -> list[str]:
@@ -174,8 +176,7 @@ class JointJob:
             "in_service_since": self.joint.in_service_since,
             "repaired": self.joint.repaired,
             "recordings": [
-                (one.date, sha, one.reference_speed_rpm)
-                for one, sha in zip(self.recordings, self.sha256, strict=True)
+                (one.date, one.sha256, one.reference_speed_rpm) for one in self.recordings
             ],
             "wear": self.settings["wear"],
         }
@@ -311,7 +312,7 @@ def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
 
 def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
     """Of the files of recordings, bench and curve; none where one does not hold what was asked."""
-    told = [(job.recordings[number].file, job.sha256[number]) for number in numbers]
+    told = [(job.recordings[number].file, job.recordings[number].sha256) for number in numbers]
     named = ((job.joint.bench, job.of_bench), (job.joint.curve, job.of_curve))
     states = []
     for file, sha256 in (*told, *named):

@@ -24,7 +24,7 @@ from bayesbl.config.kinds import FleetConfig
 from bayesbl.config.loading import dump_config
 from bayesbl.config.sections import PUBLISHED
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.fleet.inventory import Found, Joint, digest_of_file, find_recordings, read_joints
+from bayesbl.fleet.inventory import Found, Joint, find_recordings, read_joints
 from bayesbl.fleet.measured_joint import (
     REFUSED,
     JointAnswer,
@@ -150,41 +150,31 @@ def _require_own(output: Path, force: bool) -> None:
 
 
 def _jobs(
-    config: FleetConfig, joints: Sequence[Joint], found: Sequence[Found]
-) -> tuple[list[JointJob], list[tuple[Found, str | None]]]:
-    """A job for each joint; and what cannot be measured, with the digest of what could be read."""
-    digests = {one.file: digest_of_file(one.file) for one in found if one.reason is None}
-    owners: dict[str, list[Found]] = defaultdict(list)
+    config: FleetConfig, joints: Sequence[Joint], found: Iterable[Found]
+) -> tuple[list[JointJob], list[Found]]:
+    """A job for each joint, and what cannot be measured."""
+    found = [one.read() for one in found]
+    owners: dict[str | None, list[Found]] = defaultdict(list)
     for one in found:
-        sha = digests.get(one.file, (None, None))[0]
-        if sha is not None:
-            owners[sha].append(one)
-    of_joint: dict[str, list[tuple[Found, str]]] = defaultdict(list)
-    refused: list[tuple[Found, str | None]] = []
+        owners[one.sha256].append(one)
+    of_joint: dict[str, list[Found]] = defaultdict(list)
+    refused: list[Found] = []
     for one in found:
-        sha, problem = digests.get(one.file, (None, None))
-        reason = one.reason or problem or (sha and _copied(one, owners[sha])) or None
-        if reason or sha is None:
-            refused.append((replace(one, reason=reason), sha))
+        reason = one.reason or _copied(one, owners[one.sha256])
+        if reason is None:
+            of_joint[one.joint].append(one)
         else:
-            of_joint[one.joint].append((one, sha))
-    jobs = []
-    for joint in joints:
-        mine = of_joint[joint.name]
-        jobs.append(job_of(config, joint, [one for one, _ in mine], [sha for _, sha in mine]))
-    return jobs, refused
+            refused.append(replace(one, reason=reason))
+    return [job_of(config, joint, of_joint[joint.name]) for joint in joints], refused
 
 
-def job_of(
-    config: FleetConfig, joint: Joint, recordings: Sequence[Found], sha256: Sequence[str]
-) -> JointJob:
-    """The job of a joint from its recordings and their digests."""
+def job_of(config: FleetConfig, joint: Joint, recordings: Sequence[Found]) -> JointJob:
+    """The job of a joint from its recordings, which have their digests."""
     settings = settings_of(config)
     shared = ("columns", "estimator", "posterior", "interval", "curve", "wear")
     return JointJob(
         joint,
         tuple(recordings),
-        tuple(sha256),
         None if joint.bench is None else file_sha256(joint.bench),
         None if joint.curve in (None, PUBLISHED) else file_sha256(joint.curve),
         {key: settings.get(key, {}) for key in shared},
@@ -272,7 +262,7 @@ def _measured(
 def _write(
     config: FleetConfig,
     jobs: Sequence[JointJob],
-    refused: Sequence[tuple[Found, str | None]],
+    refused: Sequence[Found],
     answers: Iterable[tuple[JointJob, KeptJoint]],
     folder: Path,
 ) -> FleetSummary:
@@ -280,10 +270,10 @@ def _write(
     draws = DrawsStore(folder / DRAWS_FOLDER)
     rows: list[dict[str, Any]] = []
     of_joint: dict[str, Measured] = {}
-    broken = Counter(one.joint for one, _ in refused)
+    broken = Counter(one.joint for one in refused)
     for job, kept in answers:
-        for one, sha256, row in zip(job.recordings, job.sha256, kept.rows, strict=True):
-            rows.append({**row, **identity(one, sha256)})
+        for one, row in zip(job.recordings, kept.rows, strict=True):
+            rows.append({**row, **one.identity})
         dates = tuple(one.date for one in job.recordings)
         outcomes = tuple(str(row["outcome"]) for row in kept.rows)
         outcomes += (REFUSED,) * broken[job.joint.name]
@@ -292,9 +282,9 @@ def _write(
         now = None if kept.answer.gap_rad is None else kept.answer.gap_rad[-1:]
         answer = replace(kept.answer, gap_rad=now)
         of_joint[job.joint.name] = Measured(job.joint, answer, dates, outcomes)
-    for one, digest in refused:
+    for one in refused:
         row = recording_row(RecordingAnswer(REFUSED, one.reason), None, False, config.interval)
-        rows.append({**row, **identity(one, digest)})
+        rows.append({**row, **one.identity})
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
     asked = config.fleet
     measured = [of_joint[job.joint.name] for job in jobs]
@@ -308,11 +298,6 @@ def _write(
     write_json(summary, folder / SUMMARY_FILE)
     write_text(dump_config(config), folder / CONFIG_FILE)
     return summary
-
-
-def identity(one: Found, sha256: str | None) -> dict[str, Any]:
-    """Which recording a row is of."""
-    return {"joint": one.joint, "date": one.date, "file": one.file, "sha256": sha256}
 
 
 def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:

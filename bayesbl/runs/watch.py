@@ -25,7 +25,6 @@ from bayesbl.fleet.inventory import (
     FileState,
     Found,
     Joint,
-    digest_of_file,
     file_state,
     find_recordings,
     read_joints,
@@ -41,7 +40,7 @@ from bayesbl.fleet.plant_tables import recording_row
 from bayesbl.fleet.recording_table import RecordingTable
 from bayesbl.results.atomic import sibling
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.fleet import KEPT, identity, job_of
+from bayesbl.runs.fleet import KEPT, job_of
 
 SETTLED_S = 5.0
 """For how long size and time of a file have to stay as they are before it is complete."""
@@ -176,23 +175,23 @@ class _Measuring:
 
     def took(self, one: Found) -> bool:
         """Whether a recording has a row now; one that changes meanwhile is left for later."""
-        sha256, problem = (None, None) if one.reason else digest_of_file(one.file)
-        if problem is not None and file_state(one.file) is None:
+        listed, one = one, one.read()
+        if one.reason != listed.reason and file_state(one.file) is None:
             return False  # it has been taken away
-        if sha256 is None:
-            answer = RecordingAnswer(REFUSED, one.reason or problem)
-        elif self.table.holds_measured(joint=one.joint, sha256=sha256):
+        if one.sha256 is None:
+            answer = RecordingAnswer(REFUSED, one.reason)
+        elif self.table.holds_measured(joint=one.joint, sha256=one.sha256):
             return True
         else:
-            answer = self._answer(one, sha256)
+            answer = self._answer(one)
             if answer is CHANGED:
                 return False
-        self._put(one, sha256, answer)
+        self._put(one, answer)
         gc.collect()  # measuring leaves arrays in circles, which would pile up over recordings
         return True
 
-    def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
-        job = job_of(self.config, self.joints[one.joint], [one], [sha256])
+    def _answer(self, one: Found) -> RecordingAnswer:
+        job = job_of(self.config, self.joints[one.joint], [one])
         problem = job.problem_of(0)
         answer = self.store.recall("recording", problem, RecordingAnswer)
         if answer is None:
@@ -203,10 +202,10 @@ class _Measuring:
             kept.keep_latest(size_bytes=LARGEST_KEPT_BYTES)
         return answer
 
-    def _put(self, one: Found, sha256: str | None, answer: RecordingAnswer) -> None:
+    def _put(self, one: Found, answer: RecordingAnswer) -> None:
         used = False if answer.outcome == REFUSED else None
         row = recording_row(answer, self.joints.get(one.joint), used, self.config.interval)
-        row |= identity(one, sha256)
+        row |= one.identity
         if self.table.put(row):
             self.table.save()
             self.offer([row])

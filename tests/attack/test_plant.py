@@ -23,12 +23,12 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import RecordingError, UnavailableError
 from bayesbl.fleet import measured_joint
 from bayesbl.fleet.broker import Credentials, read_address
+from bayesbl.fleet.inventory import Found
 from bayesbl.fleet.measured_joint import REFUSED, JointJob, RecordingAnswer
 from bayesbl.library import draw
 from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
 from bayesbl.runs.collect import collect
-from bayesbl.runs.fleet import identity
 from bayesbl.runs.kinds import run
 from bayesbl.runs.watch import Watched, watch
 from bayesbl.runs.workflow import Options
@@ -220,6 +220,7 @@ def test_what_another_subscriber_got_instead_comes_again(plant, broker):
 
 def test_two_devices_with_one_joint_name_keep_their_rows(plant, broker, tmp_path):
     collected(plant, broker)
+    own = Found.identity.fget
     for robot in ("r1", "r2"):
         place = tmp_path / robot
         place.mkdir()
@@ -227,7 +228,7 @@ def test_two_devices_with_one_joint_name_keep_their_rows(plant, broker, tmp_path
             shutil.copy(plant / name, place / name)
         put(place, "J1", "2025-01-01", f"J1 of {robot}")
         # The same path in the row of both, as on two devices of one image.
-        with patch.object(watching, "identity", lambda one, sha: identity(one, sha) | ONE_IMAGE):
+        with patch.object(Found, "identity", property(lambda one: own(one) | ONE_IMAGE)):
             address = read_address(f"mqtt://localhost:{broker.port}/plant/{robot}")
             watched(place, publish=address, credentials=ANN)
     rows = collected(plant, broker)

@@ -42,11 +42,10 @@ def job(tmp_path):
     for day in DATES:
         file = tmp_path / f"{day}.csv"
         file.write_text(day)
-        found.append(Found("J1", day, str(file)))
+        found.append(Found("J1", day, str(file), sha256=sha256(day.encode()).hexdigest()))
     return JointJob(
         Joint(joint="J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3),
         tuple(found),
-        tuple(sha256(day.encode()).hexdigest() for day in DATES),
         file_sha256(CONFIGS / "bench_tolerances.toml"),
         None,
         shared,
@@ -161,6 +160,7 @@ def test_addresses_follow_what_decides_the_numbers(job):
     same = replace(job, joint=other_joint(job, limit_rad=2e-3, load=3.0))
     assert same.problem_of(0) == job.problem_of(0)
     assert same.problem() != job.problem()
-    other = replace(job, sha256=("f" * 64, *job.sha256[1:]))
+    first = replace(job.recordings[0], sha256="f" * 64)
+    other = replace(job, recordings=(first, *job.recordings[1:]))
     assert other.problem_of(0) != job.problem_of(0)
     assert other.problem_of(1) == job.problem_of(1)
