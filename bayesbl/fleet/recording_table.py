@@ -15,7 +15,13 @@ from typing import Any
 
 from bayesbl.errors import ResultError
 from bayesbl.fleet.measured_joint import FAILED, REFUSED
-from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RECORDINGS_FILE, require_tables, schema_of
+from bayesbl.fleet.plant_tables import (
+    RECORDING_COLUMNS,
+    RECORDINGS_FILE,
+    require_tables,
+    schema_of,
+    write_table,
+)
 from bayesbl.results.atomic import locked_sibling, replacing
 from bayesbl.results.folder import is_finished, require_no_link
 
@@ -88,12 +94,9 @@ class RecordingTable:
         OSError
             If they cannot be written: the file is then as it was.
         """
-        import pyarrow.parquet
-
         if self._changed:
-            table = pyarrow.Table.from_pylist(self.rows, schema=schema_of(RECORDING_COLUMNS))
             with replacing(self.path, durable=True) as temporary:
-                pyarrow.parquet.write_table(table, temporary)
+                write_table(self.rows, RECORDING_COLUMNS, temporary)
             self._changed = False
 
     def _knows(self, row: Row) -> bool:
