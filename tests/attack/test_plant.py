@@ -180,7 +180,7 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 
 ONE_IMAGE = {"file": "data/J1.csv"}
-ANN = Credentials("ann", "secret")
+ANN = Credentials(user="ann", password="secret")
 
 
 def collected(plant: Path, broker: Broker) -> list[dict[str, object]]:
