@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from datetime import date as Date
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -76,15 +76,13 @@ class Limit(Section):
         }
         return {key: value for key, value in given.items() if value is not None}
 
-    @model_validator(mode="after")
-    def _goes_together(self) -> Self:
+    def require_sound(self) -> None:
         if (self.unit == "mm") != (self.at_m is not None):
             found = "no radius" if self.at_m is None else f"a radius with {self.unit}"
             refuse("A limit in mm, and no other, has a radius.", found=found, expected=EXAMPLES)
         if (self.of == "lost_motion") != (self.at_torque_share is not None):
             found = "no torque" if self.at_torque_share is None else f"a torque with {self.of}"
             refuse("Lost motion, and nothing else, has a torque.", found=found, expected=EXAMPLES)
-        return self
 
     def __str__(self) -> str:
         radius = "" if self.at_m is None else f" at {self.at_m!r} m"
@@ -195,8 +193,7 @@ class Joint(Section):
     decide_before: Date | None = None
     drift: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _date_of_a_limit(self) -> Self:
+    def require_sound(self) -> None:
         if self.limit is not None and self.limit_rad is not None:
             refuse(
                 "There are two limits.",
@@ -211,7 +208,6 @@ class Joint(Section):
                 expected="limit_rad beside it, e.g. limit_rad = 1.2e-3 (--limit-rad 1.2e-3)",
                 at=("decide_before",),
             )
-        return self
 
 
 class Search(Section):
@@ -223,15 +219,13 @@ class Search(Section):
     method: Literal["guess", "paper"] = "guess"
     start_from: ResultFile | None = None
 
-    @model_validator(mode="after")
-    def _one_start(self) -> Self:
+    def require_sound(self) -> None:
         if self.method != "guess" and self.start_from is not None:
             refuse(
                 "A search of all of Table 2's ranges does not start from an earlier result.",
                 found=f'method = "{self.method}" with start_from = "{self.start_from}"',
                 expected='method = "guess", or no start_from',
             )
-        return self
 
 
 class Noise(Section):
@@ -240,15 +234,13 @@ class Noise(Section):
     kind: Literal["auto", "white", "ar", "student_t"] = "auto"
     order: int | None = Field(default=None, ge=1, le=15)
 
-    @model_validator(mode="after")
-    def _order_of_ar(self) -> Self:
+    def require_sound(self) -> None:
         if self.order is not None and self.kind != "ar":
             refuse(
                 "An order belongs to autoregressive noise.",
                 found=f'order = {self.order} with kind = "{self.kind}"',
                 expected='kind = "ar", or no order',
             )
-        return self
 
 
 WITHOUT_BENCH = {"torque_ramp": "Ramps of torque", "two_encoders": "Two encoders"}
@@ -280,8 +272,7 @@ class Estimator(Section):
             return {"route": "auto", **value}
         return value
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def require_sound(self) -> None:
         if self.route not in ("amplitude", *WITHOUT_BENCH) and self.bench is None:
             refuse(
                 "This route needs a bench.",
@@ -296,7 +287,6 @@ class Estimator(Section):
                 f"{self.model.baseline_harmonics} harmonics",
                 expected="baseline_harmonics = 0 in [estimator.model]",
             )
-        return self
 
 
 class Posterior(Section):
@@ -361,8 +351,7 @@ class SnapshotConfig(RecordedConfig):
         """The entry of this name."""
         return next(entry for entry in self.recordings if entry.name == recording)
 
-    @model_validator(mode="after")
-    def _has_a_use(self) -> Self:
+    def require_sound(self) -> None:
         """What the route, or what it reads δ from, has no use for is refused, not ignored."""
         route, by_bench = self.estimator.route, self.estimator.bench is not None
         by_amplitude, what = route == "amplitude", WITHOUT_BENCH.get(route, "")
@@ -404,7 +393,6 @@ class SnapshotConfig(RecordedConfig):
                 "Nothing here is read from a bench, so its values cannot be changed.",
                 *(*at, "bench"),
             )
-        return self
 
 
 class FitConfig(SnapshotConfig):
@@ -415,8 +403,8 @@ class FitConfig(SnapshotConfig):
 
     kind: Literal["fit"]
 
-    @model_validator(mode="after")
-    def _decides_nothing(self) -> Self:
+    def require_sound(self) -> None:
+        super().require_sound()
         if self.joint.decide_before is not None:
             refuse(
                 "One recording gives no rate of wear, so it says nothing about a later date.",
@@ -424,7 +412,6 @@ class FitConfig(SnapshotConfig):
                 expected='kind = "compare" with two dated recordings or more',
                 at=("joint", "decide_before"),
             )
-        return self
 
 
 class CompareConfig(SnapshotConfig):
@@ -462,8 +449,8 @@ class CompareConfig(SnapshotConfig):
         order = sorted(range(len(dates)), key=dates.__getitem__)
         return tuple(recordings[number] for number in order)
 
-    @model_validator(mode="after")
-    def _what_needs_dates(self) -> Self:
+    def require_sound(self) -> None:
+        super().require_sound()
         before, start, dates = self.joint.decide_before, self.wear.in_service_since, self.dates
         repairs = [recording for recording in self.recordings if recording.repaired]
         if dates is None:
@@ -485,7 +472,7 @@ class CompareConfig(SnapshotConfig):
                         expected="date = 2026-03-01 in every [[recordings]], or --date for each",
                         at=at,
                     )
-            return self
+            return
         first = repairs[-1].date if repairs else dates[0]
         if start is not None and first is not None and start > first:
             refuse(
@@ -501,7 +488,6 @@ class CompareConfig(SnapshotConfig):
                 expected="a later date",
                 at=("joint", "decide_before"),
             )
-        return self
 
 
 def _dates(recordings: tuple[SnapshotRecording, ...]) -> tuple[Date, ...] | None:
