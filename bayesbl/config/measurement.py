@@ -243,8 +243,8 @@ class Noise(Section):
             )
 
 
-WITHOUT_BENCH = {"torque_ramp": "Ramps of torque", "two_encoders": "Two encoders"}
-"""Routes that read nothing but recordings, and what they read."""
+WITHOUT_BENCH = ("torque_ramp", "two_encoders")
+"""Routes that read nothing but recordings."""
 
 
 class Estimator(Section):
@@ -354,45 +354,33 @@ class SnapshotConfig(RecordedConfig):
     def require_sound(self) -> None:
         """What the route, or what it reads δ from, has no use for is refused, not ignored."""
         route, by_bench = self.estimator.route, self.estimator.bench is not None
-        by_amplitude, what = route == "amplitude", WITHOUT_BENCH.get(route, "")
-        curve, ramps = self.curve.source is not None, route == "torque_ramp"
-
-        def unused(is_there: object, problem: str, *at: str | int) -> None:
-            if is_there:
-                there = f'{at[-1]} with route = "{route}"' + ("" if by_bench else " and no bench")
-                refuse(problem, found=there, expected=f"no {at[-1]}, or another route", at=at)
-
-        unused(what and by_bench, f"{what} are read without a bench.", "estimator", "bench")
-        unused(what and curve, f"{what} are read without a gap curve.", "curve", "source")
-        unused(
-            not by_amplitude and self.estimator.search.start_from,
-            "This route has no search, and cannot start from an earlier result.",
-            *("estimator", "search", "start_from"),
-        )
-        unused(
-            not by_amplitude and self.posterior.check_sampler,
-            "The second sampler samples the amplitude route's posterior only.",
-            *("posterior", "check_sampler"),
-        )
+        by_amplitude, by_curve = route == "amplitude", self.curve.source is not None
+        alone = route in WITHOUT_BENCH
+        unused: dict[tuple[str | int, ...], object] = {
+            ("estimator", "bench"): alone and by_bench,
+            ("curve", "source"): alone and by_curve,
+            ("estimator", "search", "start_from"): not by_amplitude
+            and self.estimator.search.start_from,
+            ("posterior", "check_sampler"): not by_amplitude and self.posterior.check_sampler,
+        }
         for n, recording in enumerate(self.recordings):
-            several, speed = len(recording.every_file) > 1, recording.reference_speed_rpm
-            at = ("recordings", n)
-            unused(
-                several and not ramps,
-                "A snapshot of several files is one of torque ramps.",
-                *at,
-                "files",
-            )
-            unused(
-                what and speed is not None,
-                f"{what} have no reference speed.",
-                *(*at, "reference_speed_rpm"),
-            )
-            unused(
-                recording.bench and (not by_bench or (by_amplitude and curve)),
-                "Nothing here is read from a bench, so its values cannot be changed.",
-                *(*at, "bench"),
-            )
+            by_value = by_bench and not (by_amplitude and by_curve)
+            unused |= {
+                ("recordings", n, "files"): len(recording.every_file) > 1
+                and route != "torque_ramp",
+                ("recordings", n, "reference_speed_rpm"): alone
+                and recording.reference_speed_rpm is not None,
+                ("recordings", n, "bench"): recording.bench and not by_value,
+            }
+        for at, is_given in unused.items():
+            if is_given:
+                without = "" if by_bench else " and without a bench"
+                refuse(
+                    f'This has no use with route = "{route}"{without}.',
+                    found=at[-1],
+                    expected=f"no {at[-1]}, or another route",
+                    at=at,
+                )
 
 
 class FitConfig(SnapshotConfig):
@@ -452,29 +440,24 @@ class CompareConfig(SnapshotConfig):
     def require_sound(self) -> None:
         super().require_sound()
         before, start, dates = self.joint.decide_before, self.wear.in_service_since, self.dates
-        repairs = [recording for recording in self.recordings if recording.repaired]
+        repairs = [n for n, recording in enumerate(self.recordings) if recording.repaired]
         if dates is None:
-            marked = ", ".join(f'"{recording.name}"' for recording in repairs)
-            for asked, problem, found, at in (
-                (repairs, "A rate of wear since a repair needs dates.", marked, ("recordings",)),
-                (self.wear != WearOverDates(), "[wear] needs dated recordings.", "", ("wear",)),
-                (
-                    before,
-                    "A decision date needs dated recordings.",
-                    f"decide_before = {before}",
-                    ("joint", "decide_before"),
-                ),
-            ):
+            undated: tuple[tuple[object, str, tuple[str | int, ...]], ...] = (
+                (repairs, "A rate of wear since a repair", ("recordings", *repairs[:1])),
+                (self.wear != WearOverDates(), "[wear]", ("wear",)),
+                (before, "A decision date", ("joint", "decide_before")),
+            )
+            for asked, what, at in undated:
                 if asked:
                     refuse(
-                        problem,
-                        found=f"{found} and no dates".removeprefix(" and "),
+                        f"{what} needs dated recordings.",
+                        found="no dates",
                         expected="date = 2026-03-01 in every [[recordings]], or --date for each",
                         at=at,
                     )
             return
-        first = repairs[-1].date if repairs else dates[0]
-        if start is not None and first is not None and start > first:
+        first = dates[repairs[-1]] if repairs else dates[0]
+        if start is not None and start > first:
             refuse(
                 "The joint cannot have begun to work after its first recording.",
                 found=f"in_service_since = {start}, first recording {first}",

@@ -146,7 +146,7 @@ def test_dates_on_some_recordings_only_are_refused(tmp_path, capsys):
     path = compare_file(tmp_path, second="date = 2026-03-01")
     refused(["run", path], capsys, "every one needs its date, or none", '"wear_before"')
     path = compare_file(tmp_path, second="repaired = true")
-    refused(["run", path], capsys, "needs dates", '"wear_after"')
+    refused(["run", path], capsys, "[[recordings]] 2", "needs dated recordings")
     for dates in ({}, {"first": "date = 2026-02-01", "second": "date = 2026-03-01"}):
         assert cli.status(["check", str(compare_file(tmp_path, **dates))]) == 0
 
