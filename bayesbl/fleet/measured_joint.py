@@ -20,7 +20,7 @@ import xarray as xr
 from pydantic import ValidationError
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.kinds import KINDS
+from bayesbl.config.kinds import KINDS, FleetConfig
 from bayesbl.config.loading import problems_of
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED
@@ -35,6 +35,7 @@ from bayesbl.measurement.stored import stored_answers, summary_of
 from bayesbl.measurement.wear import wear_of, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
+from bayesbl.results.provenance import file_sha256
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 
@@ -123,22 +124,29 @@ class JointJob:
     ----------
     of_bench, of_curve
         SHA-256 of the files that the joint names.
-    settings
-        Sections of the configuration that all joints share.
-    output
-        Of the run, beside which swept benches and finished fits are kept.
     known
         Answers that are kept from an earlier run, by number of the recording.
     """
 
+    fleet: FleetConfig
     joint: Joint
     recordings: tuple[Found, ...]
     of_bench: str | None
     of_curve: str | None
-    settings: Mapping[str, Any]
-    seed: int
-    output: str
     known: Mapping[int, RecordingAnswer] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, fleet: FleetConfig, joint: Joint, recordings: Sequence[Found]) -> JointJob:
+        """The job of a joint from its recordings, which have their digests."""
+        named = (joint.bench, None if joint.curve == PUBLISHED else joint.curve)
+        bench, curve = (None if file is None else file_sha256(file) for file in named)
+        return cls(fleet, joint, tuple(recordings), bench, curve)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Sections of the configuration that all joints share."""
+        shared = {"columns", "estimator", "posterior", "interval", "curve", "wear"}
+        return self.fleet.model_dump(by_alias=True, exclude_none=True, include=shared)
 
     @property
     def in_words(self) -> str:
@@ -168,7 +176,7 @@ class JointJob:
     @property
     def by_amplitude(self) -> bool:
         """Whether no recording is matched with a bench."""
-        return self.joint.bench is None or self.settings["estimator"]["route"] == "amplitude"
+        return self.joint.bench is None or self.fleet.estimator.route == "amplitude"
 
     def problem(self) -> dict[str, Any]:
         """All that decides the answer: files by their content."""
@@ -197,28 +205,28 @@ class JointJob:
         ConfigError
             In the words of that kind.
         """
-        joint, model = self.joint, KINDS[kind]
-        estimator = dict(self.settings["estimator"])
+        joint, model, settings = self.joint, KINDS[kind], self.settings
+        estimator = settings["estimator"]
         if joint.bench is None:
             estimator |= {"route": "amplitude"}
         else:
             estimator |= {"bench": joint.bench, "route": route or estimator["route"]}
-        curve = dict(self.settings["curve"]) | ({"source": joint.curve} if joint.curve else {})
+        curve = settings["curve"] | ({"source": joint.curve} if joint.curve else {})
         repaired = [
             n for n in numbers if joint.repaired and self.recordings[n].date >= joint.repaired
         ]
         tables: dict[str, Any] = {
             "schema": 1,
             "kind": kind,
-            "run": {"seed": self.seed, "workers": 1, "output": self.output},
+            "run": {"seed": self.fleet.run.seed, "workers": 1, "output": self.fleet.run.output},
             "joint": {"gear_ratio": joint.gear_ratio, "limit_rad": joint.limit_rad},
             "recordings": [self._entry(n, repaired=n in repaired[:1]) for n in numbers],
             "estimator": estimator,
             "curve": curve,
-            **{key: self.settings[key] for key in ("columns", "posterior", "interval")},
+            **{key: settings[key] for key in ("columns", "posterior", "interval")},
         }
         if kind == "compare":
-            tables["wear"] = dict(self.settings["wear"])
+            tables["wear"] = settings["wear"]
             if joint.in_service_since is not None:
                 tables["wear"]["in_service_since"] = Date.fromisoformat(joint.in_service_since)
         try:
@@ -230,11 +238,9 @@ class JointJob:
 
     def seeds(self, numbers: Sequence[int]) -> Seeds:
         """One for each recording by its content, so that no recording changes those of another."""
-        whole = Seeds.spawn(self.seed, 0)
-        own = tuple(
-            np.random.SeedSequence([self.seed, int(self.sha256[n][:16], 16)]) for n in numbers
-        )
-        return replace(whole, recordings=own)
+        seed, contents = self.fleet.run.seed, [int(self.sha256[n][:16], 16) for n in numbers]
+        own = tuple(np.random.SeedSequence([seed, content]) for content in contents)
+        return replace(Seeds.spawn(seed, 0), recordings=own)
 
     def _of_all(self) -> dict[str, Any]:
         settings = {key: value for key, value in self.settings.items() if key != "wear"}
@@ -245,7 +251,7 @@ class JointJob:
             "bench": self.of_bench,
             "curve": self.of_curve or joint.curve,
             "settings": settings,
-            "seed": self.seed,
+            "seed": self.fleet.run.seed,
         }
 
     def _entry(self, number: int, repaired: bool) -> dict[str, Any]:
@@ -470,9 +476,10 @@ def _unknowns(bench: Bench, name: str) -> list[Unknown]:
 
 def _measured(job: JointJob, config: SnapshotConfig, numbers: Sequence[int]) -> xr.DataTree:
     """Recordings measured, with fits kept that ``compare`` takes up again."""
-    work, swept = NOTHING_KEPT, WorkStore.shared(Path(job.output).parent / STORE)
+    output = job.fleet.run.output
+    work, swept = NOTHING_KEPT, WorkStore.shared(output.parent / STORE)
     if job.by_amplitude:
-        work = WorkStore.shared(fits_beside(Path(job.output)))
+        work = WorkStore.shared(fits_beside(output))
     return measure(config, work=work, swept=swept, seeds=job.seeds(numbers))
 
 

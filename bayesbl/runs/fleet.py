@@ -22,7 +22,6 @@ import xarray as xr
 import bayesbl
 from bayesbl.config.kinds import FleetConfig
 from bayesbl.config.loading import dump_config
-from bayesbl.config.sections import PUBLISHED
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.fleet.inventory import Found, Joint, find_recordings, read_joints
 from bayesbl.fleet.measured_joint import (
@@ -51,11 +50,11 @@ from bayesbl.fleet.pooled_rates import TypeRates
 from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
-from bayesbl.results.provenance import file_sha256, git_commit
+from bayesbl.results.provenance import git_commit
 from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
-from bayesbl.runs.workflow import Options, Plan, settings_of
+from bayesbl.runs.workflow import Options, Plan
 
 DRAWS_FOLDER = "draws.zarr"
 
@@ -165,22 +164,7 @@ def _jobs(
             of_joint[one.joint].append(one)
         else:
             refused.append(replace(one, reason=reason))
-    return [job_of(config, joint, of_joint[joint.name]) for joint in joints], refused
-
-
-def job_of(config: FleetConfig, joint: Joint, recordings: Sequence[Found]) -> JointJob:
-    """The job of a joint from its recordings, which have their digests."""
-    settings = settings_of(config)
-    shared = ("columns", "estimator", "posterior", "interval", "curve", "wear")
-    return JointJob(
-        joint,
-        tuple(recordings),
-        None if joint.bench is None else file_sha256(joint.bench),
-        None if joint.curve in (None, PUBLISHED) else file_sha256(joint.curve),
-        {key: settings.get(key, {}) for key in shared},
-        config.run.seed,
-        str(config.run.output),
-    )
+    return [JointJob.of(config, joint, of_joint[joint.name]) for joint in joints], refused
 
 
 def _copied(one: Found, alike: Sequence[Found]) -> str | None:

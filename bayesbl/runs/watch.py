@@ -32,6 +32,7 @@ from bayesbl.fleet.inventory import (
 from bayesbl.fleet.measured_joint import (
     CHANGED,
     REFUSED,
+    JointJob,
     RecordingAnswer,
     fits_beside,
     measure_recording,
@@ -40,7 +41,7 @@ from bayesbl.fleet.plant_tables import recording_row
 from bayesbl.fleet.recording_table import RecordingTable
 from bayesbl.results.atomic import sibling
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.fleet import KEPT, job_of
+from bayesbl.runs.fleet import KEPT
 
 SETTLED_S = 5.0
 """For how long size and time of a file have to stay as they are before it is complete."""
@@ -191,7 +192,7 @@ class _Measuring:
         return True
 
     def _answer(self, one: Found) -> RecordingAnswer:
-        job = job_of(self.config, self.joints[one.joint], [one])
+        job = JointJob.of(self.config, self.joints[one.joint], [one])
         problem = job.problem_of(0)
         answer = self.store.recall("recording", problem, RecordingAnswer)
         if answer is None:
