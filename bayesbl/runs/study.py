@@ -152,10 +152,6 @@ class Study:
             json.dumps(line)  # as it is stored
         return line
 
-    def files(self, table: Table) -> list[str]:
-        """Paths of the files that a row names."""
-        return [value for value in table.values() if _is_file(value)]
-
     def definition(self, table: Table, seed: int) -> str:
         """What decides a row's cases beside the package's code: table, study file and seed.
 
@@ -294,7 +290,7 @@ def run_case(path: str, job: Job) -> Case:
 
 def files_of_study(study: Study, jobs: Sequence[Job]) -> list[str]:
     """Path of the study file and of every file that the rows of these cases name."""
-    named = (path for job in jobs for path in study.files(job.table))
+    named = (value for job in jobs for value in job.table.values() if _is_file(value))
     return list(dict.fromkeys([str(study.path), *named]))
 
 
@@ -320,10 +316,6 @@ class Row:
         return [
             Job(self.table, index, seed) for index in range(self.count) if index not in self.cases
         ]
-
-    def address(self, index: int) -> tuple[str, int]:
-        """What decides the numbers of a case."""
-        return self.definition, index
 
 
 def run(config: StudyConfig, options: Options) -> StudySummary:
@@ -436,7 +428,7 @@ def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.D
 
 def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> None:
     """Give a row the cases that an earlier, unfinished run stored."""
-    stored = (work.recall("case", row.address(index), Case) for index in range(row.count))
+    stored = (work.recall("case", (row.definition, index), Case) for index in range(row.count))
     row.cases = {case.index: case for case in stored if case is not None}
     if row.cases:
         say(f'Row "{row.name}" goes on after {len(row.cases)} of {row.count} cases.')
@@ -457,7 +449,7 @@ def _finish(
     try:
         for job, case in run_jobs(run, jobs, files, config.run, options.say, "cases"):
             row = by_name[job.row]
-            work.keep("case", row.address(case.index), case)
+            work.keep("case", (row.definition, case.index), case)
             if case.message and not any(other.message for other in row.cases.values()):
                 options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
             row.cases[case.index] = case
