@@ -495,9 +495,8 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
         if near.size == 0 or abs(onward[at]) > 1.5 * float(near.max()) + 1e-3 * turn:
             return position
     repairs[f"turn of the {name} put on ({turn:.6g})"] += int(jumps.sum())
-    added = np.concatenate([[0.0], np.cumsum(-np.sign(steps) * jumps)])
     whole: FloatArray = position.copy()
-    whole[there] += added * turn * abs(unit) * np.sign(unit)
+    whole[there] += unit * turn * np.concatenate([[0.0], np.cumsum(-np.sign(steps) * jumps)])
     return whole
 
 
