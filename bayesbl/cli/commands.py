@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import os
-import shlex
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -46,112 +45,93 @@ _PARSERS: Mapping[Any, Callable[[str], Any]] = {
 }
 """By an option's unit, or else its type."""
 
-OPTIONS: Mapping[str, tuple[Any, str, str]] = {
-    "config": (Path, "FILE", "Configuration; options override it."),
-    "out": (
-        Path,
-        "FOLDER",
-        "Output folder. [default: results/NAME, or results/COMMAND_NAME]",
-    ),
-    "seed": (int, "N", "Seed of all random numbers. [default: 1]"),
-    "workers": (
-        int,
-        "N",
-        "Largest number of processes; results do not depend on it. [default: all cores]",
-    ),
-    "scheduler": (
-        str,
-        "ADDRESS",
-        "Run a study or a fleet on the Dask cluster of this scheduler, e.g. tcp://host:8786.",
-    ),
-    "force": (bool, "", "Replace a finished result, or start over."),
-    "json": (bool, "", "Print the summary as JSON, nothing else."),
-    "curve": (
-        str,
-        "published|RESULT",
-        "Gap curve: the result of a sweep, its folder or result.nc; or the paper's, by name. "
-        "[default: swept from the bench; none without one]",
-    ),
-    "bench": (
-        Path,
-        "FILE|RESULT",
-        "Bench of the joint, its file or a result of identify: simulated, and swept for curves.",
-    ),
-    "route": (
-        str,
-        "auto|amplitude|direct|torque_ramp|two_encoders",
-        "By simulations of the bench (direct), by the ringing's amplitude and a curve, or both; "
-        "by ramps of torque with the output held; or by encoders of motor and load. [default: auto "
-        "with a bench]",
-    ),
-    "start_from": (
-        Path,
-        "RESULT",
-        "Earlier result of this joint: the search starts from its optimum.",
-    ),
-    "check_sampler": (bool, "", "Sample again with a nested sampler, and report differences."),
-    "limit": (
-        str,
-        "LIMIT",
-        'Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at 0.4 m", '
-        '"1 arcmin lost_motion at 3 %" (of the rated torque).',
-    ),
-    "limit_rad": (
-        float,
-        "RAD",
-        "Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ is half the total "
-        "play.",
-    ),
-    "before": (
-        date,
-        "DATE",
-        "Also report the probability that the gap passes its limit before this date.",
-    ),
-    "dates": (
-        list[date],
-        "DATE",
-        "When a recording was taken; once per recording, in the same order.",
-    ),
-    "gear_ratio": (float, "N", "Motor turns per turn of the load."),
-    "level": (float, "P", "Level of the credible intervals. [default: 0.9]"),
-    "range_rad": (
-        tuple[float, float],
-        "LOW HIGH",
-        "Load angles that a planned motion may reach, in rad; 0 hangs straight down. "
-        "[default: -0.5 0.5]",
-    ),
-    "speed_rpm": (float, "RPM", "Largest speed of the motor. [default: 1500]"),
-    "acceleration_rpm_per_s": (
-        float,
-        "RPM/S",
-        "Largest acceleration of the motor. [default: 6000]",
-    ),
-    "duration_s": (float, "S", "Length of the recording. [default: 20]"),
-    "gap_rad": (float, "RAD", "Gap that the plan is calculated for. [default: 0.0008]"),
+_TYPES: Mapping[str, Any] = {
+    "path": Path,
+    "text": str,
+    "flag": bool,
+    "whole": int,
+    "number": float,
+    "pair": tuple[float, float],
+    "date": date,
+    "dates": list[date],
 }
-"""Options that commands share, as ``config.loading.OPTIONS`` names them: type, unit, help."""
+
+_OPTIONS = """
+config | path | FILE | Configuration; options override it.
+out | path | FOLDER | Output folder. [default: results/NAME, or results/COMMAND_NAME]
+seed | whole | N | Seed of all random numbers. [default: 1]
+workers | whole | N | Largest number of processes; results do not depend on it. [default: all
+    cores]
+scheduler | text | ADDRESS | Run a study or a fleet on the Dask cluster of this scheduler, e.g.
+    tcp://host:8786.
+force | flag | - | Replace a finished result, or start over.
+json | flag | - | Print the summary as JSON, nothing else.
+curve | text | published|RESULT | Gap curve: the result of a sweep, its folder or result.nc; or
+    the paper's, by name. [default: swept from the bench; none without one]
+bench | path | FILE|RESULT | Bench of the joint, its file or a result of identify: simulated,
+    and swept for curves.
+route | text | auto|amplitude|direct|torque_ramp|two_encoders | By simulations of the bench
+    (direct), by the ringing's amplitude and a curve, or both; by ramps of torque with the
+    output held; or by encoders of motor and load. [default: auto with a bench]
+start_from | path | RESULT | Earlier result of this joint: the search starts from its optimum.
+check_sampler | flag | - | Sample again with a nested sampler, and report differences.
+limit | text | LIMIT | Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at
+    0.4 m", "1 arcmin lost_motion at 3 %" (of the rated torque).
+limit_rad | number | RAD | Repair limit for the gap δ, in rad at the load (1.2e-3 = 1.2 mrad); δ
+    is half the total play.
+before | date | DATE | Also report the probability that the gap passes its limit before this
+    date.
+dates | dates | DATE | When a recording was taken; once per recording, in the same order.
+gear_ratio | number | N | Motor turns per turn of the load.
+level | number | P | Level of the credible intervals. [default: 0.9]
+range_rad | pair | LOW HIGH | Load angles that a planned motion may reach, in rad; 0 hangs
+    straight down. [default: -0.5 0.5]
+speed_rpm | number | RPM | Largest speed of the motor. [default: 1500]
+acceleration_rpm_per_s | number | RPM/S | Largest acceleration of the motor. [default: 6000]
+duration_s | number | S | Length of the recording. [default: 20]
+gap_rad | number | RAD | Gap that the plan is calculated for. [default: 0.0008]
+init.bench | flag | - | Write a joint's data sheet to fill in, joint.toml, instead.
+init.out | path | FILE | The file to write. [default: RECORDING.toml]
+init.joint | text | NAME | Which one, where a file holds several.
+init.force | flag | - | Replace the file.
+watch.out | path | FOLDER | Folder of recordings.parquet. [default: [run] output + _watched]
+watch.publish | text | URL | Send each answer to a broker too: mqtts://broker/topic.
+credentials | path | FILE | user, password and ca for the broker, in TOML that nobody else can
+    read.
+watch.once | flag | - | Stop when every recording is measured and sent.
+watch.settled_s | number | S | A file is complete when it has not changed for so long.
+    [default: 5]
+collect.once | flag | - | Stop when nothing arrives for 5 s.
+identify.bench | path | FILE | Data sheet of the joint: a bench file with tolerances (`bayesbl
+    init --bench`).
+identify.effects | text | catalogue|NAME,NAME | Effects that the data sheet lacks: found where
+    recordings show any, or free by name.
+diagnose.bench | path | FILE|RESULT | The bench that should describe them: its file, or a result
+    of identify.
+figures.study | path | FILE | Run this study file to draw its figure.
+"""
+"""Options as parameters have them, some of one command alone: type, unit and help, which goes on in
+lines that are indented."""
+
+_ROWS = _OPTIONS.strip().replace("\n    ", " ").splitlines()
+OPTIONS = {name: row for name, *row in (line.split(" | ") for line in _ROWS)}
 
 
-def _option(name: str, metavar: str, what: str, parser: Callable[[str], Any] | None = None) -> Any:
-    """An option with a value; ``what`` is its help."""
-    return typer.Option(name, metavar=metavar, help=what, parser=parser)
-
-
-def _parameter(name: str) -> inspect.Parameter:
-    kind, unit, what = OPTIONS[name]
+def _parameter(name: str, command: str) -> inspect.Parameter:
+    of, unit, what = OPTIONS.get(f"{command}.{name}") or OPTIONS[name]
+    kind = _TYPES[of]
     flag = "--date" if name == "dates" else "--" + name.replace("_", "-")
-    is_flag = kind is bool
+    parser = _PARSERS.get(unit) or _PARSERS.get(kind)
     option = (
         typer.Option(flag, help=what)
-        if is_flag
-        else _option(flag, unit, what, _PARSERS.get(unit) or _PARSERS.get(kind))
+        if kind is bool
+        else typer.Option(flag, metavar=unit, help=what, parser=parser)
     )
-    of_type: Any = bool if is_flag else kind | None
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
-        default=False if is_flag else None,
-        annotation=Annotated[of_type, option],
+        default=False if kind is bool else None,
+        annotation=Annotated[kind if kind is bool else kind | None, option],
     )
 
 
@@ -160,7 +140,8 @@ def _takes(options: str) -> Callable[[Callable[..., None]], Callable[..., None]]
 
     def with_options(command: Callable[..., None]) -> Callable[..., None]:
         *own, _ = inspect.signature(command, eval_str=True).parameters.values()
-        parameters = [*own, *map(_parameter, options.split())]
+        name = command.__name__.removesuffix("_command")
+        parameters = [*own, *(_parameter(option, name) for option in options.split())]
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {p.name: p.annotation for p in parameters}
         return command
@@ -177,17 +158,6 @@ ResultPath = Annotated[
 @_takes("out seed workers scheduler before force json")
 def run_command(config: ConfigPath, **given: Any) -> None:
     """Run a configuration, whatever its kind."""
-    from bayesbl.runs.kinds import kind_of
-
-    kind = kind_of(config)
-    if given["scheduler"] is not None and kind not in ("study", "fleet", ""):
-        raise ConfigError(
-            "Only studies and fleets run on a cluster.",
-            file=config,
-            where="--scheduler",
-            found=f'kind = "{kind}"',
-            expected='kind = "study" or "fleet"',
-        )
     run_file(config, **given)
 
 
@@ -209,30 +179,17 @@ def check_command(config: ConfigPath) -> None:
     say("Ready to run.")
 
 
+@_takes("bench out joint force")
 def init_command(
     recordings: Annotated[
         list[Path] | None,
-        typer.Argument(
-            metavar="RECORDING",
-            help="One to fit, several to compare.",
-        ),
+        typer.Argument(metavar="RECORDING", help="One to fit, several to compare."),
     ] = None,
-    bench: Annotated[
-        bool,
-        typer.Option("--bench", help="Write a joint's data sheet to fill in, joint.toml, instead."),
-    ] = False,
-    out: Annotated[
-        Path | None,
-        _option("--out", "FILE", "The file to write. [default: RECORDING.toml]"),
-    ] = None,
-    joint: Annotated[
-        str | None, _option("--joint", "NAME", "Which one, where a file holds several.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    **given: Any,
 ) -> None:
     """Write a first configuration for recordings, or a joint's data sheet to fill in."""
-    if bench:
-        _init_bench(recordings, out, force)
+    if given.pop("bench"):
+        _init_bench(recordings, given["out"], given["force"])
         return
     if not recordings:
         raise ConfigError(
@@ -246,7 +203,7 @@ def init_command(
     from bayesbl.runs.first_configuration import start_config
     from bayesbl.runs.kinds import check
 
-    path, guess = start_config(recordings, out, joint=joint, force=force)
+    path, guess = start_config(recordings, **given)
     print_blocks(guess_blocks(guess), make_console())
     if guess.is_open:
         say(
@@ -316,20 +273,12 @@ def compare_command(
         Path, typer.Argument(metavar="FIRST", help=f"The oldest recording: {FORMATS}.")
     ],
     later: Annotated[
-        list[Path] | None,
+        list[Path],
         typer.Argument(metavar="SECOND", help="Later ones of the same joint, in order."),
-    ] = None,
+    ],
     **given: Any,
 ) -> None:
     """Measure each gap, the change from first to last, and with dates how fast it grows."""
-    if not later:
-        quoted = shlex.quote(str(first))
-        raise ConfigError(
-            "A comparison needs two recordings or more.",
-            where="SECOND",
-            found=f"{first} alone",
-            expected=f"bayesbl compare {quoted} SECOND; for one recording: bayesbl fit {quoted}",
-        )
     _run_options("compare", [first, *later], **given)
 
 
@@ -353,42 +302,15 @@ def _run_options(
 
 _WATCHED = "_watched"
 
-Credentials = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="user, password and ca for the broker, in TOML that nobody else can read.",
-    ),
-]
 
-
+@_takes("out publish credentials once settled_s")
 def watch_command(
     folder: Annotated[
         Path,
         typer.Argument(metavar="FOLDER", help="Where recordings appear, named by the pattern."),
     ],
     config: Annotated[Path, typer.Option(metavar="CONFIG", help="Configuration of the fleet.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder of recordings.parquet. [default: [run] output + _watched]",
-        ),
-    ] = None,
-    publish: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="Send each answer to a broker too: mqtts://broker/topic."),
-    ] = None,
-    credentials: Credentials = None,
-    once: Annotated[
-        bool, typer.Option("--once", help="Stop when every recording is measured and sent.")
-    ] = False,
-    settled_s: Annotated[
-        float,
-        typer.Option(
-            metavar="S", min=0.0, help="A file is complete when it has not changed for so long."
-        ),
-    ] = 5.0,
+    **given: Any,
 ) -> None:
     """Measure recordings as they appear, on a device at the robot."""
     from bayesbl.libraries import bare
@@ -398,10 +320,10 @@ def watch_command(
         from bayesbl.fleet.broker import read_address, read_credentials
         from bayesbl.fleet.plant_tables import RECORDINGS_FILE
         from bayesbl.runs.kinds import load_run
-        from bayesbl.runs.watch import Watched, watch
+        from bayesbl.runs.watch import SETTLED_S, Watched, watch
 
-        address = None if publish is None else read_address(publish)
-        if address is None and credentials is not None:
+        address = None if given["publish"] is None else read_address(given["publish"])
+        if address is None and given["credentials"] is not None:
             raise ConfigError(
                 "Credentials are for a broker.", where="--credentials", expected="--publish URL too"
             )
@@ -410,11 +332,11 @@ def watch_command(
         output = found.run.output
         asked = Watched(
             folder,
-            out or output.with_name(output.name + _WATCHED),
+            given["out"] or output.with_name(output.name + _WATCHED),
             address,
-            read_credentials(credentials),
-            once,
-            settled_s,
+            read_credentials(given["credentials"]),
+            given["once"],
+            SETTLED_S if given["settled_s"] is None else given["settled_s"],
         )
         _log(None if address is None else address.open_to_others)
         table = asked.output / RECORDINGS_FILE
@@ -423,15 +345,13 @@ def watch_command(
             watch(found, asked, _log, _tell)
 
 
+@_takes("credentials once")
 def collect_command(
     url: Annotated[
         str, typer.Argument(metavar="URL", help="mqtts://broker/topic; those below it count too.")
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Of recordings.parquet.")],
-    credentials: Credentials = None,
-    once: Annotated[
-        bool, typer.Option("--once", help="Stop when nothing arrives for 5 s.")
-    ] = False,
+    **given: Any,
 ) -> None:
     """Collect what devices publish into one recordings.parquet."""
     from bayesbl.fleet.broker import read_address, read_credentials
@@ -440,7 +360,8 @@ def collect_command(
     address = read_address(url)
     _log(address.open_to_others)
     with _ended_by_signals():
-        collect(address, read_credentials(credentials), out, _log, _tell, once=once)
+        credentials = read_credentials(given["credentials"])
+        collect(address, credentials, out, _log, _tell, once=given["once"])
 
 
 def _log(text: str | None) -> None:
@@ -514,24 +435,6 @@ def effects_command(
     print_blocks(catalogue(EFFECTS) if name is None else entry(effect_named(name)), make_console())
 
 
-DataSheet = Annotated[
-    Path | None,
-    _option(
-        "--bench",
-        "FILE",
-        "Data sheet of the joint: a bench file with tolerances (`bayesbl init --bench`).",
-    ),
-]
-
-BelievedBench = Annotated[
-    Path | None,
-    typer.Option(
-        "--bench",
-        metavar="FILE|RESULT",
-        help="The bench that should describe them: its file, or a result of identify.",
-    ),
-]
-
 Inputs = Annotated[
     list[Path],
     typer.Argument(
@@ -540,42 +443,32 @@ Inputs = Annotated[
     ),
 ]
 
-Effects = Annotated[
-    str | None,
-    typer.Option(
-        "--effects",
-        metavar="catalogue|NAME,NAME",
-        help="Effects that the data sheet lacks: found where recordings show any, or free by name.",
-    ),
-]
 
-
-@_takes("dates config out seed force json level workers")
-def identify_command(
-    inputs: Inputs, bench: DataSheet = None, effects: Effects = None, **given: Any
-) -> None:
+@_takes("bench effects dates config out seed force json level workers")
+def identify_command(inputs: Inputs, **given: Any) -> None:
     """Find the bench of a joint from its data sheet and recordings, with the gap."""
-    named = effects.split(",") if effects not in (None, "catalogue") else effects
+    if given["effects"] not in (None, "catalogue"):
+        given["effects"] = given["effects"].split(",")
     if _is_configuration(inputs):
         inputs, given["config"], given["dates"] = [], inputs[0], None
-    elif bench is None and given["config"] is None:
+    elif given["bench"] is None and given["config"] is None:
         raise _without_bench("An identification starts from a data sheet.", "datasheet.toml")
-    _run_options("identify", inputs, bench=bench, effects=named, **given)
+    _run_options("identify", inputs, **given)
 
 
-@_takes("config out seed force json level workers")
-def diagnose_command(inputs: Inputs, bench: BelievedBench = None, **given: Any) -> None:
+@_takes("bench config out seed force json level workers")
+def diagnose_command(inputs: Inputs, **given: Any) -> None:
     """Find what a bench lacks that recordings show."""
     config, force, json = (given.pop(name) for name in ("config", "force", "json"))
     if _is_configuration(inputs):
-        run_file(inputs[0], force, json, kind="diagnose", bench=bench, **given)
+        run_file(inputs[0], force, json, kind="diagnose", **given)
         return
-    if bench is None and config is None:
+    if given["bench"] is None and config is None:
         raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
     from bayesbl.presentation.terminal import make_console
     from bayesbl.runs.diagnose import diagnosis_of
 
-    loaded, guess = diagnosis_of(inputs, config, bench=bench, **given)
+    loaded, guess = diagnosis_of(inputs, config, **given)
     console = make_console(stderr=True)
     for choice in guess:
         console.print(f"Guessed: {choice.told}", markup=False, highlight=False)
@@ -595,13 +488,8 @@ def _without_bench(problem: str, example: str) -> ConfigError:
     )
 
 
-def figures_command(
-    result: ResultPath,
-    study: Annotated[
-        Path | None,
-        typer.Option("--study", metavar="FILE", help="Run this study file to draw its figure."),
-    ] = None,
-) -> None:
+@_takes("study")
+def figures_command(result: ResultPath, **given: Any) -> None:
     """Draw the figures of a result again, as PDF and PNG."""
     from bayesbl.library import draw, require_study_file
     from bayesbl.presentation.terminal import say
@@ -609,9 +497,9 @@ def figures_command(
     from bayesbl.runs.kinds import read_result
 
     tree = read_result(result)
-    require_study_file(tree, study, result)
+    require_study_file(tree, given["study"], result)
     folder = (result if os.path.isdir(result) else result.parent) / FIGURES
-    for path in draw(tree, folder, ("pdf", "png"), study):
+    for path in draw(tree, folder, ("pdf", "png"), given["study"]):
         say(str(path))
 
 

@@ -47,11 +47,9 @@ def run_file(
 
 def run_config(config: RunConfig, force: bool, json: bool, file: Path | None = None) -> None:
     """Run, print the answer, and leave with the status of a withheld one if it is."""
-    from bayesbl.config.sections import ClusterRun
     from bayesbl.libraries import bare
 
-    on_cluster = isinstance(config.run, ClusterRun) and config.run.scheduler is not None
-    with bare(dask=on_cluster):
+    with bare(dask=getattr(config.run, "scheduler", None) is not None):
         _run_config(config, force, json, file)
 
 

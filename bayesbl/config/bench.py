@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import tomli_w
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from bayesbl.arguments import File, checked
 from bayesbl.bench.bench import Bench, BenchEffect, BenchParameter, EffectParameterValue
@@ -129,8 +129,7 @@ class _Uncertain(Section):
     tolerance: Tolerance = Field(default=None, ge=0.0)
     relative_tolerance: Tolerance = Field(default=None, ge=0.0, lt=1.0)
 
-    @model_validator(mode="after")
-    def _stated_once(self) -> Self:
+    def require_sound(self) -> None:
         stated = {
             name: value
             for name in ("sd", "tolerance", "relative_tolerance")
@@ -143,7 +142,6 @@ class _Uncertain(Section):
                 found=" and ".join(f"{name} = {value:g}" for name, value in stated.items()),
                 expected="one of them",
             )
-        return self
 
 
 class ParameterEntry(_Uncertain):
@@ -186,8 +184,7 @@ class _NoiseEntry(Section):
     coefficients: Items[float] = ()
     degrees_of_freedom: float | None = Field(default=None, gt=2.0)
 
-    @model_validator(mode="after")
-    def _coefficients_of_ar(self) -> Self:
+    def require_sound(self) -> None:
         with _refusing():
             if self.kind != (kind := kind_of(self.model())):
                 refuse(
@@ -197,7 +194,6 @@ class _NoiseEntry(Section):
                     f"degrees_of_freedom {self.degrees_of_freedom}",
                     expected=f'kind = "{kind}", or other keys',
                 )
-        return self
 
     def model(self) -> NoiseModel:
         """As the bench takes it."""
@@ -230,8 +226,7 @@ class MeasurementSection(Section):
     current_noise: CurrentNoise = CurrentNoise(sd_a=0.0)
     noise_through_controller: bool = False
 
-    @model_validator(mode="after")
-    def _encoder_has_counts(self) -> Self:
+    def require_sound(self) -> None:
         if self.speed_source == "encoder" and self.encoder_counts is None:
             refuse(
                 "A speed from the encoder needs its counts.",
@@ -244,7 +239,6 @@ class MeasurementSection(Section):
                 found=f"speed_filter_s = {self.speed_filter_s:g}",
                 expected='speed_filter_s alone, with the whole time, or speed_source = "encoder"',
             )
-        return self
 
     def measurement(self) -> Measurement:
         """As the bench takes it."""
@@ -377,8 +371,7 @@ class GapSection(Section):
     cosine: Items[EffectValue] = ()
     sine: Items[EffectValue] = ()
 
-    @model_validator(mode="after")
-    def _two_harmonics(self) -> Self:
+    def require_sound(self) -> None:
         for name, entries in (("cosine", self.cosine), ("sine", self.sine)):
             if len(entries) > 2:
                 refuse(
@@ -386,7 +379,6 @@ class GapSection(Section):
                     found=f"{len(entries)} of {name}",
                     expected="one or two",
                 )
-        return self
 
     def effect(self) -> BenchEffect:
         """As the bench takes it."""
@@ -408,21 +400,17 @@ class EffectEntry(Section):
     name: Annotated[str, AfterValidator(effect_name)]
     parameters: dict[str, EffectValue]
 
-    @model_validator(mode="after")
-    def _parameters_of_effect(self) -> Self:
+    def require_sound(self) -> None:
         with _refusing():
             effect_named(self.name).complete(dict.fromkeys(self.parameters, 0.0))
-        return self
 
 
 class _LearnedSection(Section):
     """A term of no known law; what makes no sense is refused as the term itself refuses it."""
 
-    @model_validator(mode="after")
-    def _makes_sense(self) -> Self:
+    def require_sound(self) -> None:
         with _refusing():
             self.learned()
-        return self
 
     def learned(self) -> LearnedTerm:
         """As the bench takes it."""
@@ -494,8 +482,7 @@ class BenchFile(Section):
                 )
         return parameters
 
-    @model_validator(mode="after")
-    def _effects_are_stated_once(self) -> Self:
+    def require_sound(self) -> None:
         tables = ("belt", self.belt), ("arm", self.arm), ("base", self.base)
         others = ("gap_variation", self.gap), (AVERAGING.name, self.measurement.speed_filter_s)
         stated = [effect.name for effect in self.effects]
@@ -505,7 +492,6 @@ class BenchFile(Section):
             "An effect is stated twice, under [[effects]], in a table of its own or as "
             "speed_filter_s.",
         )
-        return self
 
     def _effects(self, values: Mapping[str, float]) -> Iterator[BenchEffect]:
         """As the bench takes them; ``values``: its parameters."""

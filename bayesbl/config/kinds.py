@@ -7,16 +7,9 @@ import re
 from collections.abc import Callable, Mapping
 from datetime import date as Date
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
 from bayesbl.config.measurement import (
     CompareConfig,
@@ -146,8 +139,7 @@ class SimulatedRecording(Section):
     motor_start_angle_rad: float | None = None
     motion: MotionSection | None = None
 
-    @model_validator(mode="after")
-    def _either_turns_or_moves(self) -> Self:
+    def require_sound(self) -> None:
         steady = {"rotations", "reference_speed_rpm", "start_angle_rad"} & self.model_fields_set
         if self.motion is not None and steady:
             refuse(
@@ -155,7 +147,6 @@ class SimulatedRecording(Section):
                 found=f"motion and {', '.join(sorted(steady))}",
                 expected="motion alone, or steady rotation without it",
             )
-        return self
 
 
 class SimulateRun(Section):
@@ -232,8 +223,7 @@ class FleetSection(Section):
     covariates: Items[str] = ()
     decide_before: Date | None = None
 
-    @model_validator(mode="after")
-    def _covariates_of_a_type(self) -> Self:
+    def require_sound(self) -> None:
         if self.covariates and self.pool_by is None:
             refuse(
                 "What rates depend on is learned from joints of one type.",
@@ -242,7 +232,6 @@ class FleetSection(Section):
                 at=("covariates",),
             )
         require_different(self.covariates, "Two covariates are the same.")
-        return self
 
     @property
     def is_pattern(self) -> bool:
@@ -274,8 +263,7 @@ class FleetConfig(RecordedConfig):
     curve: Curve = Field(default_factory=Curve)
     wear: WearOverDates = Field(default_factory=WearOverDates)
 
-    @model_validator(mode="after")
-    def _of_joints_stands_in_the_inventory(self) -> Self:
+    def require_sound(self) -> None:
         for found, what, at in (
             (self.curve.source, "A curve", ("curve", "source")),
             (self.wear.in_service_since, "in_service_since", ("wear", "in_service_since")),
@@ -287,7 +275,6 @@ class FleetConfig(RecordedConfig):
                     expected=f"a column {at[-1].replace('source', 'curve')} of the inventory",
                     at=at,
                 )
-        return self
 
 
 Method = Literal["forward", "inverse", "free_motion"]
@@ -392,8 +379,7 @@ class DiagnoseConfig(RecordedConfig):
     candidates: Candidates = Field(default_factory=Candidates)
     interval: Interval = Field(default_factory=Interval)
 
-    @model_validator(mode="after")
-    def _something_held_out(self) -> Self:
+    def require_sound(self) -> None:
         uses = {recording.use for recording in self.recordings}
         if "split" not in uses and uses != {"fit", "hold_out"}:
             missing = "held out" if "fit" in uses else "to fit on"
@@ -404,7 +390,6 @@ class DiagnoseConfig(RecordedConfig):
                 or "no recordings",
                 expected='use = "hold_out" for one recording, or "split"',
             )
-        return self
 
 
 class GapRange(Section):
@@ -415,15 +400,13 @@ class GapRange(Section):
     count: int = Field(default=40, ge=6, le=1000)
     spacing: Literal["log", "linear"] = "log"
 
-    @model_validator(mode="after")
-    def _not_empty(self) -> Self:
+    def require_sound(self) -> None:
         if not self.low < self.high:
             refuse(
                 "The range of gaps is empty.",
                 found=f"low = {self.low:g}, high = {self.high:g}",
                 expected="low < high",
             )
-        return self
 
 
 class Sweep(Section):
@@ -567,8 +550,7 @@ class IdentifyConfig(RecordedConfig):
         """Whether all recordings are of one date, or of none."""
         return len({entry.date for entry in self.recordings}) == 1
 
-    @model_validator(mode="after")
-    def _something_to_fit_and_to_hold_out(self) -> Self:
+    def require_sound(self) -> None:
         if all(recording.use == "hold_out" for recording in self.recordings):
             refuse(
                 "There is no recording to identify the bench from.",
@@ -582,7 +564,6 @@ class IdentifyConfig(RecordedConfig):
                 found=f"{', '.join(held)} held out, and dates that differ",
                 expected='one date for all recordings, or use = "fit"',
             )
-        return self
 
 
 KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from datetime import date as Date
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -76,15 +76,13 @@ class Limit(Section):
         }
         return {key: value for key, value in given.items() if value is not None}
 
-    @model_validator(mode="after")
-    def _goes_together(self) -> Self:
+    def require_sound(self) -> None:
         if (self.unit == "mm") != (self.at_m is not None):
             found = "no radius" if self.at_m is None else f"a radius with {self.unit}"
             refuse("A limit in mm, and no other, has a radius.", found=found, expected=EXAMPLES)
         if (self.of == "lost_motion") != (self.at_torque_share is not None):
             found = "no torque" if self.at_torque_share is None else f"a torque with {self.of}"
             refuse("Lost motion, and nothing else, has a torque.", found=found, expected=EXAMPLES)
-        return self
 
     def __str__(self) -> str:
         radius = "" if self.at_m is None else f" at {self.at_m!r} m"
@@ -195,8 +193,7 @@ class Joint(Section):
     decide_before: Date | None = None
     drift: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
 
-    @model_validator(mode="after")
-    def _date_of_a_limit(self) -> Self:
+    def require_sound(self) -> None:
         if self.limit is not None and self.limit_rad is not None:
             refuse(
                 "There are two limits.",
@@ -211,7 +208,6 @@ class Joint(Section):
                 expected="limit_rad beside it, e.g. limit_rad = 1.2e-3 (--limit-rad 1.2e-3)",
                 at=("decide_before",),
             )
-        return self
 
 
 class Search(Section):
@@ -223,15 +219,13 @@ class Search(Section):
     method: Literal["guess", "paper"] = "guess"
     start_from: ResultFile | None = None
 
-    @model_validator(mode="after")
-    def _one_start(self) -> Self:
+    def require_sound(self) -> None:
         if self.method != "guess" and self.start_from is not None:
             refuse(
                 "A search of all of Table 2's ranges does not start from an earlier result.",
                 found=f'method = "{self.method}" with start_from = "{self.start_from}"',
                 expected='method = "guess", or no start_from',
             )
-        return self
 
 
 class Noise(Section):
@@ -240,19 +234,17 @@ class Noise(Section):
     kind: Literal["auto", "white", "ar", "student_t"] = "auto"
     order: int | None = Field(default=None, ge=1, le=15)
 
-    @model_validator(mode="after")
-    def _order_of_ar(self) -> Self:
+    def require_sound(self) -> None:
         if self.order is not None and self.kind != "ar":
             refuse(
                 "An order belongs to autoregressive noise.",
                 found=f'order = {self.order} with kind = "{self.kind}"',
                 expected='kind = "ar", or no order',
             )
-        return self
 
 
-WITHOUT_BENCH = {"torque_ramp": "Ramps of torque", "two_encoders": "Two encoders"}
-"""Routes that read nothing but recordings, and what they read."""
+WITHOUT_BENCH = ("torque_ramp", "two_encoders")
+"""Routes that read nothing but recordings."""
 
 
 class Estimator(Section):
@@ -280,8 +272,7 @@ class Estimator(Section):
             return {"route": "auto", **value}
         return value
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def require_sound(self) -> None:
         if self.route not in ("amplitude", *WITHOUT_BENCH) and self.bench is None:
             refuse(
                 "This route needs a bench.",
@@ -296,7 +287,6 @@ class Estimator(Section):
                 f"{self.model.baseline_harmonics} harmonics",
                 expected="baseline_harmonics = 0 in [estimator.model]",
             )
-        return self
 
 
 class Posterior(Section):
@@ -361,50 +351,36 @@ class SnapshotConfig(RecordedConfig):
         """The entry of this name."""
         return next(entry for entry in self.recordings if entry.name == recording)
 
-    @model_validator(mode="after")
-    def _has_a_use(self) -> Self:
+    def require_sound(self) -> None:
         """What the route, or what it reads δ from, has no use for is refused, not ignored."""
         route, by_bench = self.estimator.route, self.estimator.bench is not None
-        by_amplitude, what = route == "amplitude", WITHOUT_BENCH.get(route, "")
-        curve, ramps = self.curve.source is not None, route == "torque_ramp"
-
-        def unused(is_there: object, problem: str, *at: str | int) -> None:
-            if is_there:
-                there = f'{at[-1]} with route = "{route}"' + ("" if by_bench else " and no bench")
-                refuse(problem, found=there, expected=f"no {at[-1]}, or another route", at=at)
-
-        unused(what and by_bench, f"{what} are read without a bench.", "estimator", "bench")
-        unused(what and curve, f"{what} are read without a gap curve.", "curve", "source")
-        unused(
-            not by_amplitude and self.estimator.search.start_from,
-            "This route has no search, and cannot start from an earlier result.",
-            *("estimator", "search", "start_from"),
-        )
-        unused(
-            not by_amplitude and self.posterior.check_sampler,
-            "The second sampler samples the amplitude route's posterior only.",
-            *("posterior", "check_sampler"),
-        )
+        by_amplitude, by_curve = route == "amplitude", self.curve.source is not None
+        alone = route in WITHOUT_BENCH
+        unused: dict[tuple[str | int, ...], object] = {
+            ("estimator", "bench"): alone and by_bench,
+            ("curve", "source"): alone and by_curve,
+            ("estimator", "search", "start_from"): not by_amplitude
+            and self.estimator.search.start_from,
+            ("posterior", "check_sampler"): not by_amplitude and self.posterior.check_sampler,
+        }
         for n, recording in enumerate(self.recordings):
-            several, speed = len(recording.every_file) > 1, recording.reference_speed_rpm
-            at = ("recordings", n)
-            unused(
-                several and not ramps,
-                "A snapshot of several files is one of torque ramps.",
-                *at,
-                "files",
-            )
-            unused(
-                what and speed is not None,
-                f"{what} have no reference speed.",
-                *(*at, "reference_speed_rpm"),
-            )
-            unused(
-                recording.bench and (not by_bench or (by_amplitude and curve)),
-                "Nothing here is read from a bench, so its values cannot be changed.",
-                *(*at, "bench"),
-            )
-        return self
+            by_value = by_bench and not (by_amplitude and by_curve)
+            unused |= {
+                ("recordings", n, "files"): len(recording.every_file) > 1
+                and route != "torque_ramp",
+                ("recordings", n, "reference_speed_rpm"): alone
+                and recording.reference_speed_rpm is not None,
+                ("recordings", n, "bench"): recording.bench and not by_value,
+            }
+        for at, is_given in unused.items():
+            if is_given:
+                without = "" if by_bench else " and without a bench"
+                refuse(
+                    f'This has no use with route = "{route}"{without}.',
+                    found=at[-1],
+                    expected=f"no {at[-1]}, or another route",
+                    at=at,
+                )
 
 
 class FitConfig(SnapshotConfig):
@@ -415,8 +391,8 @@ class FitConfig(SnapshotConfig):
 
     kind: Literal["fit"]
 
-    @model_validator(mode="after")
-    def _decides_nothing(self) -> Self:
+    def require_sound(self) -> None:
+        super().require_sound()
         if self.joint.decide_before is not None:
             refuse(
                 "One recording gives no rate of wear, so it says nothing about a later date.",
@@ -424,7 +400,6 @@ class FitConfig(SnapshotConfig):
                 expected='kind = "compare" with two dated recordings or more',
                 at=("joint", "decide_before"),
             )
-        return self
 
 
 class CompareConfig(SnapshotConfig):
@@ -462,32 +437,27 @@ class CompareConfig(SnapshotConfig):
         order = sorted(range(len(dates)), key=dates.__getitem__)
         return tuple(recordings[number] for number in order)
 
-    @model_validator(mode="after")
-    def _what_needs_dates(self) -> Self:
+    def require_sound(self) -> None:
+        super().require_sound()
         before, start, dates = self.joint.decide_before, self.wear.in_service_since, self.dates
-        repairs = [recording for recording in self.recordings if recording.repaired]
+        repairs = [n for n, recording in enumerate(self.recordings) if recording.repaired]
         if dates is None:
-            marked = ", ".join(f'"{recording.name}"' for recording in repairs)
-            for asked, problem, found, at in (
-                (repairs, "A rate of wear since a repair needs dates.", marked, ("recordings",)),
-                (self.wear != WearOverDates(), "[wear] needs dated recordings.", "", ("wear",)),
-                (
-                    before,
-                    "A decision date needs dated recordings.",
-                    f"decide_before = {before}",
-                    ("joint", "decide_before"),
-                ),
-            ):
+            undated: tuple[tuple[object, str, tuple[str | int, ...]], ...] = (
+                (repairs, "A rate of wear since a repair", ("recordings", *repairs[:1])),
+                (self.wear != WearOverDates(), "[wear]", ("wear",)),
+                (before, "A decision date", ("joint", "decide_before")),
+            )
+            for asked, what, at in undated:
                 if asked:
                     refuse(
-                        problem,
-                        found=f"{found} and no dates".removeprefix(" and "),
+                        f"{what} needs dated recordings.",
+                        found="no dates",
                         expected="date = 2026-03-01 in every [[recordings]], or --date for each",
                         at=at,
                     )
-            return self
-        first = repairs[-1].date if repairs else dates[0]
-        if start is not None and first is not None and start > first:
+            return
+        first = dates[repairs[-1]] if repairs else dates[0]
+        if start is not None and start > first:
             refuse(
                 "The joint cannot have begun to work after its first recording.",
                 found=f"in_service_since = {start}, first recording {first}",
@@ -501,7 +471,6 @@ class CompareConfig(SnapshotConfig):
                 expected="a later date",
                 at=("joint", "decide_before"),
             )
-        return self
 
 
 def _dates(recordings: tuple[SnapshotRecording, ...]) -> tuple[Date, ...] | None:

@@ -2,8 +2,8 @@
 
 Defaults are in these models and nowhere else. Paths are resolved against the folder that the
 validation context names, and must exist. A new kind is a model with an entry in ``kinds.KINDS``,
-and one in ``bayesbl/runs`` with an entry in ``runs.kinds``. Only pydantic is imported, so that
-``bayesbl check`` answers at once.
+and a module of its name in ``bayesbl/runs``. Only pydantic is imported, so that ``bayesbl check``
+answers at once.
 """
 
 from __future__ import annotations
@@ -234,6 +234,14 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
+    def require_sound(self) -> None:
+        """Refuse values that do not go together."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        self.require_sound()
+        return self
+
 
 _POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATION, ROTATION})
 
@@ -317,8 +325,7 @@ class SnapshotRecording(Section):
             return {"name": name_of(stem_of(Path(value["file"]))), **value}
         return value
 
-    @model_validator(mode="after")
-    def _file_is_the_first(self) -> Self:
+    def require_sound(self) -> None:
         if self.files is not None and self.file != self.files[0]:
             refuse(
                 "A snapshot has either one file or a list of files.",
@@ -328,7 +335,6 @@ class SnapshotRecording(Section):
             )
         if self.files is not None:
             require_different([str(file) for file in self.files], "A file is named twice.")
-        return self
 
     @property
     def every_file(self) -> tuple[Path, ...]:
@@ -407,8 +413,7 @@ class Model(Section):
             )
         return fixed
 
-    @model_validator(mode="after")
-    def _fixed_or_ranged(self) -> Self:
+    def require_sound(self) -> None:
         both = [name for name in SYMBOLS if name in self.fixed and name in self.ranges]
         if both:
             refuse(
@@ -416,7 +421,6 @@ class Model(Section):
                 found=f"{', '.join(both)} in fixed and in ranges",
                 expected="each symbol in one of the two",
             )
-        return self
 
 
 class Interval(Section):

@@ -16,14 +16,17 @@ import tomllib
 import uuid
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
+from pydantic import Field, ValidationError
+
+from bayesbl.config.loading import problems_of
+from bayesbl.config.sections import BASE_DIRECTORY, InputPath, Section
 from bayesbl.errors import BrokerError, ConfigError
 from bayesbl.fleet.message import encoded_answer
-from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.atomic import replacing
 
@@ -67,13 +70,12 @@ class Address:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Credentials:
+class Credentials(Section):
     """User and password, and the file of the authority that signed the broker's certificate."""
 
     user: str | None = None
-    password: str | None = field(default=None, repr=False)
-    ca: Path | None = None
+    password: str | None = Field(default=None, repr=False)
+    ca: InputPath | None = None
 
 
 def read_address(url: str) -> Address:
@@ -135,22 +137,11 @@ def read_credentials(file: Path | None) -> Credentials:
             found=f"permissions {stat.S_IMODE(mode):o}",
             expected=f"600: chmod 600 {file}",
         )
-    keys = {"user", "password", "ca"}
-    for key, value in content.items():
-        if key not in keys or not isinstance(value, str):
-            raise ConfigError(
-                "This is not one of the credentials." + did_you_mean(key, keys),
-                file=file,
-                where=key,
-                expected=expected,
-            )
-    ca = content.get("ca")
-    path = None if ca is None else Path(os.path.normpath(file.parent / os.path.expanduser(ca)))
-    if path is not None and not path.is_file():
-        raise ConfigError(
-            "There is no such file.", file=file, where="ca", found=path, expected="a certificate"
-        )
-    return Credentials(content.get("user"), content.get("password"), path)
+    try:
+        return Credentials.model_validate(content, context={BASE_DIRECTORY: file.parent})
+    except ValidationError as error:
+        first, *_ = problems_of(error, Credentials)
+        raise ConfigError(first.problem, file=file, where=first.where, expected=expected) from None
 
 
 def stays_known_by(folder: Path) -> str:

@@ -132,6 +132,8 @@ class Found:
         Path.
     reason
         Why it cannot be one.
+    sha256
+        Of its bytes; ``None`` before they were read, or where they cannot be.
     """
 
     joint: str
@@ -139,6 +141,19 @@ class Found:
     file: str
     reference_speed_rpm: float | None = None
     reason: str | None = None
+    sha256: str | None = None
+
+    @property
+    def identity(self) -> dict[str, str | None]:
+        """Which recording a row of a table is of."""
+        return {"joint": self.joint, "date": self.date, "file": self.file, "sha256": self.sha256}
+
+    def read(self) -> Found:
+        """With the digest of its file, or why that cannot be read."""
+        if self.reason is not None:
+            return self
+        sha256, problem = digest_of_file(self.file)
+        return replace(self, sha256=sha256, reason=problem)
 
 
 def read_joints(section: FleetSection) -> list[Joint]:
@@ -244,14 +259,6 @@ def digest_of_file(file: str) -> tuple[str | None, str | None]:
     except (OSError, ValueError) as error:
         told = getattr(error, "strerror", None) or str(error)
         return None, f"The file cannot be read: {told}."
-
-
-def file_of_another(joint: str, date: str) -> str:
-    """Why a recording is not used whose file is there for another joint too."""
-    return (
-        f"Its file is to the last byte that of joint {joint}, {date}, so it counts for neither. "
-        "Was a file copied by mistake?"
-    )
 
 
 def _by_pattern(section: FleetSection) -> Iterator[Found]:

@@ -1,9 +1,9 @@
 """One joint measured: each recording by itself, then its wear from gaps that are paired.
 
-A recording is measured as ``bayesbl fit`` measures it. By the amplitude, its search starts from the
-optimum of the recording before it, and the change is that of ``bayesbl compare``, which takes the
-finished fits from where they are kept. By the direct route gaps are paired through the bench that
-they share (:mod:`bayesbl.fleet.shared_bench`), so that a new recording is matched alone.
+A recording is measured as ``bayesbl fit`` measures it. By the amplitude, the change is that of
+``bayesbl compare``, which takes the finished fits from where they are kept. By the direct route
+gaps are paired through the bench that they share (:mod:`bayesbl.fleet.shared_bench`), so that a new
+recording is matched alone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import xarray as xr
 from pydantic import ValidationError
 
 from bayesbl.bench.bench import Bench
-from bayesbl.config.kinds import KINDS
+from bayesbl.config.kinds import KINDS, FleetConfig
 from bayesbl.config.loading import problems_of
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.config.sections import BASE_DIRECTORY, PUBLISHED
@@ -28,7 +28,6 @@ from bayesbl.errors import UnavailableError, UserError
 from bayesbl.fleet.inventory import FileState, Found, Joint, digest_of_file, file_state
 from bayesbl.fleet.shared_bench import MatchedAlone, as_normal, other_benches, paired_gaps
 from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknowns
-from bayesbl.measurement.amplitude_route import optima_of
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason, Seeds
 from bayesbl.measurement.routes import measure
@@ -36,8 +35,8 @@ from bayesbl.measurement.stored import stored_answers, summary_of
 from bayesbl.measurement.wear import wear_of, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
+from bayesbl.results.provenance import file_sha256
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.optimum import EarlierOptimum
 from bayesbl.sentences import sentence, with_sentences
 
 REFUSED, FAILED = "refused", "failed"
@@ -61,8 +60,6 @@ class RecordingAnswer:
         (unknown, draw), paired with ``gap_rad``; ``None`` by the amplitude.
     amplitude_rpm
         Median, low and high.
-    optimum
-        Symbols and RMSE, by the amplitude.
     lasting
         Whether content and code alone decide it, so that it is the same whenever it is asked.
     """
@@ -75,7 +72,6 @@ class RecordingAnswer:
     gap_rad: FloatArray | None = None
     bench: FloatArray | None = None
     amplitude_rpm: tuple[float, float, float] | None = None
-    optimum: Mapping[str, float] | None = None
     lasting: bool = True
 
     @property
@@ -126,27 +122,31 @@ class JointJob:
 
     Attributes
     ----------
-    sha256
-        Of each recording's file.
     of_bench, of_curve
         SHA-256 of the files that the joint names.
-    settings
-        Sections of the configuration that all joints share.
-    output
-        Of the run, beside which swept benches and finished fits are kept.
     known
         Answers that are kept from an earlier run, by number of the recording.
     """
 
+    fleet: FleetConfig
     joint: Joint
     recordings: tuple[Found, ...]
-    sha256: tuple[str, ...]
     of_bench: str | None
     of_curve: str | None
-    settings: Mapping[str, Any]
-    seed: int
-    output: str
     known: Mapping[int, RecordingAnswer] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, fleet: FleetConfig, joint: Joint, recordings: Sequence[Found]) -> JointJob:
+        """The job of a joint from its recordings, which have their digests."""
+        named = (joint.bench, None if joint.curve == PUBLISHED else joint.curve)
+        bench, curve = (None if file is None else file_sha256(file) for file in named)
+        return cls(fleet, joint, tuple(recordings), bench, curve)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Sections of the configuration that all joints share."""
+        shared = {"columns", "estimator", "posterior", "interval", "curve", "wear"}
+        return self.fleet.model_dump(by_alias=True, exclude_none=True, include=shared)
 
     @property
     def in_words(self) -> str:
@@ -160,6 +160,11 @@ class JointJob:
         return [str(file) for file in named if file is not None]
 
     @property
+    def sha256(self) -> tuple[str, ...]:
+        """Of the recordings' files."""
+        return tuple(str(one.sha256) for one in self.recordings)
+
+    @property
     def names(self) -> list[str]:
         """Of the recordings: the date, numbered where there are several of a day."""
         dates = [one.date for one in self.recordings]
@@ -171,7 +176,7 @@ class JointJob:
     @property
     def by_amplitude(self) -> bool:
         """Whether no recording is matched with a bench."""
-        return self.joint.bench is None or self.settings["estimator"]["route"] == "amplitude"
+        return self.joint.bench is None or self.fleet.estimator.route == "amplitude"
 
     def problem(self) -> dict[str, Any]:
         """All that decides the answer: files by their content."""
@@ -179,20 +184,17 @@ class JointJob:
             "in_service_since": self.joint.in_service_since,
             "repaired": self.joint.repaired,
             "recordings": [
-                (one.date, sha, one.reference_speed_rpm)
-                for one, sha in zip(self.recordings, self.sha256, strict=True)
+                (one.date, one.sha256, one.reference_speed_rpm) for one in self.recordings
             ],
             "wear": self.settings["wear"],
         }
 
-    def problem_of(self, number: int, before: RecordingAnswer | None) -> dict[str, Any]:
-        """The same of one recording; ``before``: what was measured before it."""
-        optimum = None if before is None or not self.by_amplitude else before.optimum
+    def problem_of(self, number: int) -> dict[str, Any]:
+        """The same of one recording."""
         return {
             **self._of_all(),
             "recording": (self.names[number], self.sha256[number]),
             "reference_speed_rpm": self.recordings[number].reference_speed_rpm,
-            "earlier": optimum,
         }
 
     def config(self, kind: str, numbers: Sequence[int], route: str | None = None) -> SnapshotConfig:
@@ -203,28 +205,28 @@ class JointJob:
         ConfigError
             In the words of that kind.
         """
-        joint, model = self.joint, KINDS[kind]
-        estimator = dict(self.settings["estimator"])
+        joint, model, settings = self.joint, KINDS[kind], self.settings
+        estimator = settings["estimator"]
         if joint.bench is None:
             estimator |= {"route": "amplitude"}
         else:
             estimator |= {"bench": joint.bench, "route": route or estimator["route"]}
-        curve = dict(self.settings["curve"]) | ({"source": joint.curve} if joint.curve else {})
+        curve = settings["curve"] | ({"source": joint.curve} if joint.curve else {})
         repaired = [
             n for n in numbers if joint.repaired and self.recordings[n].date >= joint.repaired
         ]
         tables: dict[str, Any] = {
             "schema": 1,
             "kind": kind,
-            "run": {"seed": self.seed, "workers": 1, "output": self.output},
+            "run": {"seed": self.fleet.run.seed, "workers": 1, "output": self.fleet.run.output},
             "joint": {"gear_ratio": joint.gear_ratio, "limit_rad": joint.limit_rad},
             "recordings": [self._entry(n, repaired=n in repaired[:1]) for n in numbers],
             "estimator": estimator,
             "curve": curve,
-            **{key: self.settings[key] for key in ("columns", "posterior", "interval")},
+            **{key: settings[key] for key in ("columns", "posterior", "interval")},
         }
         if kind == "compare":
-            tables["wear"] = dict(self.settings["wear"])
+            tables["wear"] = settings["wear"]
             if joint.in_service_since is not None:
                 tables["wear"]["in_service_since"] = Date.fromisoformat(joint.in_service_since)
         try:
@@ -236,11 +238,9 @@ class JointJob:
 
     def seeds(self, numbers: Sequence[int]) -> Seeds:
         """One for each recording by its content, so that no recording changes those of another."""
-        whole = Seeds.spawn(self.seed, 0)
-        own = tuple(
-            np.random.SeedSequence([self.seed, int(self.sha256[n][:16], 16)]) for n in numbers
-        )
-        return replace(whole, recordings=own)
+        seed, contents = self.fleet.run.seed, [int(self.sha256[n][:16], 16) for n in numbers]
+        own = tuple(np.random.SeedSequence([seed, content]) for content in contents)
+        return replace(Seeds.spawn(seed, 0), recordings=own)
 
     def _of_all(self) -> dict[str, Any]:
         settings = {key: value for key, value in self.settings.items() if key != "wear"}
@@ -251,7 +251,7 @@ class JointJob:
             "bench": self.of_bench,
             "curve": self.of_curve or joint.curve,
             "settings": settings,
-            "seed": self.seed,
+            "seed": self.fleet.run.seed,
         }
 
     def _entry(self, number: int, repaired: bool) -> dict[str, Any]:
@@ -285,31 +285,24 @@ def measure_joint(job: JointJob) -> MeasuredJoint:
     OSError
         If nothing can be written where fits are kept.
     """
-    answers: list[RecordingAnswer] = []
-    for number in range(len(job.recordings)):
-        answer = job.known.get(number)
-        answers.append(answer or measure_recording(job, number, answers[-1] if answers else None))
+    numbers = range(len(job.recordings))
+    answers = [job.known.get(number) or measure_recording(job, number) for number in numbers]
     wear = _wear(job, answers)
     lasting = wear.lasting and all(answer.lasting for answer in answers)
     return tuple(answers), replace(wear, lasting=lasting)
 
 
-def measure_recording(
-    job: JointJob, number: int, before: RecordingAnswer | None
-) -> RecordingAnswer:
-    """One recording by itself; ``before``: of the recording before it, where the search starts.
+def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
+    """One recording by itself.
 
     Raises
     ------
     OSError
         If nothing can be written where fits are kept.
     """
-    name = job.names[number]
     before_it = _states(job, [number])
     try:
-        config = job.config("fit", [number])
-        tree = _measured(job, config, [number], {} if before is None else {name: before})
-        answer = _answer(job, number, tree)
+        answer = _answer(job, _measured(job, job.config("fit", [number]), [number]))
     except UserError as error:
         lasting = not isinstance(error, UnavailableError)
         answer = RecordingAnswer(REFUSED, str(error), lasting=lasting)
@@ -325,7 +318,7 @@ def measure_recording(
 
 def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
     """Of the files of recordings, bench and curve; none where one does not hold what was asked."""
-    told = [(job.recordings[number].file, job.sha256[number]) for number in numbers]
+    told = [(job.recordings[number].file, job.recordings[number].sha256) for number in numbers]
     named = ((job.joint.bench, job.of_bench), (job.joint.curve, job.of_curve))
     states = []
     for file, sha256 in (*told, *named):
@@ -337,7 +330,7 @@ def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
     return states
 
 
-def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
+def _answer(job: JointJob, tree: xr.DataTree) -> RecordingAnswer:
     route, whole = tree.attrs["route"], with_sentences(summary_of(tree))
     (stored,) = stored_answers(tree)
     gap = bench = None
@@ -352,11 +345,6 @@ def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
     if route == "amplitude":
         found = whole["amplitude_rpm"]
         amplitude = found["median"], found["low"], found["high"]
-    optimum = None
-    if route == "amplitude" and job.by_amplitude:
-        start = optima_of(tree)[stored.name]
-        if not start.withheld:
-            optimum = {**start.symbols, "rmse_rpm": start.rmse_rpm}
     outcome, reason = whole["diagnostics"]["outcome"], whole["routes"][route]["reason"]
     if gap is None:
         outcome = outcome if outcome == "withheld" else "no_curve"
@@ -370,7 +358,6 @@ def _answer(job: JointJob, number: int, tree: xr.DataTree) -> RecordingAnswer:
         gap,
         bench,
         amplitude,
-        optimum,
     )
 
 
@@ -407,10 +394,7 @@ def _wear(job: JointJob, answers: Sequence[RecordingAnswer]) -> JointAnswer:
     asked = used if route == "amplitude" else []
     before_it = _states(job, asked)
     try:
-        if route == "direct":
-            answer = _by_bench(job, used, answers)
-        else:
-            answer = _by_curve(job, used, answers)
+        answer = _by_bench(job, used, answers) if route == "direct" else _by_curve(job, used)
     except UserError as error:
         lasting = not isinstance(error, UnavailableError)
         answer = JointAnswer(str(error), route, tuple(used), lasting=lasting)
@@ -439,11 +423,8 @@ def _by_bench(
     return _of_group(wear, None if against is None else _text(against), "direct", used, gaps)
 
 
-def _by_curve(
-    job: JointJob, used: Sequence[int], answers: Sequence[RecordingAnswer]
-) -> JointAnswer:
-    before = {job.names[n]: answers[n - 1] for n in used if n > 0}
-    tree = _measured(job, job.config("compare", used, "amplitude"), used, before)
+def _by_curve(job: JointJob, used: Sequence[int]) -> JointAnswer:
+    tree = _measured(job, job.config("compare", used, "amplitude"), used)
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
     found = with_sentences(summary_of(tree))["wear"]
@@ -493,39 +474,13 @@ def _unknowns(bench: Bench, name: str) -> list[Unknown]:
     return [*own, *tolerance_unknowns(bench)]
 
 
-def _earlier(job: JointJob, before: Mapping[str, RecordingAnswer]) -> dict[str, EarlierOptimum]:
-    """Where the search of each recording starts, by its name."""
-    if not job.by_amplitude:
-        return {}
-    starts = {}
-    for name, answer in before.items():
-        if answer.optimum is not None:
-            symbols = dict(answer.optimum)
-            rmse = symbols.pop("rmse_rpm")
-            starts[name] = EarlierOptimum("the optimum of the recording before", symbols, rmse)
-    return starts
-
-
-def _measured(
-    job: JointJob,
-    config: SnapshotConfig,
-    numbers: Sequence[int],
-    before: Mapping[str, RecordingAnswer],
-) -> xr.DataTree:
-    """Recordings measured, with fits kept that ``compare`` takes up again.
-
-    ``before``: where the search of each recording starts, by its name.
-    """
-    work, swept = NOTHING_KEPT, WorkStore.shared(Path(job.output).parent / STORE)
+def _measured(job: JointJob, config: SnapshotConfig, numbers: Sequence[int]) -> xr.DataTree:
+    """Recordings measured, with fits kept that ``compare`` takes up again."""
+    output = job.fleet.run.output
+    work, swept = NOTHING_KEPT, WorkStore.shared(output.parent / STORE)
     if job.by_amplitude:
-        work = WorkStore.shared(fits_beside(Path(job.output)))
-    return measure(
-        config,
-        work=work,
-        swept=swept,
-        seeds=job.seeds(numbers),
-        earlier=_earlier(job, before),
-    )
+        work = WorkStore.shared(fits_beside(output))
+    return measure(config, work=work, swept=swept, seeds=job.seeds(numbers))
 
 
 def fits_beside(output: Path) -> Path:

@@ -26,6 +26,7 @@ from bayesbl.fleet.pooled_rates import Borrowed, Draws, TypeRates, alarms, poole
 from bayesbl.measurement.wear import date_after, probability_before, shares, years_between
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import interval
+from bayesbl.results.variables import table
 
 GROUP, ARRAY, ATTRIBUTES = ".zgroup", ".zarray", ".zattrs"
 
@@ -80,82 +81,81 @@ RECORDINGS_FILE, JOINTS_FILE = "recordings.parquet", "joints.parquet"
 QUANTILES = (0.01, 0.05, 0.25, 0.75, 0.95, 0.99)
 QUANTILE_COLUMNS = tuple(f"delta_rad_q{round(100 * q):02d}" for q in QUANTILES)
 
-RECORDING_COLUMNS = {
-    "joint": ("string", "of the inventory"),
-    "date": ("string", "when it was recorded, 2026-03-01"),
-    "file": ("string", "path"),
-    "sha256": ("string", "of the file's bytes; null where it could not be read"),
-    "outcome": (
-        "string",
-        "converged, usable, withheld, no_curve; refused: it cannot be used; failed: a bug",
-    ),
-    "reason": ("string", "why δ is null; null where it is not"),
-    "notes": ("string", "what else to know of it"),
-    "route": ("string", "direct or amplitude"),
-    "used": ("bool", "whether the joint's rate rests on it; null where none was made, by watch"),
-    "delta_rad_median": ("double", "gap, rad"),
-    "delta_rad_low": ("double", "lower bound of the interval, rad"),
-    "delta_rad_high": ("double", "upper bound, rad"),
-    "delta_rad_sd": ("double", "standard deviation, rad"),
-    **{
-        name: ("double", f"{100 * q:g} % quantile, rad")
-        for name, q in zip(QUANTILE_COLUMNS, QUANTILES, strict=True)
-    },
-    "amplitude_rpm_median": ("double", "amplitude of the ringing, rpm"),
-    "amplitude_rpm_low": ("double", "rpm"),
-    "amplitude_rpm_high": ("double", "rpm"),
-    "probability_above_limit": ("double", "that δ was above the joint's limit"),
-    "device": ("string", "that sent it, as it says of itself; null where it was measured here"),
-}
+
+def _columns(text: str) -> dict[str, tuple[str, str]]:
+    """Column to its type and meaning, from a table of both."""
+    return {column.name: (column.unit, column.meaning) for column in table(text)}
+
+
+RECORDING_COLUMNS = _columns("""
+    joint | string | of the inventory
+    date | string | when it was recorded, 2026-03-01
+    file | string | path
+    sha256 | string | of the file's bytes; null where it could not be read
+    outcome | string | converged, usable, withheld, no_curve; refused: it cannot be used;
+        failed: a bug
+    reason | string | why δ is null; null where it is not
+    notes | string | what else to know of it
+    route | string | direct or amplitude
+    used | bool | whether the joint's rate rests on it; null where none was made, by watch
+    delta_rad_median | double | gap, rad
+    delta_rad_low | double | lower bound of the interval, rad
+    delta_rad_high | double | upper bound, rad
+    delta_rad_sd | double | standard deviation, rad
+    delta_rad_q01 | double | 1 % quantile, rad
+    delta_rad_q05 | double | 5 % quantile, rad
+    delta_rad_q25 | double | 25 % quantile, rad
+    delta_rad_q75 | double | 75 % quantile, rad
+    delta_rad_q95 | double | 95 % quantile, rad
+    delta_rad_q99 | double | 99 % quantile, rad
+    amplitude_rpm_median | double | amplitude of the ringing, rpm
+    amplitude_rpm_low | double | rpm
+    amplitude_rpm_high | double | rpm
+    probability_above_limit | double | that δ was above the joint's limit
+    device | string | that sent it, as it says of itself; null where it was measured here
+""")
 """Column to its type and meaning."""
 
-JOINT_COLUMNS = {
-    "joint": ("string", "of the inventory"),
-    "gearbox": ("string", "its type"),
-    "limit_rad": ("double", "gap at which it is to be repaired, rad"),
-    "recordings": ("int64", "how many there are"),
-    "used": ("int64", "that the rate rests on"),
-    "withheld": ("int64", "whose gap is withheld, or has no curve"),
-    "broken": ("int64", "refused or failed"),
-    "route": ("string", "direct or amplitude"),
-    "first_date": ("string", "of the recordings in use"),
-    "last_date": ("string", "of the recordings in use"),
-    "delta_rad_median": ("double", "gap at the last date, rad"),
-    "delta_rad_low": ("double", "rad"),
-    "delta_rad_high": ("double", "rad"),
-    "probability_limit_now": ("double", "that it was above its limit at the last date"),
-    "probability_wear": ("double", "that it has grown since the first date; without pooling"),
-    "rate_rad_per_year_median": ("double", "mean over the dates in use; pooled where that is so"),
-    "rate_rad_per_year_low": ("double", "rad/year"),
-    "rate_rad_per_year_high": ("double", "rad/year"),
-    "rate_rad_per_year_sd": ("double", "rad/year"),
-    "rate_alone_rad_per_year_median": ("double", "from this joint's recordings only"),
-    "rate_alone_rad_per_year_low": ("double", "rad/year"),
-    "rate_alone_rad_per_year_high": ("double", "rad/year"),
-    "pooled": ("bool", "whether joints of its type count in rate and date"),
-    "probability_unlike_type": (
-        "double",
-        "that it wears in its own way, and not as its type; null where no type is known",
-    ),
-    "law": ("string", "likeliest law of wear; pooled where that is so"),
-    "limit_date_median": ("string", "when the gap reaches the limit; null: not in 1000 years"),
-    "limit_date_low": ("string", "lower bound of the interval"),
-    "limit_date_high": ("string", "upper bound"),
-    "limit_date_not_before": ("string", "one-sided, at the interval's level"),
-    "probability_limit_before": ("double", "that it is reached before [fleet] decide_before"),
-    "cost_at_limit": ("double", "what reaching the limit costs; of the inventory"),
-    "expected_cost": (
-        "double",
-        "cost_at_limit times probability_limit_before; times probability_limit_now, which is at "
-        "most that, where no rate is known; null where no gap is",
-    ),
-    "alarm": ("bool", "among the joints called over their limit, at most 5 % of them falsely"),
-    "rank": (
-        "int64",
-        "1 is reached first, or costs most where costs are given; null where there is no date",
-    ),
-    "reason": ("string", "why there is no rate; null where there is one"),
-}
+JOINT_COLUMNS = _columns("""
+    joint | string | of the inventory
+    gearbox | string | its type
+    limit_rad | double | gap at which it is to be repaired, rad
+    recordings | int64 | how many there are
+    used | int64 | that the rate rests on
+    withheld | int64 | whose gap is withheld, or has no curve
+    broken | int64 | refused or failed
+    route | string | direct or amplitude
+    first_date | string | of the recordings in use
+    last_date | string | of the recordings in use
+    delta_rad_median | double | gap at the last date, rad
+    delta_rad_low | double | rad
+    delta_rad_high | double | rad
+    probability_limit_now | double | that it was above its limit at the last date
+    probability_wear | double | that it has grown since the first date; without pooling
+    rate_rad_per_year_median | double | mean over the dates in use; pooled where that is so
+    rate_rad_per_year_low | double | rad/year
+    rate_rad_per_year_high | double | rad/year
+    rate_rad_per_year_sd | double | rad/year
+    rate_alone_rad_per_year_median | double | from this joint's recordings only
+    rate_alone_rad_per_year_low | double | rad/year
+    rate_alone_rad_per_year_high | double | rad/year
+    pooled | bool | whether joints of its type count in rate and date
+    probability_unlike_type | double | that it wears in its own way, and not as its type; null
+        where no type is known
+    law | string | likeliest law of wear; pooled where that is so
+    limit_date_median | string | when the gap reaches the limit; null: not in 1000 years
+    limit_date_low | string | lower bound of the interval
+    limit_date_high | string | upper bound
+    limit_date_not_before | string | one-sided, at the interval's level
+    probability_limit_before | double | that it is reached before [fleet] decide_before
+    cost_at_limit | double | what reaching the limit costs; of the inventory
+    expected_cost | double | cost_at_limit times probability_limit_before; times
+        probability_limit_now, which is at most that, where no rate is known; null where no gap is
+    alarm | bool | among the joints called over their limit, at most 5 % of them falsely
+    rank | int64 | 1 is reached first, or costs most where costs are given; null where there
+        is no date
+    reason | string | why there is no rate; null where there is one
+""")
 """Column to its type and meaning; the inventory's own other columns stand behind them."""
 
 

@@ -14,9 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from bayesbl.errors import ResultError
-from bayesbl.fleet.inventory import file_of_another
 from bayesbl.fleet.measured_joint import FAILED, REFUSED
-from bayesbl.fleet.plant_tables import RECORDING_COLUMNS, RECORDINGS_FILE, require_tables, schema_of
+from bayesbl.fleet.plant_tables import (
+    RECORDING_COLUMNS,
+    RECORDINGS_FILE,
+    require_tables,
+    schema_of,
+    write_table,
+)
 from bayesbl.results.atomic import locked_sibling, replacing
 from bayesbl.results.folder import is_finished, require_no_link
 
@@ -25,7 +30,6 @@ Row = dict[str, Any]
 UNUSABLE = frozenset({REFUSED, FAILED})
 
 _BESIDE = ".growing"
-_OF_THE_RECORDING = ("joint", "date", "file", "sha256", "device")
 
 
 @dataclass(slots=True)
@@ -70,39 +74,17 @@ class RecordingTable:
         """Whether a recording was measured here, and could be used."""
         return bool(self._outcomes(None, joint, sha256) - UNUSABLE)
 
-    def before(self, joint: str, date: str) -> str | None:
-        """Digest of the joint's last recording before a date."""
-        earlier = [one for one in self.rows if one["joint"] == joint and one["date"] < date]
-        digests = [one["sha256"] for one in earlier if one["sha256"] is not None]
-        return digests[-1] if digests else None
+    def put(self, row: Row) -> bool:
+        """Add a row, unless it is there already, or one of the same recording that says more.
 
-    def knows(self, row: Row) -> bool:
-        """Whether a row is there already, or one of the same recording that says more."""
-        if row["sha256"] is None:
-            same = ("device", "joint", "file", "reason")
-            return any(all(one[key] == row[key] for key in same) for one in self.rows)
-        known = self._outcomes(row["device"], row["joint"], row["sha256"])
-        # What it says is of nobody where the same bytes are another joint's.
-        is_unusable = row["outcome"] in UNUSABLE or self._of_others(row)
-        return bool(known if is_unusable else known - UNUSABLE)
-
-    def put(self, row: Row) -> list[Row]:
-        """Add a row that is not known, and return what changed: it, and others that it concerns.
-
-        A row of the same device, joint and file is of what the file held before, and goes. A
-        recording that is there for another joint too is of neither.
+        A row of the same device, joint and file is of what the file held before, and goes.
         """
-        if self.knows(row):
-            return []
-        others = self._of_others(row)
-        new = [dict(row)]
-        if others:
-            new = [_of_neither(row, others[0]), *(_of_neither(one, row) for one in others)]
-        gone = {id(one) for one in (*others, *self._replaced(row))}
-        kept = [one for one in self.rows if id(one) not in gone]
-        self.rows = sorted(kept + new, key=lambda one: (one["joint"], one["date"], one["file"]))
+        if self._knows(row):
+            return False
+        kept = [one for one in self.rows if not _replaces(row, one)]
+        self.rows = sorted([*kept, row], key=lambda one: (one["joint"], one["date"], one["file"]))
         self._changed = True
-        return new
+        return True
 
     def save(self) -> None:
         """Have all rows on the disk.
@@ -112,38 +94,28 @@ class RecordingTable:
         OSError
             If they cannot be written: the file is then as it was.
         """
-        import pyarrow.parquet
-
         if self._changed:
-            table = pyarrow.Table.from_pylist(self.rows, schema=schema_of(RECORDING_COLUMNS))
             with replacing(self.path, durable=True) as temporary:
-                pyarrow.parquet.write_table(table, temporary)
+                write_table(self.rows, RECORDING_COLUMNS, temporary)
             self._changed = False
+
+    def _knows(self, row: Row) -> bool:
+        if row["sha256"] is None:
+            same = ("device", "joint", "file", "reason")
+            return any(all(one[key] == row[key] for key in same) for one in self.rows)
+        known = self._outcomes(row["device"], row["joint"], row["sha256"])
+        return bool(known if row["outcome"] in UNUSABLE else known - UNUSABLE)
 
     def _outcomes(self, device: str | None, joint: str, sha256: str) -> set[str]:
         asked = device, joint, sha256
         keys = "device", "joint", "sha256"
         return {o["outcome"] for o in self.rows if tuple(o[key] for key in keys) == asked}
 
-    def _of_others(self, row: Row) -> list[Row]:
-        """Rows of the same bytes for another joint."""
-        alike = [one for one in self.rows if one["sha256"] == row["sha256"] is not None]
-        return [one for one in alike if one["joint"] != row["joint"]]
 
-    def _replaced(self, row: Row) -> Iterator[Row]:
-        """Rows of the same device and joint that are of the same file or bytes."""
-        for one in self.rows:
-            same = one["file"] == row["file"] or one["sha256"] == row["sha256"] is not None
-            if same and (one["device"], one["joint"]) == (row["device"], row["joint"]):
-                yield one
-
-
-def _of_neither(row: Row, other: Row) -> Row:
-    """The row of a recording that another joint has too: nothing of its answer is left."""
-    empty = dict.fromkeys(RECORDING_COLUMNS)
-    own = {name: row[name] for name in _OF_THE_RECORDING}
-    reason = file_of_another(other["joint"], other["date"])
-    return {**empty, **own, "outcome": REFUSED, "reason": reason, "used": False}
+def _replaces(row: Row, one: Row) -> bool:
+    """Whether it is of the same device and joint, and of the same file or bytes."""
+    same = one["file"] == row["file"] or one["sha256"] == row["sha256"] is not None
+    return same and (one["device"], one["joint"]) == (row["device"], row["joint"])
 
 
 def _read(path: Path) -> list[Row]:

@@ -10,6 +10,7 @@ groups, each by its own clock (bags, MDF, TDMS, Scope).
 
 from __future__ import annotations
 
+import math
 import re
 from array import array
 from collections import Counter
@@ -125,20 +126,18 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
     RecordingError
         At the first text that is no date like the first one; ``place`` says where a row is.
     """
-    whole, fraction, missing = array("q"), array("d"), array("b")
+    time = array("d")
     days: dict[str, int] = {}
-    first: tuple[bool, bool] | None = None
-    day = before = 0
+    form: tuple[bool, bool] | None = None
+    start = before = day = 0
     for row, given in enumerate(texts):
         text = given.strip()
-        missing.append(not text)
         if not text:
-            whole.append(before)
-            fraction.append(0.0)
+            time.append(math.nan)
             continue
         stamp = _STAMP.fullmatch(text)
         read = stamp and _of_stamp(stamp, days)
-        if read is None or (first is not None and read[2] != first):
+        if read is None or (form is not None and read[2] != form):
             raise RecordingError(
                 "This is not a date like those before it.",
                 file=file,
@@ -146,28 +145,25 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
                 found=repr(shortened(text)),
                 expected="a date with a time, as 2026-03-01T12:00:00.250",
             )
-        seconds, digits, first = read
-        if not first[0]:
+        seconds, fraction, has = read
+        if not has[0]:
             seconds += day * _DAY_S
-            if whole and before - seconds > _DAY_S // 2:
+            if form is not None and before - seconds > _DAY_S // 2:
                 day += 1
                 seconds += _DAY_S
+        if form is None:
+            start, form = seconds, has
         before = seconds
-        whole.append(seconds)
-        fraction.append(float(f"0.{digits}") if digits else 0.0)
-    # As whole numbers first: seconds since the year 1 do not leave room for microseconds.
-    known = ~np.array(missing, dtype=bool)
-    counted = np.array(whole)
-    counted -= counted[known][:1].sum()
-    time: FloatArray = counted + np.array(fraction)
-    time[~known] = np.nan
-    return time - time[known][0] if known.any() else time
+        # As whole numbers first: seconds since the year 1 do not leave room for microseconds.
+        time.append(seconds - start + fraction)
+    found: FloatArray = np.array(time)
+    return np.asarray(found - found[np.isfinite(found)][:1].sum())
 
 
 def _of_stamp(
     stamp: re.Match[str], days: dict[str, int]
-) -> tuple[int, str, tuple[bool, bool]] | None:
-    """Whole seconds, digits of the fraction, and whether there are a date and a zone.
+) -> tuple[int, float, tuple[bool, bool]] | None:
+    """Whole seconds, their fraction, and whether there are a date and a zone.
 
     ``days`` numbers the dates whose order of day and month is open, as they come.
     """
@@ -193,7 +189,7 @@ def _of_stamp(
     if zone and zone != "Z":
         size = int(zone[1:3]) * 3600 + int(zone[-2:]) * 60
         total -= size if zone[0] == "+" else -size
-    return total, digits or "", (a is not None, zone is not None)
+    return total, float(f"0.{digits or 0}"), (a is not None, zone is not None)
 
 
 def _ordinal(a: str, mark: str, b: str, c: str) -> int | None:

@@ -237,27 +237,21 @@ def _mapped(table: ArrayTable, channel: str, spec: ColumnSpec) -> Column:
         )
     if spec.name not in table.columns:
         raise _missing_column(table, spec.name)
-    if spec.unit is not None and not is_accepted(channel, spec.unit):
-        raise RecordingError(
-            "The unit is not known for this channel.",
-            file=table.file,
-            where=f"[columns] {channel}",
-            found=f'"{spec.unit}"',
-            expected=choice_of_units(channel),
-        )
-    if spec.unit is not None:
-        return Column(spec.name, channel, spec.unit)
-    stated = stated_unit(table, spec.name).of(channel)
+    stated = StatedUnit(spec.name, spec.unit) if spec.unit else stated_unit(table, spec.name)
+    stated = stated.of(channel)
     # What looks like a unit may be the form of a date: time [hh:mm:ss].
     is_of_dates = channel == TIME and table.timestamps(spec.name) is not None
-    if stated.unknown and not is_of_dates:
+    if stated.unknown and (spec.unit or not is_of_dates):
         raise RecordingError(
-            "The file states a unit that is not known for this channel.",
+            f"{'[columns]' if spec.unit else 'The file'} states a unit that is not known for this "
+            "channel.",
             file=table.file,
             where=f'column "{spec.name}"',
             found=f'"{shortened(stated.unknown)}"',
             expected=choice_of_units(channel) + "; state the right one under [columns]",
         )
+    if spec.unit:
+        return Column(spec.name, channel, spec.unit)
     column = Column(spec.name, channel, stated.unit)
     if column.factor == 1.0 or table.units.get(spec.name, "").strip():
         return column

@@ -158,6 +158,11 @@ class GuessedColumn:
         """Whether the user has to say what it is."""
         return self.needed and self.unit == UNKNOWN
 
+    @property
+    def is_spare(self) -> bool:
+        """Whether nobody knows what it is, and nothing needs it."""
+        return not self.needed and self.unit == UNKNOWN
+
 
 @dataclass(frozen=True, slots=True)
 class Guess:

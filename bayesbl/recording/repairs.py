@@ -46,8 +46,8 @@ _MOST_GROWTH = 100
 """A recording with holes longer than this many times its samples counts as uneven."""
 
 _GRID_BEGINS, _FOLLOWED = 21, 0.05
-"""Stamps whose median begins a running grid, and share of each stamp's distance that it follows: it
-scatters by a sixth of what they do, and keeps up with a period that is wrong by a hundredth."""
+"""Stamps that begin a running grid, and share of each stamp's distance that it follows: it scatters
+by a sixth of what they do, and keeps up with a period that is wrong by a hundredth."""
 
 IntArray = NDArray[np.int64]
 
@@ -91,35 +91,26 @@ def sample_numbers(time_s: FloatArray) -> FloatArray | None:
     steps = np.diff(time_s)
     middle = float(np.median(steps))
     found: list[FloatArray] = []
-    begins = middle, float(steps[steps <= 2.5 * middle].mean())
-    for counted in (_step_by_step, _on_a_running_grid):
-        for period in begins:
-            for _ in range(3):
-                number = counted(time_s, period)
-                if not number[-1] <= _MOST_GROWTH * time_s.size:
-                    break
-                deviation, period = deviation_from_grid(time_s, number)
-                if np.abs(deviation).max() <= GRID_TOLERANCE:
-                    found.append(number)
-                    break
-        if found:
-            return min(found, key=lambda number: float(number[-1]))
-    return None
-
-
-def _step_by_step(time_s: FloatArray, period: float) -> FloatArray:
-    """Counted from stamp to stamp, so that an error of the period cannot add up."""
-    counts = np.maximum(np.round(np.diff(time_s) / period), 1.0)
-    return np.concatenate([[0.0], np.cumsum(counts)])
+    for period in (middle, float(steps[steps <= 2.5 * middle].mean())):
+        for _ in range(3):
+            number = _on_a_running_grid(time_s, period)
+            if not number[-1] <= _MOST_GROWTH * time_s.size:
+                break
+            deviation, period = deviation_from_grid(time_s, number)
+            if np.abs(deviation).max() <= GRID_TOLERANCE:
+                found.append(number)
+                break
+    return min(found, key=lambda number: float(number[-1])) if found else None
 
 
 def _on_a_running_grid(time_s: FloatArray, period: float) -> FloatArray:
     """Counted from a grid that follows the stamps: two stamps are off by more than either is."""
     number = np.full(time_s.size, np.nan)
-    first = time_s[:_GRID_BEGINS]
-    count, at = 0.0, float(np.median(first - period * np.arange(first.size)))
-    if not (math.isfinite(at) and 0.0 < period < math.inf):
+    if not 0.0 < period < math.inf:
         return number
+    # The phase of the first stamps within a period, whatever is lost between them.
+    turn = np.exp(2j * math.pi * (time_s[:_GRID_BEGINS] - time_s[0]) / period).sum()
+    count, at = 0.0, float(time_s[0] + period * np.angle(turn) / (2.0 * math.pi))
     for i, stamp in enumerate(time_s.tolist()):
         if i:
             passed = max(float(round((stamp - at) / period)), 1.0)
@@ -504,9 +495,8 @@ def unwrapped(position: FloatArray, unit: float, repairs: Counter[str], name: st
         if near.size == 0 or abs(onward[at]) > 1.5 * float(near.max()) + 1e-3 * turn:
             return position
     repairs[f"turn of the {name} put on ({turn:.6g})"] += int(jumps.sum())
-    added = np.concatenate([[0.0], np.cumsum(-np.sign(steps) * jumps)])
     whole: FloatArray = position.copy()
-    whole[there] += added * turn * abs(unit) * np.sign(unit)
+    whole[there] += unit * turn * np.concatenate([[0.0], np.cumsum(-np.sign(steps) * jumps)])
     return whole
 
 

@@ -238,13 +238,7 @@ def layout_of(
     if found is None:
         nearest = cut[above[-1]] if above else []
         if len(nearest) > 1 and not any(map(is_number, nearest)):
-            raise RecordingError(
-                "This line does not have one cell for each column.",
-                file=file,
-                where=f"line {begin + 1}",
-                found=f"{width} cells",
-                expected=f"{len(nearest)}, as in the header",
-            )
+            raise _of_other_width(file, begin, width, len(nearest))
         unnamed = tuple(f"column {i + 1}" for i in range(width))
         return Layout(separator, unnamed, mark, stated, begin=begin, step_s=step_s)
     last, names, units = found
@@ -392,6 +386,16 @@ def _value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
     return values, share
 
 
+def _of_other_width(file: Path, index: int, found: int, expected: int) -> RecordingError:
+    return RecordingError(
+        "This line does not have one cell for each column.",
+        file=file,
+        where=f"line {index + 1}",
+        found=f"{found} cells",
+        expected=f"{expected}, as in the header",
+    )
+
+
 def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTable:
     """Nothing is quoted: a name may lead to any file."""
     if is_binary:
@@ -449,14 +453,7 @@ def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> 
         counts[_INCOMPLETE] -= 1
         counts["cut last line left out"] += 1
     if counts[_INCOMPLETE] > MOST_INCOMPLETE * rows:
-        place, found = incomplete[0]
-        raise RecordingError(
-            "This line does not have one cell for each column.",
-            file=file,
-            where=f"line {place + 1}",
-            found=f"{found} cells",
-            expected=f"{width}, as in the header",
-        )
+        raise _of_other_width(file, *incomplete[0], width)
     if not rows:
         raise _no_table(file, [])
     arrays: dict[str, AnyArray] = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 from bayesbl.bench.bench import Bench
@@ -22,8 +21,7 @@ def describe(path: Path, plan: Plan) -> None:
     bench = load_bench(path)
     plan.lines.append(("bench", f"drive {bench.drive}, gap form {bench.gap_form}"))
     if bench.drive == "two_mass":
-        plan.lines += _derived(bench)
-        plan.warnings += _doubts(bench)
+        _look_at(bench, plan)
     if bench.effects:
         plan.lines.append(("effects", ", ".join(effect.name for effect in bench.effects)))
     known = ", ".join(
@@ -33,60 +31,48 @@ def describe(path: Path, plan: Plan) -> None:
     plan.lines.append(("tolerances", known or "none: every value counts as exact"))
 
 
-def _derived(bench: Bench) -> Iterator[tuple[str, str]]:
-    yield "natural frequency", f"{_frequency_hz(bench):.3g} Hz, motor against load on the shaft"
-    yield "inertia ratio", f"{_inertia_ratio(bench):.3g}, load over motor, both at the load"
-    yield (
-        "current against gravity",
-        f"{_steady_current_a(bench):.3g} A of {bench.value('current_limit_a'):g} A, arm level",
-    )
-
-
-def _doubts(bench: Bench) -> Iterator[str]:
-    for what, value, unit, (low, high), culprit in (
-        ("natural frequency", _frequency_hz(bench), " Hz", USUAL_FREQUENCY_HZ, "stiffness"),
-        ("inertia ratio", _inertia_ratio(bench), "", USUAL_INERTIA_RATIO, "gear ratio"),
-    ):
-        if not low < value < high:
-            yield (
-                f"the {what} of {value:.3g}{unit} is not that of a robot joint (usually {low:g} "
-                f"to {high:g}): check the inertias and the {culprit}, and their units."
-            )
-    low, high = USUAL_PENDULUM_M
-    gravity_nm = bench.value("gravity_torque_nm")
+def _look_at(bench: Bench, plan: Plan) -> None:
+    """What follows from the values together, and what of it is not that of a robot joint."""
+    values = {name: parameter.value for name, parameter in bench.parameters.items()}
+    stiffness, gravity_nm = values["shaft_stiffness_nm_per_rad"], values["gravity_torque_nm"]
+    frequency_hz = math.sqrt(stiffness / reduced_inertia_kg_m2(values)) / (2.0 * math.pi)
+    ratio = values["load_inertia_kg_m2"] / values["gear_ratio"] ** 2 / values["motor_inertia_kg_m2"]
+    current_a = gravity_nm / values["gear_ratio"] / values["torque_constant_nm_per_a"]
+    limit_a = bench.value("current_limit_a")
     # J_l g/(m g l): length of a point mass that swings as the load does, where one does.
-    pendulum_m = bench.value("load_inertia_kg_m2") * STANDARD_GRAVITY / (gravity_nm or math.nan)
-    if pendulum_m <= low or pendulum_m >= high:
-        yield (
-            f"load inertia and gravity torque are those of a pendulum {pendulum_m:.3g} m long "
-            f"(usually {low:g} to {high:g}): check load_inertia_kg_m2 and gravity_torque_nm, and "
-            "their units. A spring or counterweight makes it longer."
+    pendulum_m = values["load_inertia_kg_m2"] * STANDARD_GRAVITY / (gravity_nm or math.nan)
+    plan.lines += [
+        ("natural frequency", f"{frequency_hz:.3g} Hz, motor against load on the shaft"),
+        ("inertia ratio", f"{ratio:.3g}, load over motor, both at the load"),
+        ("current against gravity", f"{current_a:.3g} A of {limit_a:g} A, arm level"),
+    ]
+    for value, (low, high), told, culprits in (
+        (
+            frequency_hz,
+            USUAL_FREQUENCY_HZ,
+            f"a natural frequency of {frequency_hz:.3g} Hz",
+            "inertias and stiffness",
+        ),
+        (ratio, USUAL_INERTIA_RATIO, f"an inertia ratio of {ratio:.3g}", "inertias and gear ratio"),
+        (
+            pendulum_m,
+            USUAL_PENDULUM_M,
+            f"a pendulum {pendulum_m:.3g} m long (a spring or counterweight makes it longer)",
+            "load_inertia_kg_m2 and gravity_torque_nm",
+        ),
+    ):
+        if value <= low or value >= high:
+            plan.warnings.append(
+                f"{told} is not that of a robot joint (usually {low:g} to {high:g}): check "
+                f"{culprits}, and their units."
+            )
+    if current_a > limit_a:
+        plan.warnings.append(
+            f"gravity takes {current_a:.3g} A with the arm level, and the drive gives {limit_a:g} "
+            "A: check gravity_torque_nm, gear_ratio, torque_constant_nm_per_a and current_limit_a."
         )
-    if _steady_current_a(bench) > bench.value("current_limit_a"):
-        yield (
-            f"gravity takes {_steady_current_a(bench):.3g} A with the arm level, and the drive "
-            f"gives {bench.value('current_limit_a'):g} A: check gravity_torque_nm, gear_ratio, "
-            "torque_constant_nm_per_a and current_limit_a."
-        )
-    poles = contact_rates(bench.vector())[0]
-    if poles.real.max() > 1e-6:
-        yield (
+    if contact_rates(bench.vector())[0].real.max() > 1e-6:
+        plan.warnings.append(
             "the speed loop is not stable with these gains: check speed_gain_nm_s_per_rad and "
             "integral_gain_nm_per_rad, and their units."
         )
-
-
-def _frequency_hz(bench: Bench) -> float:
-    values = {name: parameter.value for name, parameter in bench.parameters.items()}
-    stiffness = values["shaft_stiffness_nm_per_rad"]
-    return math.sqrt(stiffness / reduced_inertia_kg_m2(values)) / (2.0 * math.pi)
-
-
-def _inertia_ratio(bench: Bench) -> float:
-    motor = bench.value("gear_ratio") ** 2 * bench.value("motor_inertia_kg_m2")
-    return bench.value("load_inertia_kg_m2") / motor
-
-
-def _steady_current_a(bench: Bench) -> float:
-    torque = bench.value("gravity_torque_nm") / bench.value("gear_ratio")
-    return torque / bench.value("torque_constant_nm_per_a")

@@ -135,9 +135,10 @@ class _Collecting:
         """First on the disk, then acknowledged."""
         if self.problem is not None:
             return
-        payload, rows = bytes(message.payload), []
+        payload, row = bytes(message.payload), None
         try:
-            rows = self.table.put(decoded_answer(payload))
+            answer = decoded_answer(payload)
+            row = answer if self.table.put(answer) else None
         except Exception as error:
             # Whatever a message does, it is acknowledged, or it would come again for ever.
             told = str(error) if isinstance(error, ValueError) else type(error).__name__
@@ -150,7 +151,7 @@ class _Collecting:
             return
         client.ack(message.mid, message.qos)
         self.last = time.monotonic()
-        for row in rows:
+        if row is not None:
             self.tell(row)
 
     def _refused(self, reason: object) -> None:

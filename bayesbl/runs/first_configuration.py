@@ -15,7 +15,7 @@ from bayesbl.config.loading import require_text_names
 from bayesbl.config.sections import name_of, names_of
 from bayesbl.errors import ConfigError
 from bayesbl.recording.formats import FORMATS
-from bayesbl.recording.guessing import UNKNOWN, Guess, guess_columns
+from bayesbl.recording.guessing import Guess, guess_columns
 from bayesbl.recording.input_bytes import stem_of, suffix_of
 from bayesbl.recording.readers import read_table
 from bayesbl.results.folder import require_apart
@@ -84,51 +84,22 @@ def start_config(
 
 def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
     """The configuration as TOML with comments; recordings relative to ``path``'s folder."""
-    kind = "fit" if len(recordings) == 1 else "compare"
-    ramps = guess.route == "torque_ramp"
-    names = names_of(recordings)
-    before = (
-        "# decide_before = 2027-01-01   # asks how probably the gap passes the limit by then; "
-        "needs dates\n"
+    from jinja2 import Environment, StrictUndefined
+
+    form = Environment(
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined
     )
-    dates = [_date_in(file.name) for file in recordings]
-    repaired = "# repaired = true              # if this is the first one after a repair\n"
-    entry, why = "# date = 2026-07-01", "when it was taken; for every recording, or for none"
-    dated = [
-        (f"{f'date = {day}':<31}# from its name\n" if all(dates) else f"{entry:<31}# {why}\n")
-        + repaired
-        for day in dates
-    ]
-    entries = "\n".join(
-        f"[[recordings]]\nname = {quoted(name)}\nfile = {quoted(relative(file, path))}\n"
-        + (_MORE_FILES if ramps else "" if guess.route else _ASKED_SPEED)
-        + (day if kind == "compare" else "")
-        for name, file, day in zip(names, recordings, dated, strict=True)
+    form.filters["quoted"] = quoted
+    names, dates = names_of(recordings), [_date_in(file.name) for file in recordings]
+    files = [relative(file, path) for file in recordings]
+    return form.from_string(_beside(FIRST_CONFIGURATION)).render(
+        command=shlex.quote(path.name),
+        kind="fit" if len(recordings) == 1 else "compare",
+        output=f"results/{name_of(path.stem)}",
+        guess=guess,
+        recordings=list(zip(names, files, dates, strict=True)),
+        are_dated=all(dates),
     )
-    return f"""\
-# Check the columns, then:   bayesbl run {shlex.quote(path.name)}
-
-schema = 1
-kind = "{kind}"
-
-[run]
-seed = 1                # same seed, same numbers
-output = {quoted(f"results/{name_of(path.stem)}")}
-
-[joint]
-{_RAMPS_JOINT.format('"?"' if guess.of_motor else "1.0") if ramps else _JOINT}\
-# limit = "1.2 mrad delta"   # when to repair: δ, which is half the play; or the whole play, as in
-                             # "8 arcmin play" or "0.5 mm play at 0.4 m"
-{before if kind == "compare" else ""}
-# Each channel with the column that holds it. These are guesses: names and units decide the answer.
-# Fill in each "?", or take its line out.
-[columns]
-{column_lines(guess)}
-{entries}
-[interval]
-level = 0.9             # of the credible intervals
-
-{_ESTIMATORS[guess.route]}"""
 
 
 def _date_in(name: str) -> str:
@@ -138,53 +109,6 @@ def _date_in(name: str) -> str:
         return "" if found is None else date.fromisoformat(found[0]).isoformat()
     except ValueError:
         return ""
-
-
-_JOINT = "# gear_ratio = 120.0    # motor turns per turn of the load\n"
-
-_RAMPS_JOINT = """\
-gear_ratio = {}        # motor turns per turn of the output; 1.0 where position and torque are of
-                        # the output already
-# rated_torque_nm = 50  # at the output: lost motion is stated at 3 % of it
-"""
-
-_ASKED_SPEED = "# reference_speed_rpm = 2000   # the speed asked of the drive: shows a wrong unit\n"
-
-_MORE_FILES = (
-    '# files = ["…", "…"]          # in place of file: ramps at several positions around the turn\n'
-)
-
-_ESTIMATORS = {
-    "": """\
-# The gap needs a description of the joint; without one only the ringing is compared.
-[estimator]
-# bench = "bench.toml"  # a data sheet (bayesbl init --bench writes one to fill in), or the folder
-                        # of an identify
-""",
-    "torque_ramp": """\
-# These look like ramps of torque to and fro with one side held.
-[estimator]
-route = "torque_ramp"
-""",
-    "two_encoders": """\
-# Motor and load have an encoder each, and the motor goes to and fro: the play shows in them.
-[estimator]
-route = "two_encoders"
-""",
-}
-"""By the route that a recording is for."""
-
-
-def column_lines(guess: Guess) -> str:
-    """The entries of ``[columns]``, each with its reason, and the columns that have none."""
-    lines = [
-        f"{'# ' if column.unit == UNKNOWN and not column.needed else ''}{column.channel} = "
-        f"{{name = {quoted(column.name)}, unit = {quoted(column.unit)}}}    # {column.reason}\n"
-        for column in guess.columns
-    ]
-    if guess.unused:
-        lines.append(f"# Not used: {', '.join(quoted(name) for name in guess.unused)}\n")
-    return "".join(lines)
 
 
 def quoted(text: str) -> str:
@@ -197,8 +121,13 @@ def relative(file: Path, path: Path) -> str:
     return Path(os.path.relpath(file, path.parent)).as_posix()
 
 
-FIRST_BENCH = "joint.toml"
-"""Beside this module: a bench file to fill in, under the name that it speaks of itself by."""
+FIRST_CONFIGURATION, FIRST_BENCH = "first_configuration.toml.jinja", "joint.toml"
+"""Beside this module: the form of a configuration, and a bench file to fill in, under the name that
+it speaks of itself by."""
+
+
+def _beside(name: str) -> str:
+    return resources.files("bayesbl.runs").joinpath(name).read_text("utf-8")
 
 
 def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> Path:
@@ -211,6 +140,5 @@ def write_first_bench(out: str | Path | None = None, *, force: bool = False) -> 
     """
     path = Path(out) if out is not None else Path(FIRST_BENCH)
     require_new(path, "bench file", force)
-    text = resources.files("bayesbl.runs").joinpath(FIRST_BENCH).read_text("utf-8")
-    write_text(text.replace(FIRST_BENCH, path.name), path)
+    write_text(_beside(FIRST_BENCH).replace(FIRST_BENCH, path.name), path)
     return path

@@ -22,16 +22,8 @@ import xarray as xr
 import bayesbl
 from bayesbl.config.kinds import FleetConfig
 from bayesbl.config.loading import dump_config
-from bayesbl.config.sections import PUBLISHED
 from bayesbl.config.sections import Interval as IntervalConfig
-from bayesbl.fleet.inventory import (
-    Found,
-    Joint,
-    digest_of_file,
-    file_of_another,
-    find_recordings,
-    read_joints,
-)
+from bayesbl.fleet.inventory import Found, Joint, find_recordings, read_joints
 from bayesbl.fleet.measured_joint import (
     REFUSED,
     JointAnswer,
@@ -58,11 +50,11 @@ from bayesbl.fleet.pooled_rates import TypeRates
 from bayesbl.results.atomic import locked_sibling
 from bayesbl.results.folder import CONFIG_FILE, SUMMARY_FILE, is_finished, new_result, require_free
 from bayesbl.results.intervals import interval
-from bayesbl.results.provenance import file_sha256, git_commit
+from bayesbl.results.provenance import git_commit
 from bayesbl.results.store import Head, write_json, write_text
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
-from bayesbl.runs.workflow import Options, Plan, settings_of
+from bayesbl.runs.workflow import Options, Plan
 
 DRAWS_FOLDER = "draws.zarr"
 
@@ -98,11 +90,10 @@ class FleetSummary(Head):
 
 @dataclass(frozen=True, slots=True)
 class KeptJoint:
-    """A joint's answer with the rows of its recordings, and where their own answers are kept."""
+    """A joint's answer with the rows of its recordings."""
 
     answer: JointAnswer
     rows: tuple[dict[str, Any], ...]
-    addresses: tuple[str, ...]
 
 
 def describe(config: FleetConfig, plan: Plan) -> None:
@@ -158,60 +149,32 @@ def _require_own(output: Path, force: bool) -> None:
 
 
 def _jobs(
-    config: FleetConfig, joints: Sequence[Joint], found: Sequence[Found]
-) -> tuple[list[JointJob], list[tuple[Found, str | None]]]:
-    """A job for each joint; and what cannot be measured, with the digest of what could be read."""
-    digests = {one.file: digest_of_file(one.file) for one in found if one.reason is None}
-    owners: dict[str, list[Found]] = defaultdict(list)
+    config: FleetConfig, joints: Sequence[Joint], found: Iterable[Found]
+) -> tuple[list[JointJob], list[Found]]:
+    """A job for each joint, and what cannot be measured."""
+    found = [one.read() for one in found]
+    owners: dict[str | None, list[Found]] = defaultdict(list)
     for one in found:
-        sha = digests.get(one.file, (None, None))[0]
-        if sha is not None:
-            owners[sha].append(one)
-    of_joint: dict[str, list[tuple[Found, str]]] = defaultdict(list)
-    refused: list[tuple[Found, str | None]] = []
+        owners[one.sha256].append(one)
+    of_joint: dict[str, list[Found]] = defaultdict(list)
+    refused: list[Found] = []
     for one in found:
-        sha, problem = digests.get(one.file, (None, None))
-        reason = one.reason or problem or (sha and _copied(one, owners[sha])) or None
-        if reason or sha is None:
-            refused.append((replace(one, reason=reason), sha))
+        reason = one.reason or _copied(one, owners[one.sha256])
+        if reason is None:
+            of_joint[one.joint].append(one)
         else:
-            of_joint[one.joint].append((one, sha))
-    jobs = []
-    for joint in joints:
-        mine = of_joint[joint.name]
-        jobs.append(job_of(config, joint, [one for one, _ in mine], [sha for _, sha in mine]))
-    return jobs, refused
-
-
-def job_of(
-    config: FleetConfig, joint: Joint, recordings: Sequence[Found], sha256: Sequence[str]
-) -> JointJob:
-    """The job of a joint from its recordings and their digests."""
-    settings = settings_of(config)
-    shared = ("columns", "estimator", "posterior", "interval", "curve", "wear")
-    return JointJob(
-        joint,
-        tuple(recordings),
-        tuple(sha256),
-        None if joint.bench is None else file_sha256(joint.bench),
-        None if joint.curve in (None, PUBLISHED) else file_sha256(joint.curve),
-        {key: settings.get(key, {}) for key in shared},
-        config.run.seed,
-        str(config.run.output),
-    )
+            refused.append(replace(one, reason=reason))
+    return [JointJob.of(config, joint, of_joint[joint.name]) for joint in joints], refused
 
 
 def _copied(one: Found, alike: Sequence[Found]) -> str | None:
     """Why a recording that is there twice is not measured; the first of one joint is."""
-    others = [other for other in alike if other is not one]
-    if not others:
+    strange = next((other for other in alike if other.joint != one.joint), None)
+    if strange is None and one is alike[0]:
         return None
-    strange = [other for other in others if other.joint != one.joint]
-    if strange:
-        return file_of_another(strange[0].joint, strange[0].date)
-    if one is alike[0]:
-        return None
-    return f"Its file is to the last byte that of {alike[0].date}. Was a file copied by mistake?"
+    whose = f"joint {strange.joint}, {strange.date}" if strange else alike[0].date
+    neither = ", so it counts for neither" if strange else ""
+    return f"Its file is to the last byte that of {whose}{neither}. Was a file copied by mistake?"
 
 
 def _answers(
@@ -221,14 +184,12 @@ def _answers(
 
     At the end, what no file that is there leads to any more is forgotten.
     """
-    used: set[str] = set()
     lacking = []
     for job in jobs:
         kept = None if store.fresh else store.recall("joint", job.problem(), KeptJoint)
         if kept is None:
             lacking.append(_with_known(job, store))
         else:
-            used |= {store.address_of("joint", job.problem()), *kept.addresses}
             yield job, kept
     if lacking:
         new = sum(len(job.recordings) - len(job.known) for job in lacking)
@@ -239,38 +200,34 @@ def _answers(
     if options.progress is not None:
         options.progress("Joints", done, len(jobs))
     for job, (answers, wear) in _measured(config, lacking, options.say):
-        addresses = []
         for number, answer in enumerate(answers):
-            problem = job.problem_of(number, answers[number - 1] if number else None)
-            addresses.append(store.address_of("recording", problem))
             if number not in job.known and answer.lasting:
-                store.keep("recording", problem, answer)
+                store.keep("recording", job.problem_of(number), answer)
         rows = tuple(
             recording_row(answer, job.joint, number in wear.used, config.interval)
             for number, answer in enumerate(answers)
         )
-        kept = KeptJoint(wear, rows, tuple(addresses))
+        kept = KeptJoint(wear, rows)
         if wear.lasting:
             store.keep("joint", job.problem(), kept)
-        used |= {store.address_of("joint", job.problem()), *addresses}
         done += 1
         if options.progress is not None:
             options.progress("Joints", done, len(jobs))
         yield job, kept
+    used = {store.address_of("joint", job.problem()) for job in jobs}
+    for job in jobs:
+        numbers = range(len(job.recordings))
+        used |= {store.address_of("recording", job.problem_of(number)) for number in numbers}
     store.keep_only(used)
 
 
 def _with_known(job: JointJob, store: WorkStore) -> JointJob:
     """With the answers that earlier runs have kept."""
-    known: dict[int, RecordingAnswer] = {}
-    before = None
-    if not store.fresh:
-        for number in range(len(job.recordings)):
-            before = store.recall("recording", job.problem_of(number, before), RecordingAnswer)
-            if before is not None:
-                known[number] = before
-            elif job.by_amplitude:
-                break  # where the next search starts is not known
+    if store.fresh:
+        return job
+    numbers = range(len(job.recordings))
+    kept = (store.recall("recording", job.problem_of(n), RecordingAnswer) for n in numbers)
+    known = {n: answer for n, answer in zip(numbers, kept, strict=True) if answer is not None}
     return replace(job, known=known)
 
 
@@ -289,7 +246,7 @@ def _measured(
 def _write(
     config: FleetConfig,
     jobs: Sequence[JointJob],
-    refused: Sequence[tuple[Found, str | None]],
+    refused: Sequence[Found],
     answers: Iterable[tuple[JointJob, KeptJoint]],
     folder: Path,
 ) -> FleetSummary:
@@ -297,10 +254,10 @@ def _write(
     draws = DrawsStore(folder / DRAWS_FOLDER)
     rows: list[dict[str, Any]] = []
     of_joint: dict[str, Measured] = {}
-    broken = Counter(one.joint for one, _ in refused)
+    broken = Counter(one.joint for one in refused)
     for job, kept in answers:
-        for one, sha256, row in zip(job.recordings, job.sha256, kept.rows, strict=True):
-            rows.append({**row, **identity(one, sha256)})
+        for one, row in zip(job.recordings, kept.rows, strict=True):
+            rows.append({**row, **one.identity})
         dates = tuple(one.date for one in job.recordings)
         outcomes = tuple(str(row["outcome"]) for row in kept.rows)
         outcomes += (REFUSED,) * broken[job.joint.name]
@@ -309,9 +266,9 @@ def _write(
         now = None if kept.answer.gap_rad is None else kept.answer.gap_rad[-1:]
         answer = replace(kept.answer, gap_rad=now)
         of_joint[job.joint.name] = Measured(job.joint, answer, dates, outcomes)
-    for one, digest in refused:
+    for one in refused:
         row = recording_row(RecordingAnswer(REFUSED, one.reason), None, False, config.interval)
-        rows.append({**row, **identity(one, digest)})
+        rows.append({**row, **one.identity})
     rows.sort(key=lambda row: (row["joint"], row["date"], row["file"]))
     asked = config.fleet
     measured = [of_joint[job.joint.name] for job in jobs]
@@ -325,11 +282,6 @@ def _write(
     write_json(summary, folder / SUMMARY_FILE)
     write_text(dump_config(config), folder / CONFIG_FILE)
     return summary
-
-
-def identity(one: Found, sha256: str | None) -> dict[str, Any]:
-    """Which recording a row is of."""
-    return {"joint": one.joint, "date": one.date, "file": one.file, "sha256": sha256}
 
 
 def _put_draws(draws: DrawsStore, job: JointJob, answer: JointAnswer) -> None:

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from bayesbl.arguments import Tree, checked
+from bayesbl.config.kinds import FILES, KINDS
 from bayesbl.config.loading import config_from_options, files_of, load_config, require_text_names
 from bayesbl.config.sections import RunConfig
-from bayesbl.errors import ConfigError, ResultError, UserError
+from bayesbl.errors import ResultError, UserError
 from bayesbl.recording.input_bytes import read_input
 from bayesbl.results.folder import AUGMENTED_BENCH, CONFIG_FILE, IDENTIFIED_BENCH, require_apart
 from bayesbl.results.work import NOTHING_KEPT
@@ -49,32 +49,14 @@ if TYPE_CHECKING:
     )
 
 
-KINDS: Mapping[str, str] = MappingProxyType(
-    {
-        "fit": "measure",
-        "compare": "measure",
-        "sweep": "sweep",
-        "plan": "plan",
-        "diagnose": "diagnose",
-        "identify": "identify",
-        "study": "study",
-        "fleet": "fleet",
-        "simulate": "simulate",
-        "bench": "bench",
-    }
-)
-"""Kind of run, and of stored result, to its module here, imported when it is needed.
+_MEASURE = ("fit", "compare")
+"""Kinds that share a module here; every other has that of its name, imported when it is needed.
 
 Its ``describe(config, plan)`` asks everything that can be asked before the first expensive step:
 ``check`` prints the plan, ``run`` goes by it. ``make(config, options, work)`` gives the result, and
 what takes long goes through ``work``; ``run(config, options)``, in its place, writes an output
 folder that is added to and gives the summary. ``summarise(tree)`` makes that of a stored result.
 """
-
-_WITHOUT_RESULT = ("fleet", "simulate", "bench")
-
-_FILES = ("simulate", "bench")
-"""Kinds without an output folder: their workflow takes the file itself."""
 
 
 def load_run(path: str | Path, *, kind: str | None = None, **options: object) -> RunConfig:
@@ -85,13 +67,6 @@ def load_run(path: str | Path, *, kind: str | None = None, **options: object) ->
     ConfigError
         As :func:`bayesbl.config.loading.load_config`.
     """
-    if kind_of(path) == "bench":
-        raise ConfigError(
-            "A bench is simulated on, not run.",
-            file=path,
-            found='kind = "bench"',
-            expected='a configuration that names this bench, e.g. of kind = "simulate"',
-        )
     config = load_config(path, kind=kind)
     given: dict[str, Any] = {o: value for o, value in options.items() if value is not None}
     return config_from_options(config.kind, (), path, **given) if given else config
@@ -175,7 +150,7 @@ def check(path: str | Path) -> Plan:
     """
     kind = kind_of(path)
     plan = Plan(path, [("kind", kind)], is_check=True)
-    if kind in _FILES:
+    if kind in FILES.keys() - KINDS.keys():  # without an output folder: the file itself is taken
         _workflow(kind).describe(Path(path), plan)
         return plan
     config = load_run(path)
@@ -204,7 +179,7 @@ def _require_output_apart(config: RunConfig, file: str | Path | None) -> None:
 
 
 def _workflow(kind: str) -> ModuleType:
-    return import_module(f"bayesbl.runs.{KINDS[kind]}")
+    return import_module(f"bayesbl.runs.{'measure' if kind in _MEASURE else kind}")
 
 
 @checked
@@ -229,7 +204,7 @@ def read_result(path: str | Path) -> xr.DataTree:
 
     tree = read_tree(path)
     kind = tree.attrs.get("kind")
-    stored = [name for name in KINDS if name not in _WITHOUT_RESULT]
+    stored = [name for name in KINDS if name != "fleet"]
     if not isinstance(kind, str) or kind not in stored:
         raise ResultError(
             "This result is of no known kind.",

@@ -30,21 +30,19 @@ costly and shared by the cases of a row goes into a function under ``functools.c
 
 from __future__ import annotations
 
-import ast
 import csv
 import hashlib
 import importlib.util
 import io
 import json
 import os
-import re
 import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
@@ -58,7 +56,7 @@ from bayesbl.config.loading import config_error, problems_of
 from bayesbl.errors import ConfigError, UserError, WorkerError
 from bayesbl.results.atomic import replacing
 from bayesbl.results.folder import figure_title
-from bayesbl.results.provenance import git_commit, provenance_of
+from bayesbl.results.provenance import file_sha256, git_commit, provenance_of
 from bayesbl.results.store import OUTCOME, Head, head
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.cluster import run_jobs
@@ -77,12 +75,8 @@ OWN_COLUMNS = {
     "failed": ("1", "1 where the case failed, and has no values"),
     "message": ("", "why the case failed"),
     "seconds": ("s", "time that the case took"),
-    "commit": ("", "commit that the case was run at"),
 }
 """What the runner keeps of every case beside the study's own numbers: unit and long name."""
-
-AFTER_THE_CASES = frozenset({"summarise", "figure", "COLUMNS"})
-"""What a study file may change without its cases being run again."""
 
 
 @dataclass(frozen=True)
@@ -158,25 +152,16 @@ class Study:
             json.dumps(line)  # as it is stored
         return line
 
-    def files(self, table: Table) -> list[str]:
-        """Paths of the files that a row names."""
-        return [value for value in table.values() if _is_file(value)]
-
     def definition(self, table: Table, seed: int) -> str:
-        """SHA-256 of what decides a row's cases: its table, the code that runs them, the seed.
+        """What decides a row's cases beside the package's code: table, study file and seed.
 
-        Files that a row names count with their content, wherever they are; comments and what is
-        done with finished cases do not count.
+        Files that a row names count with their content, wherever they are.
         """
-        said = {key: _content(value) for key, value in table.items()}
-        parts = [said, self._code_of_cases, seed]
-        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
-
-    @cached_property
-    def _code_of_cases(self) -> str:
-        tree = ast.parse(self.path.read_text(encoding="utf-8"))
-        tree.body = [node for node in tree.body if not _names(node) & AFTER_THE_CASES]
-        return ast.unparse(tree)
+        said = {
+            key: [Path(value).name, file_sha256(value)] if _is_file(value) else value
+            for key, value in table.items()
+        }
+        return json.dumps([said, file_sha256(self.path), seed], sort_keys=True, default=str)
 
 
 def load_study(path: str | Path) -> Study:
@@ -236,25 +221,8 @@ def seed_of_case(seed: int, row: str, index: int) -> np.random.SeedSequence:
     return np.random.SeedSequence([seed, int.from_bytes(words, "little")], spawn_key=(index,))
 
 
-def _content(value: Any) -> Any:
-    """A file's name and hash in place of its path."""
-    if _is_file(value):
-        return [Path(value).name, hashlib.sha256(Path(value).read_bytes()).hexdigest()]
-    return value
-
-
 def _is_file(value: Any) -> bool:
     return isinstance(value, str) and os.path.isfile(value)
-
-
-def _names(node: ast.stmt) -> set[str]:
-    """What a statement at the top of a module defines."""
-    match node:
-        case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
-            return {name}
-        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
-            return {name}
-    return set()
 
 
 def _line_of(error: BaseException, path: Path) -> str | None:
@@ -281,7 +249,6 @@ class Case:
     index: int
     values: Mapping[str, float]
     seconds: float
-    commit: str
     message: str = ""
 
 
@@ -304,7 +271,7 @@ class Job:
         return f'case {self.index} of row "{self.row}"'
 
 
-def run_case(path: str, commit: str, job: Job) -> Case:
+def run_case(path: str, job: Job) -> Case:
     """Run a case of the study in a file, in a process that stays for others.
 
     A :class:`UserError` of the study is its message.
@@ -318,12 +285,12 @@ def run_case(path: str, commit: str, job: Job) -> Case:
             values = study.run_case(job.table, job.index, seed)
         except UserError as error:
             message = str(error)
-    return Case(job.index, values, time.perf_counter() - start, commit, message)
+    return Case(job.index, values, time.perf_counter() - start, message)
 
 
 def files_of_study(study: Study, jobs: Sequence[Job]) -> list[str]:
     """Path of the study file and of every file that the rows of these cases name."""
-    named = (path for job in jobs for path in study.files(job.table))
+    named = (value for job in jobs for value in job.table.values() if _is_file(value))
     return list(dict.fromkeys([str(study.path), *named]))
 
 
@@ -350,16 +317,11 @@ class Row:
             Job(self.table, index, seed) for index in range(self.count) if index not in self.cases
         ]
 
-    def address(self, index: int) -> tuple[str, int]:
-        """What decides the numbers of a case."""
-        return self.definition, index
-
 
 def run(config: StudyConfig, options: Options) -> StudySummary:
     """Run what is not finished of a study, write its output folder, and return the summary.
 
-    Cases that an unfinished run has are taken over, each with the commit that made it, if their row
-    is defined as it was.
+    Cases that an unfinished run has are taken over if their row is defined as it was.
 
     Raises
     ------
@@ -368,11 +330,9 @@ def run(config: StudyConfig, options: Options) -> StudySummary:
     """
     study, rows = prepare(config)
     with work_of(config, options) as work:
-        # A definition decides a case, whatever else of the code has changed since.
-        kept = replace(work, code="")
         for row in rows:
-            _take_from_store(row, kept, options.say)
-        _finish(study, rows, config, kept, options)
+            _take_from_store(row, work, options.say)
+        _finish(study, rows, config, work, options)
         tree = _tree(study, rows, config)
         summary = summarise(tree)
         drawn = replace(options, draw=partial(draw_study, study))
@@ -468,7 +428,7 @@ def stored_rows(tree: xr.DataTree) -> tuple[list[dict[str, Any]], dict[str, xr.D
 
 def _take_from_store(row: Row, work: WorkStore, say: Callable[[str], None]) -> None:
     """Give a row the cases that an earlier, unfinished run stored."""
-    stored = (work.recall("case", row.address(index), Case) for index in range(row.count))
+    stored = (work.recall("case", (row.definition, index), Case) for index in range(row.count))
     row.cases = {case.index: case for case in stored if case is not None}
     if row.cases:
         say(f'Row "{row.name}" goes on after {len(row.cases)} of {row.count} cases.')
@@ -485,11 +445,11 @@ def _finish(
     if options.progress is not None:
         row = by_name[jobs[0].row]
         options.progress(row.name, len(row.cases), row.count)
-    run, files = partial(run_case, str(study.path), git_commit()), files_of_study(study, jobs)
+    run, files = partial(run_case, str(study.path)), files_of_study(study, jobs)
     try:
         for job, case in run_jobs(run, jobs, files, config.run, options.say, "cases"):
             row = by_name[job.row]
-            work.keep("case", row.address(case.index), case)
+            work.keep("case", (row.definition, case.index), case)
             if case.message and not any(other.message for other in row.cases.values()):
                 options.say(f'Row "{row.name}": case {case.index} failed: {case.message}')
             row.cases[case.index] = case
@@ -525,24 +485,21 @@ def _row_group(study: Study, row: Row) -> xr.Dataset:
     columns["failed"] = [float(bool(case.message)) for case in cases]
     columns["message"] = [case.message for case in cases]
     columns["seconds"] = [case.seconds for case in cases]
-    columns["commit"] = [case.commit for case in cases]
     group = xr.Dataset(
         {name: ("case", values, _described(study, name)) for name, values in columns.items()},
         {"case": np.arange(row.count)},
     )
     done = np.flatnonzero(group["failed"].values == 0.0)
-    commit = ", ".join(dict.fromkeys(case.commit for case in cases))
     line = {
         "name": row.name,
         "cases": row.count,
         "failed": row.count - done.size,
         **(study.summarise(row.table, group.isel(case=done)) if done.size else {}),
-        "commit": commit,
+        "commit": git_commit(),
     }
     group.attrs = {
         "name": row.name,
         "row": json.dumps(dict(row.table), default=str, ensure_ascii=False),
-        "commit": commit,
         "seconds": float(group["seconds"].sum()),
         "line": json.dumps(line, ensure_ascii=False),
     }
@@ -556,13 +513,8 @@ def _described(study: Study, name: str) -> dict[str, str]:
 
 def _groups(tree: xr.DataTree) -> list[xr.Dataset]:
     """The rows of a result in their order."""
-    return [tree[name].to_dataset() for name in _names_of_rows(tree)]
-
-
-def _names_of_rows(tree: xr.DataTree) -> list[str]:
-    """Of those groups that are rows, in their order."""
-    numbers = (re.fullmatch(r"row_(\d+)", name) for name in tree.children)
-    return [found[0] for found in sorted(filter(None, numbers), key=lambda found: int(found[1]))]
+    names = sorted(tree.children, key=lambda name: int(name.removeprefix("row_")))
+    return [tree[name].to_dataset() for name in names]
 
 
 def draw_study(study: Study, tree: xr.DataTree, folder: Path, formats: Sequence[str]) -> list[Path]:

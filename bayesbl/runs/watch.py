@@ -14,7 +14,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from bayesbl.fleet.inventory import (
     FileState,
     Found,
     Joint,
-    digest_of_file,
     file_state,
     find_recordings,
     read_joints,
@@ -42,7 +41,7 @@ from bayesbl.fleet.plant_tables import recording_row
 from bayesbl.fleet.recording_table import RecordingTable
 from bayesbl.results.atomic import sibling
 from bayesbl.results.work import WorkStore
-from bayesbl.runs.fleet import KEPT, identity, job_of
+from bayesbl.runs.fleet import KEPT
 
 SETTLED_S = 5.0
 """For how long size and time of a file have to stay as they are before it is complete."""
@@ -177,53 +176,38 @@ class _Measuring:
 
     def took(self, one: Found) -> bool:
         """Whether a recording has a row now; one that changes meanwhile is left for later."""
-        sha256, problem = (None, None) if one.reason else digest_of_file(one.file)
-        if problem is not None and file_state(one.file) is None:
+        listed, one = one, one.read()
+        if one.reason != listed.reason and file_state(one.file) is None:
             return False  # it has been taken away
-        if sha256 is None:
-            answer = RecordingAnswer(REFUSED, one.reason or problem)
-        elif self.table.holds_measured(joint=one.joint, sha256=sha256):
+        if one.sha256 is None:
+            answer = RecordingAnswer(REFUSED, one.reason)
+        elif self.table.holds_measured(joint=one.joint, sha256=one.sha256):
             return True
         else:
-            answer = self._answer(one, sha256)
+            answer = self._answer(one)
             if answer is CHANGED:
                 return False
-        self._put(one, sha256, answer)
+        self._put(one, answer)
         gc.collect()  # measuring leaves arrays in circles, which would pile up over recordings
         return True
 
-    def _answer(self, one: Found, sha256: str) -> RecordingAnswer:
-        job = job_of(self.config, self.joints[one.joint], [one], [sha256])
-        before = self._before(job)
-        problem = job.problem_of(0, before)
+    def _answer(self, one: Found) -> RecordingAnswer:
+        job = JointJob.of(self.config, self.joints[one.joint], [one])
+        problem = job.problem_of(0)
         answer = self.store.recall("recording", problem, RecordingAnswer)
         if answer is None:
-            answer = measure_recording(job, 0, before)
+            answer = measure_recording(job, 0)
             if answer.lasting:
                 self.store.keep("recording", problem, answer)
-        if answer.lasting:
-            optimum = replace(answer, gap_rad=None, bench=None)
-            self.store.keep("optimum", (one.joint, sha256), optimum)
         for kept in (self.store, WorkStore.shared(fits_beside(self.config.run.output))):
             kept.keep_latest(size_bytes=LARGEST_KEPT_BYTES)
         return answer
 
-    def _before(self, job: JointJob) -> RecordingAnswer | None:
-        """What the joint's recording before this one gave, where its search starts."""
-        (one,) = job.recordings
-        sha256 = self.table.before(one.joint, one.date) if job.by_amplitude else None
-        if sha256 is None:
-            return None
-        return self.store.recall("optimum", (one.joint, sha256), RecordingAnswer)
-
-    def _put(self, one: Found, sha256: str | None, answer: RecordingAnswer) -> None:
+    def _put(self, one: Found, answer: RecordingAnswer) -> None:
         used = False if answer.outcome == REFUSED else None
         row = recording_row(answer, self.joints.get(one.joint), used, self.config.interval)
-        row |= identity(one, sha256)
-        if self.table.knows(row):
-            return
-        changed = self.table.put(row)
-        self.table.save()
-        self.offer(changed)
-        for one_row in changed:
-            self.tell(one_row)
+        row |= one.identity
+        if self.table.put(row):
+            self.table.save()
+            self.offer([row])
+            self.tell(row)

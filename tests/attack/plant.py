@@ -89,7 +89,7 @@ def killed(child: int) -> None:
     os.waitpid(child, 0)
 
 
-def measured(job: Any, number: int, before: object) -> Any:
+def measured(job: Any, number: int) -> Any:
     """An answer in place of a fit, which takes a moment."""
     from bayesbl.errors import RecordingError
     from bayesbl.fleet.measured_joint import REFUSED, RecordingAnswer

@@ -23,12 +23,12 @@ from bayesbl.config.loading import load_config
 from bayesbl.errors import RecordingError, UnavailableError
 from bayesbl.fleet import measured_joint
 from bayesbl.fleet.broker import Credentials, read_address
+from bayesbl.fleet.inventory import Found
 from bayesbl.fleet.measured_joint import REFUSED, JointJob, RecordingAnswer
 from bayesbl.library import draw
 from bayesbl.runs import collect as collecting
 from bayesbl.runs import watch as watching
 from bayesbl.runs.collect import collect
-from bayesbl.runs.fleet import identity
 from bayesbl.runs.kinds import run
 from bayesbl.runs.watch import Watched, watch
 from bayesbl.runs.workflow import Options
@@ -36,7 +36,7 @@ from bayesbl.runs.workflow import Options
 pytest.importorskip("pyarrow")
 
 
-def answer(job: JointJob, number: int, before: object) -> RecordingAnswer:
+def answer(job: JointJob, number: int) -> RecordingAnswer:
     """Refused where the content says so."""
     if "broken" in Path(job.recordings[number].file).read_text():
         return RecordingAnswer(REFUSED, "It is broken.")
@@ -88,9 +88,9 @@ def test_links_that_leave_the_folder_are_not_read(plant, tmp_path_factory):
     (plant / "data/J2").symlink_to(outside, target_is_directory=True)
     (plant / "data/J1/2025-03-01.csv").symlink_to("2025-02-01.csv")  # stays inside
 
-    def opened(job: JointJob, number: int, before: object) -> RecordingAnswer:
+    def opened(job: JointJob, number: int) -> RecordingAnswer:
         assert "secret" not in Path(job.recordings[number].file).read_text()
-        return answer(job, number, before)
+        return answer(job, number)
 
     watched(plant, opened)
     fleet(plant, opened)
@@ -125,7 +125,7 @@ def test_what_could_not_be_read_here_and_now_is_tried_again(plant):
     put(plant, "J1", "2025-01-01")
     put(plant, "J1", "2025-02-01", "broken")
 
-    def without_library(job: JointJob, number: int, before: object) -> RecordingAnswer:
+    def without_library(job: JointJob, number: int) -> RecordingAnswer:
         return RecordingAnswer(REFUSED, "not installed", lasting=False)
 
     for act, folder in ((fleet, "plant"), (watched, "watched")):
@@ -146,7 +146,7 @@ def test_a_refusal_lasts_only_if_content_alone_decides_it(plant):
     config = load_config(plant / "plant.toml")
     joints = read_joints(config.fleet)
     (job, _), _ = _jobs(config, joints, find_recordings(config.fleet, joints))
-    assert measured_joint.measure_recording(job, 0, None).lasting
+    assert measured_joint.measure_recording(job, 0).lasting
 
     def failing(error: Exception, text: str | None = None) -> RecordingAnswer:
         def measure(*_: object, **__: object) -> None:
@@ -156,13 +156,13 @@ def test_a_refusal_lasts_only_if_content_alone_decides_it(plant):
             raise error
 
         with patch.object(measured_joint, "measure", measure):
-            return measured_joint.measure_recording(job, 0, None)
+            return measured_joint.measure_recording(job, 0)
 
     assert failing(RecordingError("too short")).lasting
     assert not failing(UnavailableError("no library")).lasting
     assert not failing(RecordingError("too short"), "half").lasting
     file.write_text("other")
-    assert not measured_joint.measure_recording(job, 0, None).lasting
+    assert not measured_joint.measure_recording(job, 0).lasting
 
 
 # Messages.
@@ -180,7 +180,7 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 
 
 ONE_IMAGE = {"file": "data/J1.csv"}
-ANN = Credentials("ann", "secret")
+ANN = Credentials(user="ann", password="secret")
 
 
 def collected(plant: Path, broker: Broker) -> list[dict[str, object]]:
@@ -220,6 +220,7 @@ def test_what_another_subscriber_got_instead_comes_again(plant, broker):
 
 def test_two_devices_with_one_joint_name_keep_their_rows(plant, broker, tmp_path):
     collected(plant, broker)
+    own = Found.identity.fget
     for robot in ("r1", "r2"):
         place = tmp_path / robot
         place.mkdir()
@@ -227,7 +228,7 @@ def test_two_devices_with_one_joint_name_keep_their_rows(plant, broker, tmp_path
             shutil.copy(plant / name, place / name)
         put(place, "J1", "2025-01-01", f"J1 of {robot}")
         # The same path in the row of both, as on two devices of one image.
-        with patch.object(watching, "identity", lambda one, sha: identity(one, sha) | ONE_IMAGE):
+        with patch.object(Found, "identity", property(lambda one: own(one) | ONE_IMAGE)):
             address = read_address(f"mqtt://localhost:{broker.port}/plant/{robot}")
             watched(place, publish=address, credentials=ANN)
     rows = collected(plant, broker)

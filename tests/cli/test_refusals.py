@@ -146,7 +146,7 @@ def test_dates_on_some_recordings_only_are_refused(tmp_path, capsys):
     path = compare_file(tmp_path, second="date = 2026-03-01")
     refused(["run", path], capsys, "every one needs its date, or none", '"wear_before"')
     path = compare_file(tmp_path, second="repaired = true")
-    refused(["run", path], capsys, "needs dates", '"wear_after"')
+    refused(["run", path], capsys, "[[recordings]] 2", "needs dated recordings")
     for dates in ({}, {"first": "date = 2026-02-01", "second": "date = 2026-03-01"}):
         assert cli.status(["check", str(compare_file(tmp_path, **dates))]) == 0
 
@@ -300,7 +300,6 @@ def test_commands_to_type_are_quoted(foreign, capsys):
     assert cli.status(["init", name]) == 0
     assert "then: bayesbl run 'Mess ung ä.toml'" in capsys.readouterr().out
     assert "bayesbl run 'Mess ung ä.toml'" in (foreign / "Mess ung ä.toml").read_text()
-    refused(["compare", name], capsys, f"bayesbl fit '{name}'")
     refused(["run", name], capsys, f"`bayesbl init '{name}'`")
     refused(["report", name], capsys, f"`bayesbl fit '{name}'`")
     refused(["report", "Mess ung ä.toml"], capsys, "`bayesbl run 'Mess ung ä.toml'`")
@@ -309,7 +308,6 @@ def test_commands_to_type_are_quoted(foreign, capsys):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["compare", "monday.csv"], "for one recording: bayesbl fit monday.csv"),
         (["run", "monday.csv"], "bayesbl init monday.csv"),
         (["check", "monday.csv"], "bayesbl init monday.csv"),
         (["report", "monday.csv"], "bayesbl fit monday.csv"),

@@ -222,12 +222,12 @@ WRONG = {
     "direct from an earlier result": (
         '[estimator]\nroute = "direct"\nbench = "before.csv"\n'
         '[estimator.search]\nstart_from = "after.csv"\n',
-        "cannot start from an earlier result",
+        'no use with route = "direct"',
         "[estimator.search]",
     ),
     "direct with a second sampler": (
         '[estimator]\nroute = "direct"\nbench = "before.csv"\n[posterior]\ncheck_sampler = true\n',
-        "the amplitude route's posterior only",
+        'no use with route = "direct"',
         "[posterior]",
     ),
     "direct with a rangeless gap": (

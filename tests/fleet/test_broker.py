@@ -51,7 +51,7 @@ def test_credentials_are_read_and_not_shown(tmp_path):
         ('pasword = "hunter2"', 0o600, "did you mean"),
         ('password = "hunter2', 0o600, "no TOML"),
         ('ca = "none.crt"', 0o600, "no such file"),
-        ("password = 12", 0o600, "not one of the credentials"),
+        ("password = 12", 0o600, "cannot be used"),
     ],
 )
 def test_credentials_that_cannot_be_used_are_told_without_them(tmp_path, text, mode, told):

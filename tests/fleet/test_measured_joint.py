@@ -16,8 +16,6 @@ from places import CONFIGS
 from bayesbl.config.loading import load_config
 from bayesbl.fleet.inventory import Found, Joint
 from bayesbl.fleet.measured_joint import JointJob, RecordingAnswer, measure_joint
-from bayesbl.results.provenance import file_sha256
-from bayesbl.runs.workflow import settings_of
 
 DATES = ("2025-01-01", "2025-07-01", "2026-01-01", "2026-07-01")
 GAPS = (5e-4, 6e-4, 7e-4, 8e-4)
@@ -32,28 +30,17 @@ def job(tmp_path):
     (tmp_path / "joints.csv").write_text("joint\nJ1\n")
     config = tmp_path / "fleet.toml"
     config.write_text(
-        'schema = 1\nkind = "fleet"\n[fleet]\njoints = "joints.csv"\n'
+        'schema = 1\nkind = "fleet"\nrun = {output = "out"}\n[fleet]\njoints = "joints.csv"\n'
         'recordings = "{joint}/{date}.csv"\n'
     )
-    settings = settings_of(load_config(config))
-    shared = {key: settings.get(key, {}) for key in ("columns", "estimator", "posterior")}
-    shared |= {key: settings.get(key, {}) for key in ("interval", "curve", "wear")}
     found = []
     for day in DATES:
         file = tmp_path / f"{day}.csv"
         file.write_text(day)
-        found.append(Found("J1", day, str(file)))
-    return JointJob(
-        Joint(joint="J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3),
-        tuple(found),
-        tuple(sha256(day.encode()).hexdigest() for day in DATES),
-        file_sha256(CONFIGS / "bench_tolerances.toml"),
-        None,
-        shared,
-        1,
-        str(tmp_path / "out"),
-        dict(enumerate(answers())),
-    )
+        found.append(Found("J1", day, str(file), sha256=sha256(day.encode()).hexdigest()))
+    joint = Joint(joint="J1", bench=str(CONFIGS / "bench_tolerances.toml"), limit_rad=1.2e-3)
+    whole = JointJob.of(load_config(config), joint, found)
+    return replace(whole, known=dict(enumerate(answers())))
 
 
 def answers() -> list[RecordingAnswer]:
@@ -159,8 +146,9 @@ def test_the_bench_of_the_paper_gives_no_date(job):
 def test_addresses_follow_what_decides_the_numbers(job):
     """The limit decides no gap; a name, a speed and the file do."""
     same = replace(job, joint=other_joint(job, limit_rad=2e-3, load=3.0))
-    assert same.problem_of(0, None) == job.problem_of(0, None)
+    assert same.problem_of(0) == job.problem_of(0)
     assert same.problem() != job.problem()
-    other = replace(job, sha256=("f" * 64, *job.sha256[1:]))
-    assert other.problem_of(0, None) != job.problem_of(0, None)
-    assert other.problem_of(1, None) == job.problem_of(1, None)
+    first = replace(job.recordings[0], sha256="f" * 64)
+    other = replace(job, recordings=(first, *job.recordings[1:]))
+    assert other.problem_of(0) != job.problem_of(0)
+    assert other.problem_of(1) == job.problem_of(1)

@@ -277,8 +277,8 @@ def test_a_torque_that_goes_one_way_is_refused(tmp_path: Path, capsys) -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ('bench = "a.csv"', "without a bench"),
-        ('route = "amplitude"', "several files"),
+        ('bench = "a.csv"', "bench: This has no use"),
+        ('route = "amplitude"', "files: This has no use"),
     ],
 )
 def test_what_does_not_go_with_ramps_is_refused(tmp_path: Path, changed: str, words: str) -> None:

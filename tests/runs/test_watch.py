@@ -146,9 +146,9 @@ def test_a_device_that_is_killed_loses_nothing_and_measures_nothing_twice(plant)
     measured = []
     real = watching.measure_recording
 
-    def counted(job, number, before):
+    def counted(job, number):
         measured.append(job.joint.name)
-        return real(job, number, before)
+        return real(job, number)
 
     with patch.object(watching, "measure_recording", counted):
         assert cli.status(arguments) == 0
@@ -182,7 +182,7 @@ def broker(tmp_path):
 def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
     address = read_address(f"mqtt://localhost:{broker.port}/plant")
     below = read_address(f"mqtt://localhost:{broker.port}/plant/r1")
-    ann = Credentials("ann", "secret")
+    ann = Credentials(user="ann", password="secret")
     said: list[str] = []
 
     def collected(credentials: Credentials = ann) -> int:
@@ -202,7 +202,7 @@ def test_each_answer_arrives_once_though_the_broker_was_away(plant, broker):
         assert "Nobody has asked" in told
         assert "has not taken yet: 5" in told
         with pytest.raises(BrokerError, match="Not authorized"):
-            collected(Credentials("ann", "wrong"))
+            collected(Credentials(user="ann", password="wrong"))
         assert collected() == 0
         broker.stop()
         assert "cannot be reached" in sent(0.5)
@@ -245,7 +245,7 @@ def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, 
     def collected() -> None:
         collect(
             address,
-            Credentials("ann", "secret"),
+            Credentials(user="ann", password="secret"),
             plant / "all",
             said.append,
             lambda row: None,

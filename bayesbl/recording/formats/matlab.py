@@ -40,10 +40,11 @@ def read(file: Path, data: bytes) -> ArrayTable:
     if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
         variables = _hdf5_variables(file, data)
     elif data.startswith(b"PK"):
-        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-            variables = dict(stored)
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            variables = dict(archive)
     else:
-        variables = _mat5_variables(data)
+        stored = loadmat(io.BytesIO(data), simplify_cells=True)
+        variables = {name: value for name, value in stored.items() if not name.startswith("__")}
     if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
         variables = only
     arrays = dict(_columns(variables))
@@ -62,49 +63,25 @@ def _columns(
 ) -> Iterator[tuple[str, AnyArray]]:
     for name, value in variables.items():
         if isinstance(value, dict):
-            label = value.get("label")
-            if "values" in value and isinstance(label, np.ndarray) and label.size == 1:
-                yield from _columns({f"{label.item()}": value["values"]}, f"{prefix}{name}.")
+            if "values" in value and isinstance(label := value.get("label"), str):
+                yield from _columns({label: value["values"]}, f"{prefix}{name}.")
             elif depth < _DEEPEST:
                 yield from _columns(value, f"{prefix}{name}.", depth + 1)
+        elif isinstance(value, list):  # of structures
+            places = enumerate(value[:_MOST_COLUMNS], start=1)
+            structures = {f"{name}({i})": each for i, each in places if isinstance(each, dict)}
+            yield from _columns(structures, prefix, depth)
+        elif not isinstance(value, np.ndarray) or value.dtype.names is not None:
+            continue  # a single value, or an object of a class
+        elif value.dtype.kind == "O":
+            if all(isinstance(cell, str) or np.size(cell) == 0 for cell in value.flat):
+                # A cell array of text: time stamps, perhaps.
+                yield prefix + name, np.array([c if isinstance(c, str) else "" for c in value.flat])
         elif value.ndim <= 2 and value.size == max(value.shape, default=0):
             yield prefix + name, value.ravel()
         elif value.ndim == 2 and value.shape[1] <= _MOST_COLUMNS:
             for column in range(value.shape[1]):
                 yield f"{prefix}{name}(:,{column + 1})", value[:, column]
-
-
-def _mat5_variables(data: bytes) -> dict[str, Any]:
-    stored = loadmat(io.BytesIO(data), squeeze_me=False, simplify_cells=False)
-    return _plain({k: v for k, v in stored.items() if not k.startswith("__")})
-
-
-def _plain(values: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
-    """Structures as dictionaries, arrays of numbers and text as they are, all else left out."""
-
-    plain: dict[str, Any] = {}
-    for name, value in values.items():
-        if not isinstance(value, np.ndarray) or type(value).__name__ == "MatlabOpaque":
-            continue
-        if value.dtype.names is not None:
-            places = [""] if value.size == 1 else [f"({i + 1})" for i in range(value.size)]
-            for place, record in zip(places[:_MOST_COLUMNS], value.flat, strict=False):
-                if depth < _DEEPEST:
-                    fields = {n: record[n] for n in value.dtype.names}
-                    plain[name + place] = _plain(fields, depth + 1)
-        elif value.dtype.kind in "biufc":
-            plain[name] = value
-        elif value.dtype.kind == "O" and all(_is_text(cell) for cell in value.flat):
-            # A cell array of text: time stamps, perhaps.
-            plain[name] = np.array([str(c.flat[0]) if c.size else "" for c in value.flat])
-        elif value.dtype.kind == "U":
-            plain[name] = value
-    return plain
-
-
-def _is_text(cell: Any) -> bool:
-    """Whether a cell holds one text or none."""
-    return getattr(cell, "dtype", None) is not None and cell.dtype.kind == "U" and cell.size <= 1
 
 
 def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
