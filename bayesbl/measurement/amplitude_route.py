@@ -24,7 +24,7 @@ from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
-from bayesbl.measurement.curves import CURVE, curve_source, curves_group
+from bayesbl.measurement.curves import CURVE, CurveSource, curves_group
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.joint_check import JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
@@ -216,7 +216,7 @@ class AmplitudeMeasurer(Measurer):
     def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
         super().__init__(config)
         self.estimator = estimator_of(config)
-        self.source = curve_source(config, bench)
+        self.source = CurveSource(config, bench)
 
     @property
     def gap_range_rad(self) -> tuple[float, float] | None:
@@ -286,7 +286,7 @@ class AmplitudeMeasurer(Measurer):
             [self._answer(*part, task) for part in parts],
             shared=self._curve(curves, found, task),
             curve=curves[0].name if curves else "",
-            warnings=self.source.warnings,
+            warnings=curves[0].warnings if curves else (),
             ringing_change=_ringing_change(fits, found, curves),
             same_joint=check,
             change_reason=None if change is None else Reason.of_text("joint_changed", change),

@@ -91,7 +91,7 @@ class AutoMeasurer(Measurer):
 
     def _of_both(self, direct: Measurement, amplitude: Measurement) -> Measurement:
         """Direct, unless it failed by itself while the amplitude has an answer."""
-        if self.amplitude.source.is_of_bench:
+        if self.amplitude.source.bench is not None:
             amplitude = _without_contradicted(direct, amplitude)
         failed = [
             reason
@@ -110,7 +110,7 @@ class AutoMeasurer(Measurer):
             why=Reason(why),
             beside=(amplitude,),
         )
-        if self.amplitude.source.is_of_bench and found.change_reason is None:
+        if self.amplitude.source.bench is not None and found.change_reason is None:
             found = replace(found, change_reason=disagreement(direct, amplitude))
         return found
 
