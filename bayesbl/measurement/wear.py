@@ -64,7 +64,7 @@ from bayesbl.config.measurement import CompareConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Answer, Reason
-from bayesbl.measurement.summary_types import RateInterval, WearSummary
+from bayesbl.measurement.summary_types import WearSummary
 from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
@@ -693,7 +693,7 @@ def summarise_wear(
     return result
 
 
-def _rate(found: Interval) -> RateInterval:
+def _rate(found: Interval) -> Interval:
     return {**found, "unit": "rad/year"}
 
 
