@@ -280,7 +280,6 @@ class AmplitudeMeasurer(Measurer):
         )
         seeds = task.seeds.predictive.spawn(len(fits))
         parts = zip(task.recordings, fits, found, of_each, seeds, strict=True)
-        change = None if curves is None else change_reason(check)
         return Measurement(
             NAME,
             [self._answer(*part, task) for part in parts],
@@ -289,7 +288,7 @@ class AmplitudeMeasurer(Measurer):
             warnings=curves[0].warnings if curves else (),
             ringing_change=_ringing_change(fits, found, curves),
             same_joint=check,
-            change_reason=None if change is None else Reason.of_text("joint_changed", change),
+            change_reason=None if curves is None else change_reason(check),
         )
 
     def _answer(

@@ -9,6 +9,7 @@ and rates too.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -275,12 +276,15 @@ class SweepProblem:
         )
         kept = [self.work.recall("sweep row", self._inputs(b), SweepRow) for b in benches]
         lacking = [bench for bench, row in zip(benches, kept, strict=True) if row is None]
-        made = _mapped(partial(self.drawn, nominal), lacking, workers)
         rows = []
-        for row in kept:
-            rows.append(departures(row or next(made), nominal, self.model))
-            if progress is not None:
-                progress(len(rows), count)
+        # Few benches are swept before processes have started.
+        alone = workers == 1 or len(lacking) < 2 * workers
+        with nullcontext() if alone else processes(workers) as pool:
+            made = (map if pool is None else pool.map)(partial(self.drawn, nominal), lacking)
+            for row in kept:
+                rows.append(departures(row or next(made), nominal, self.model))
+                if progress is not None:
+                    progress(len(rows), count)
         return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
 
     def drawn(self, nominal: SweepRow, bench: Bench) -> SweepRow:
@@ -319,17 +323,6 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
             expected="a bench whose gap shows in the motor speed",
         )
     return row
-
-
-def _mapped(
-    row_of: Callable[[Bench], SweepRow], benches: Sequence[Bench], workers: int
-) -> Iterator[SweepRow]:
-    """In order, over processes where that pays."""
-    if workers == 1 or len(benches) < 2 * workers:
-        yield from map(row_of, benches)
-        return
-    with processes(workers) as pool:
-        yield from pool.map(row_of, benches)
 
 
 GAPS, START_ANGLES = 20, 4

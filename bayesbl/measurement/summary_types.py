@@ -15,13 +15,15 @@ class ReasonSummary(TypedDict):
 
     It also has the numbers and names of its sentence, by name; ``recordings`` if it concerns only
     some, ``also`` if there are further reasons, which ``text`` includes. Of those listed in the
-    diagnostics ``withholds`` says whether δ is withheld; that of the answer names its ``route``.
+    diagnostics ``withholds`` says whether δ is withheld, ``because`` why another route has no
+    answer; that of the answer names its ``route``.
     """
 
     code: str
     text: str
     also: NotRequired[list[ReasonSummary]]
     recordings: NotRequired[list[str]]
+    because: NotRequired[list[ReasonSummary]]
     withholds: NotRequired[bool]
     route: NotRequired[str]
 

@@ -58,6 +58,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.optimize import bisect
 from scipy.special import gdtrib, ndtr, ndtri
 
 from bayesbl.config.measurement import CompareConfig
@@ -530,11 +531,7 @@ def _step(likely: FloatArray, most: float) -> float:
 
     if effective(most) >= LEAST_EFFECTIVE:
         return most
-    low, high = 0.0, most
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if effective(middle) >= LEAST_EFFECTIVE else (low, middle)
-    return high
+    return float(bisect(lambda step: effective(step) - LEAST_EFFECTIVE, 0.0, most))
 
 
 def _growth_needed(

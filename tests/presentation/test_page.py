@@ -299,7 +299,7 @@ def compared_undated(change, above, limit=1.2e-3, spots=()):
 
 @pytest.mark.parametrize("change", [(1e-4, 3e-4), (-3e-4, -1e-4)])
 def test_what_something_else_could_have_done_is_no_wear_and_no_repair(change):
-    spot = {"change": "payload by 3 %", "reason": "too small to show", "delta_error_rad": 2e-4}
+    spot = {"code": "parameter_unseen", "text": "payload by 3 %", "delta_error_rad": 2e-4}
     given = advice(compared_undated(change, None, None, [spot]))
     assert given.title == NOT_SHOWN
     told = " ".join(given.sentences)

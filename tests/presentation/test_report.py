@@ -23,7 +23,6 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.same_joint import WITHOUT_CURRENT
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
@@ -32,7 +31,7 @@ from bayesbl.presentation.subjects import study_table
 from bayesbl.presentation.terminal import error, filled, print_table, progress, wrapped
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
-from bayesbl.sentences import sentence
+from bayesbl.sentences import UNSEEN_WITHOUT_CURRENT, sentence
 from bayesbl.units import number, quantity_and_unit
 
 WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
@@ -65,7 +64,7 @@ def check(*sentences, blind_spots=()):
         "agrees": not sentences,
         "items": [],
         "could_be": [],
-        "sentences": list(sentences),
+        "findings": [because(text, code="quantity_changed") for text in sentences],
         "blind_spots": list(blind_spots),
     }
 
@@ -249,8 +248,8 @@ def test_without_a_curve_the_ringing_alone_is_told():
 
 
 def test_without_a_current_the_first_line_says_on_what_wear_rests():
-    spots = check(blind_spots=WITHOUT_CURRENT)
-    gains = WITHOUT_CURRENT[0]["change"]
+    spots = check(blind_spots=[{"code": "gains_unseen", "text": "", "delta_error_rad": None}])
+    gains = UNSEEN_WITHOUT_CURRENT
     alone = answer.headline(ringing_alone(same_joint=spots))
     assert alone.startswith("The ringing grew by 24 %")
     assert f"only if {gains} did not change: no motor current can be compared." in alone
@@ -282,7 +281,7 @@ def test_what_changed_besides_the_gap_is_told_once():
 @pytest.mark.parametrize(("error", "told"), [(2.0e-4, False), (2.2e-4, True)])
 def test_growth_that_an_unseen_change_could_make_is_not_told_as_shown(error, told):
     """The interval begins at 0.212 mrad."""
-    spot = {"change": "K_t by 2 %", "reason": "too small to show", "delta_error_rad": error}
+    spot = {**because("K_t by 2 % (too small to show)"), "delta_error_rad": error}
     text = flat(printed(comparison() | {"same_joint": check(blind_spots=[spot])}))
     assert text.startswith("The gap is not shown to have changed") is told
     assert ("but a change of K_t by 2 % (too small to show) could explain as much" in text) is told
