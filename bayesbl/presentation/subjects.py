@@ -5,6 +5,7 @@ Sweeps, plans and studies are put in words here, other kinds in modules of their
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import answer, diagnosis, estimates, fleet, identification
 from bayesbl.presentation.answer import GAP_EXPLAINED
-from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.blocks import (
+    Advice,
+    Block,
+    Sentence,
+    Table,
+    aside,
+    labelled,
+    numbers,
+    table,
+    text,
+)
 from bayesbl.presentation.words import percent, significant, source_in_words
 from bayesbl.units import number
 
@@ -329,3 +340,19 @@ def blocks(summary: Summary) -> Iterator[Block]:
     yield from subject.blocks(summary)
     for warning in summary["warnings"]:
         yield Sentence(warning, "warning", subject.warning_label)
+
+
+def origin(tree: xr.DataTree) -> Iterator[Block]:
+    """Where a stored result comes from: versions, seed, inputs."""
+    stored = tree.attrs
+    inputs = json.loads(stored.get("input_sha256", "{}"))
+    versions = json.loads(stored.get("dependency_versions", "{}"))
+    packages = {"python": stored.get("python_version"), **versions}
+    lines = {
+        "Version": f"{stored.get('bayesbl_version')}, commit {stored.get('git_commit')}",
+        "Made": stored.get("created_utc"),
+        "Seed": stored.get("seed"),
+        "Packages": ", ".join(f"{name} {version}" for name, version in packages.items() if version),
+        **{f"SHA-256 of {file}": digest for file, digest in inputs.items()},
+    }
+    yield from labelled(lines)

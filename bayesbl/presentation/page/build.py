@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import io
-import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -20,7 +19,7 @@ from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex
 from bayesbl.presentation.figures.stored_figure import drawn
-from bayesbl.presentation.subjects import SUBJECTS, blocks
+from bayesbl.presentation.subjects import SUBJECTS, blocks, origin
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import write_text
 from bayesbl.runs.kinds import read_result, summarise
@@ -29,14 +28,6 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 PAGE_FILE = "report.html"
-
-_ORIGIN = {
-    "bayesbl_version": "Version",
-    "git_commit": "Commit",
-    "created_utc": "Made",
-    "seed": "Seed",
-    "python_version": "Python",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +90,7 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
         "details": list(subject.details(tree, summary)),
         "assumptions": list(subject.assumptions(summary)),
         "config": tree.attrs.get("config", ""),
-        "origin": [(label, tree.attrs[key]) for key, label in _ORIGIN.items() if key in tree.attrs],
-        "inputs": json.loads(tree.attrs.get("input_sha256", "{}")),
-        "versions": json.loads(tree.attrs.get("dependency_versions", "{}")),
+        "origin": list(origin(tree)),
         "bibtex": all_bibtex(),
     }
 
