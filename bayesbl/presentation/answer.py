@@ -126,10 +126,15 @@ def lead(summary: MeasuredSummary) -> Iterator[str]:
         yield wear.headline(summary, rated)
         if wear.spans_repair(summary, rated):
             return
-    yield headline(summary)
+    yield in_words(summary)
 
 
 def headline(summary: MeasuredSummary) -> str:
+    """What comes first of that."""
+    return next(lead(summary))
+
+
+def in_words(summary: MeasuredSummary) -> str:
     """The gap, or the change of compared ones; of the ringing, where there is no curve."""
     alone = is_ringing_alone(summary)
     told = _ringing_in_words(summary) if alone else _gap_in_words(summary)
@@ -443,7 +448,7 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
     ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
     change = None if compared is None else compared["change_rad"]
     if compared is not None and cause is not None:
-        told = headline(summary) if rated is None else wear.headline(compared, rated)
+        told = in_words(summary) if rated is None else wear.headline(compared, rated)
         return Advice("watch", NOT_SHOWN, (told, ask))
     if rated is None and change is None:
         return Advice("note", "Compare this gap with the joint's limit.", (ask,))

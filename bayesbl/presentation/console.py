@@ -19,7 +19,7 @@ from bayesbl.presentation.blocks import (
     table,
     text,
 )
-from bayesbl.presentation.subjects import SUBJECTS, blocks, origin
+from bayesbl.presentation.subjects import SUBJECTS, blocks, details, origin
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.words import significant
 from bayesbl.recording.guessing import NO_UNIT, UNKNOWN
@@ -51,7 +51,7 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
     """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
     summary = summarise(tree)
     print_result(summary, None, console)
-    print_blocks(SUBJECTS[summary["kind"]].details(tree, summary), console)
+    print_blocks(details(tree, summary), console)
     print_blocks([Heading("Origin"), *origin(tree)], console)
 
 

@@ -6,19 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Block, Table, aside, labelled, numbers, table, text
-from bayesbl.units import quantity_and_unit
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import RouteSummary, SnapshotSummary
+    from bayesbl.measurement.summary_types import SnapshotSummary
     from bayesbl.results.intervals import Interval
-
-
-RELATIVE_EXPLAINED = (
-    "Relative compliance: between the positions that ramps leave at zero torque, over that of "
-    "larger ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
-    "preloaded one is below, as both flanks carry it there."
-)
 
 
 def no_play_by_ramps(part: SnapshotSummary) -> str | None:
@@ -86,41 +77,8 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
             )
 
 
-def ramp_blocks(part: RouteSummary) -> Iterator[Block]:
-    """Every quantity with its interval, and what says whether there is play."""
-    yield _quantities(part)
-    relative = part["relative_compliance"]
-    shown = "not known, without larger ramps" if relative is None else words.significant(relative)
-    sure = words.probability(part["probability_of_play"])
-    compliance = f"{shown}; probability that it is above 1: {sure}"
-    yield from labelled({"Relative compliance": compliance, "Sampling": words.sampling(part)})
-    yield aside(RELATIVE_EXPLAINED)
-
-
-def _quantities(part: RouteSummary, angles: Sequence[tuple[str, Interval]] = ()) -> Table:
-    """All parameters by the quantity and unit in their names, and further angles by a name."""
-    found = [(*quantity_and_unit(name), each) for name, each in part["parameters"].items()]
-    found += [(name, "rad", each) for name, each in angles]
-    rows = []
-    for name, unit, each in found:
-        scale, milli = (1e3, "m") if unit.startswith(("rad", "s")) else (1.0, "")
-        middle = words.significant(scale * each["median"], 4)
-        rows.append((name, middle, words.bounds(each, scale), f"{milli}{unit}"))
-    kind = words.interval_kind(found[0][2])
-    return table((text("Quantity"), numbers("Median"), numbers(kind), text("Unit")), rows)
-
-
 def _median(found: Interval | None, scale: float = 1.0) -> str:
     return "withheld" if found is None else words.significant(scale * found["median"], 3)
-
-
-def encoder_blocks(part: RouteSummary) -> Iterator[Block]:
-    """Every quantity with its interval."""
-    orders = part["transmission_error"]["harmonics"]
-    told = [(f"order {e['order']} per turn of the {e['of']}", e["amplitude_rad"]) for e in orders]
-    yield _quantities(part, told)
-    sure = words.probability(part["probability_of_play"])
-    yield from labelled({"Probability of play": sure, "Reversals of the motor": part["reversals"]})
 
 
 RAMPS_ASSUME = (

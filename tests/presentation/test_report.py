@@ -27,7 +27,7 @@ from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
 from bayesbl.presentation.identification import compared
-from bayesbl.presentation.subjects import study_table
+from bayesbl.presentation.study import study_table
 from bayesbl.presentation.terminal import error, filled, print_table, progress, wrapped
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
@@ -492,7 +492,8 @@ def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
     print_summary(stored, target)
     text = target.file.getvalue()
     for symbol in SYMBOLS.values():
-        (row,) = [line for line in text.splitlines() if line.startswith(symbol.name)]
+        quantity, _ = quantity_and_unit(symbol.name)
+        (row,) = [line for line in text.splitlines() if line.startswith(f"{quantity}  ")]
         assert row.rstrip().endswith(symbol.unit)
         assert ("fixed" in row) == symbol.name.startswith("window")
     for told in ("RMSE", "Noise:", "Sampling:", "Rival optima:", "SHA-256", "Seed: 1", "commit"):
@@ -504,8 +505,8 @@ def test_a_bound_that_is_not_finite_is_a_dash():
     size = {"load_inertia_kg_m2": 0.2}
     found = {"parameters": {"load_inertia_kg_m2": between(19.0, 21.0)}, "optimum": size}
     stored = found | {"posterior_sd": size, "cramer_rao_sd": {"load_inertia_kg_m2": None}}
-    ((_, best, sd, bound, _),) = estimates.unknown_table(stored).rows
-    assert (best, sd, bound) == ("0.2", "0.200", "–")
+    ((_, _, sd, bound, _, unit),) = estimates.parameter_table(stored | {"delta_rad": None}).rows
+    assert (sd, bound, unit) == ("0.200", "–", "kg m²")
 
 
 def test_noise_is_told_with_its_evidence():

@@ -21,15 +21,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.symbols import (
-    AMPLITUDE,
-    ROTATION,
-    SEPARATION,
-    START,
-    SYMBOLS,
-    WINDOW_END,
-    WINDOW_START,
-)
+from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, SYMBOLS, WINDOW_END, WINDOW_START
 
 _BLOCK_IN = 2.5
 _OVERLAY_IN = 2.4
@@ -254,7 +246,8 @@ class _Symbol(NamedTuple):
 
 
 @stored_figure(
-    "The posterior of every free symbol, pair by pair.",
+    "The posterior of every free symbol, pair by pair: contours hold 50 % and 90 % of the draws, "
+    "dashed lines are the median and the 5 % and 95 % quantiles; τ is a decay rate.",
     40,
     holding("posterior/amplitude_rpm"),
     parts=each_snapshot("posterior/amplitude_rpm"),
@@ -295,7 +288,9 @@ def corner(snapshot: Snapshot) -> Figure:
         ticks = [(begin + at, told) for begin, symbol in placed for at, told in symbol.ticks()]
         axis.set_ticks([at for at, _ in ticks], [told for _, told in ticks])
         axis.set_ticks([b + 0.5 * _CELLS for b, _ in placed], [s.label for s in shown], minor=True)
-    _explain(figure, snapshot)
+    withheld = snapshot.withheld and style.GAP in names
+    head = f"{snapshot.name}: δ is withheld" if withheld else snapshot.name
+    figure.text(0.98, 0.97, head, ha="right", va="top", fontsize=9.0)
     return figure
 
 
@@ -326,21 +321,3 @@ def _label(name: str) -> str:
         return "δ\n(mrad)"
     letter, _, index = SYMBOLS[name].paper.partition("_")
     return letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"
-
-
-def _explain(figure: Figure, snapshot: Snapshot) -> None:
-    """Name, what the lines mean, and what has no row, in the empty upper corner."""
-    count = snapshot.values("posterior", AMPLITUDE).size
-    terms = snapshot.groups["posterior"].sizes.get("baseline_term", 0)
-    lines = [
-        f"{count} draws; contours hold 50 % and 90 % of them,",
-        "dashed lines are the median and the 5 % and 95 % quantiles",
-        "τ is a decay rate: the time constant is 1/τ",
-    ]
-    if terms:
-        lines.append(f"not shown: {terms} baseline terms, sampled with the others")
-    if snapshot.withheld and style.GAP in snapshot.groups["posterior"]:
-        lines.append("δ is withheld")
-    figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
-    text = "\n".join(lines)
-    figure.text(0.98, 0.94, text, ha="right", va="top", linespacing=1.4)

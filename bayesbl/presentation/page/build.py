@@ -19,7 +19,7 @@ from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex
 from bayesbl.presentation.figures.stored_figure import drawn
-from bayesbl.presentation.subjects import SUBJECTS, blocks, origin
+from bayesbl.presentation.subjects import SUBJECTS, blocks, details, origin
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import write_text
 from bayesbl.runs.kinds import read_result, summarise
@@ -28,6 +28,17 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 PAGE_FILE = "report.html"
+
+TITLES = {
+    "fit": "Backlash gap of a joint",
+    "compare": "Backlash gap of a joint and its change",
+    "diagnose": "What a bench lacks",
+    "identify": "Bench of a joint, from its data sheet and recordings",
+    "sweep": "Gap curve of a virtual bench",
+    "plan": "Motions that would show the gap",
+    "study": "Study",
+}
+"""Of the page of each kind of result; a fleet has pages of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +93,12 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     headline, advice = subject.headline(summary), subject.advice(summary)
     said = {headline, *advice.sentences}
     return {
-        "title": subject.title,
+        "title": TITLES[summary["kind"]],
         "headline": headline,
         "advice": advice,
         "pictures": pictures,
         "numbers": [block for block in blocks(summary) if getattr(block, "text", "") not in said],
-        "details": list(subject.details(tree, summary)),
+        "details": list(details(tree, summary)),
         "assumptions": list(subject.assumptions(summary)),
         "config": tree.attrs.get("config", ""),
         "origin": list(origin(tree)),
