@@ -92,7 +92,7 @@ class AutoMeasurer(Measurer):
 
     def _of_both(self, direct: Measurement, amplitude: Measurement) -> Measurement:
         """Direct, unless it failed by itself while the amplitude has an answer."""
-        if self.amplitude.source.bench is not None:
+        if self.amplitude.bench is not None:
             amplitude = _without_contradicted(direct, amplitude)
         failed = [
             reason
@@ -107,7 +107,7 @@ class AutoMeasurer(Measurer):
         if any(answer.is_withheld for answer in direct.answers):
             why = "direct_withheld"
         against = direct.change_reason
-        if against is None and self.amplitude.source.bench is not None:
+        if against is None and self.amplitude.bench is not None:
             against = disagreement(direct, amplitude)
         return replace(direct, why=Reason(why), beside=(amplitude,), change_reason=against)
 

@@ -41,7 +41,7 @@ from bayesbl.measurement.compatibility import (
     require_one_speed_of_all,
     require_same_estimator,
 )
-from bayesbl.measurement.measurement import Reason, Task, estimator_of
+from bayesbl.measurement.measurement import Measurer, Reason, Task, estimator_of
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, of_stage
 from bayesbl.recording.checks import speed_in_another_unit
@@ -49,7 +49,7 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.store import read_tree, texts
 from bayesbl.results.variables import Group, Variable, attributes, dataset, stack_snapshots, table
 from bayesbl.results.work import WorkStore
-from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
+from bayesbl.ringing.estimator import nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
 
 AMPLITUDES, BAND_DRAWS = 200, 1000
@@ -363,13 +363,15 @@ class _Need:
         return f"{self.sampling_hz:g} Hz at {abs(self.reference_speed_rpm):g} rpm"
 
 
-class CurveSource:
-    """Gives the curve of each recording: a named one, one swept from the bench, or none.
+class CurveMeasurer(Measurer):
+    """A route that reads gaps from curves: a named one, one swept from the bench, or none.
 
     Attributes
     ----------
     named
         The published curve, or that of a sweep: one for all recordings.
+    estimator
+        Of the ringing's amplitude.
     bench
         Swept for what each recording needs, where no curve is named.
 
@@ -380,7 +382,8 @@ class CurveSource:
     """
 
     def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
-        self.config = config
+        super().__init__(config)
+        self.estimator = estimator_of(config)
         self.named: GapCurve | None = None
         if config.curve.source is not None:
             is_published = config.curve.source == PUBLISHED
@@ -394,7 +397,7 @@ class CurveSource:
             return self.named.gap_range_rad
         return None if self.bench is None else (SMALLEST_GAP_RAD, SweepSettings().high_rad)
 
-    def describe(self) -> str:
+    def describe_curve(self) -> str:
         """Which curve this is, or what gives one."""
         if self.named is not None:
             return self.named.name
@@ -411,7 +414,7 @@ class CurveSource:
             If not.
         """
         if self.named is not None:
-            require_same_estimator(self.named, estimator_of(self.config), recording)
+            require_same_estimator(self.named, self.estimator, recording)
         elif (bench := self.bench_of(recording)) is not None:
             speed = self._need(recording, bench).reference_speed_rpm
             require_flank_change(bench, [speed], self.config.estimator.bench)
@@ -460,9 +463,8 @@ class CurveSource:
         if self.bench is None:
             return None
         needs = [self._need(recording, self.bench) for recording in task.recordings]
-        estimator = estimator_of(self.config)
         made = {
-            need: self._curve(need, estimator, task, recording)
+            need: self._swept(need, task, recording)
             for need, recording in dict(zip(needs, task.recordings, strict=True)).items()
         }
         task.swept.keep_latest(count=MOST_KEPT)
@@ -477,13 +479,12 @@ class CurveSource:
         sampling_hz = float(f"{1.0 / recording.sampling_period_s:.3g}")
         return _Need(speed, sampling_hz, rotations, tuple(sorted(entry.bench.items())))
 
-    def _curve(
-        self, need: _Need, estimator: Estimator, task: Task, recording: Recording
-    ) -> GapCurve:
+    def _swept(self, need: _Need, task: Task, recording: Recording) -> GapCurve:
         bench = self.bench_of(recording)
         assert bench is not None
         bench = bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
-        model = replace(estimator.model, ranges=estimator.model.lasting_ranges)
+        model = self.estimator.model
+        model = replace(model, ranges=model.lasting_ranges)
         settings = SweepSettings(
             low_rad=SMALLEST_GAP_RAD,
             count=GAPS,
@@ -508,7 +509,7 @@ class CurveSource:
             nominal,
             model,
             DEGREE,
-            estimator.fingerprint(recording),
+            self.estimator.fingerprint(recording),
             curve_seed,
             swept,
         )
