@@ -220,11 +220,12 @@ def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]
     reasons: dict[tuple[str, str], list[str]] = {}
     for name, part in parts:
         listed = part["diagnostics"]["reasons"]
-        because = [cause["code"] for one in listed for cause in one.get("because", ())]
+        told = tuple(cause["text"] for one in listed for cause in one.get("because", ()))
         for route, found in part["routes"].items():
             reason = found["reason"]
-            if route != part["route"] and reason is not None and reason["code"] not in because:
-                reasons.setdefault((route, reason["text"]), []).append(name)
+            if route == part["route"] or reason is None or reason["text"].startswith(told):
+                continue
+            reasons.setdefault((route, reason["text"]), []).append(name)
     for (route, why), names in reasons.items():
         yield f"No answer by {route_in_words(route)}{words.of(*names)}: {why}"
 

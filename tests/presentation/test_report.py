@@ -316,6 +316,20 @@ def test_a_disagreement_of_the_routes_comes_first():
     assert text.count("disagree") == 1
 
 
+def test_why_another_route_has_no_answer_is_told_once():
+    lost, still = (because(text, code="refused") for text in ("It was lost.", "It never turns."))
+    note = because("By the amplitude: It was lost.", code="by_amplitude_instead")
+    found = comparison()
+    for snapshot in found["snapshots"]:
+        reasons = [{**note, "because": [lost], "withholds": False}]
+        snapshot["diagnostics"] = {**snapshot["diagnostics"], "reasons": reasons}
+        for route, reason in {"direct": lost, "two_encoders": still}.items():
+            snapshot["routes"][route] = {"route": route, "delta_rad": None, "reason": reason}
+    text = flat(printed(found))
+    assert text.count("It was lost.") == 1
+    assert "No answer by two encoders of before, after: It never turns." in text
+
+
 def test_the_ringing_is_always_told_with_its_time_constant_frequency_and_error():
     for summary in (comparison(), of_two_routes()):
         text = flat(printed(summary))
