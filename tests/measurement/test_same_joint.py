@@ -23,10 +23,10 @@ from bayesbl.measurement.joint_features import (
     folded_signal,
     harmonic_name,
 )
-from bayesbl.measurement.same_joint import LINE, change_reason, same_joint
+from bayesbl.measurement.same_joint import COULD_BE, FILTER, LINE, change_reason, same_joint
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED
 from bayesbl.ringing.estimator import Estimator, PointEstimate
-from bayesbl.sentences import sentence
+from bayesbl.sentences import CAUSES, sentence
 
 BENCH = load_bench(CONFIGS / "bench.toml")
 
@@ -92,6 +92,10 @@ def test_features_recover_the_bench_whatever_the_gap() -> None:
         allowed = 0.005 * expected[harmonic_name("current", 1)] if "gain" not in name else 0.0
         for measured, sd in (small[name], large[name]):
             assert abs(measured - value) < 4.0 * sd + allowed, name
+
+
+def test_every_quantity_that_is_compared_has_its_cause_in_words() -> None:
+    assert set(CAUSES) == set(COULD_BE) - {FILTER, LINE}
 
 
 def test_more_gap_alone_is_no_other_joint(before: PointEstimate) -> None:
