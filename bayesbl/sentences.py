@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from string import Formatter
 from typing import Any
 
+from bayesbl.units import number
+
 UNLESS_REPAIRED = (
     "If the joint was repaired, mark the first recording after the repair (repaired = true). If "
     "not, check that no files or dates are swapped. If temperature or grease move the gap from "
@@ -40,7 +42,7 @@ def sentence(reason: Mapping[str, Any]) -> str:
     return " ".join([text, *map(sentence, reason.get("also", ()))])
 
 
-_NO_VALUES = ("code", "recordings", "also", "withholds", "route")
+_NO_VALUES = ("code", "recordings", "also", "withholds", "route", "delta_error_rad")
 
 
 class _Units(Formatter):
@@ -133,19 +135,150 @@ def repeats_beyond_noise(
     )
 
 
-def bench_lacks(
-    parameters: Sequence[str], alike: Sequence[str], in_bench_file: Sequence[str]
-) -> str:
+def bench_lacks(parameters: Sequence[Mapping[str, Any]], alike: Sequence[str]) -> str:
     """Values that explain the recordings and are not the bench's, and what would look the same."""
-    others = f" {' or '.join(alike)} would look the same." if alike else ""
+    from bayesbl.bench.effects import EFFECT_BY_NAME
+
+    several = len({parameter["recording"] for parameter in parameters}) > 1
+    shown = [
+        as_estimated(**parameter) + (f" in {parameter['recording'] or 'all'}" if several else "")
+        for parameter in parameters
+    ]
+    others = f" {' or '.join(map(spoken, alike))} would look the same." if alike else ""
+    effects = [EFFECT_BY_NAME.get(p["name"].partition(".")[0]) for p in parameters]
     return " ".join(
         [
-            f"The joint is not as its bench: the recordings show {' and '.join(parameters)}."
+            f"The joint is not as its bench: the recordings show {' and '.join(shown)}."
             f"{others} δ and its interval allow for that. Correct the bench file "
             "(`bayesbl diagnose` writes one with what is missing).",
-            *in_bench_file,
+            *(e.in_bench_file for e in dict.fromkeys(effects) if e and e.in_bench_file),
         ]
     )
+
+
+def spoken(name: str) -> str:
+    """A bench parameter or ``effect.parameter`` in words, with its name."""
+    from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
+
+    effect, _, parameter = name.partition(".")
+    if effect in PARAMETER_INFO:
+        return f"{PARAMETER_INFO[effect].meaning} ({name})"
+    if not parameter:
+        return name.replace("_", " ")
+    return f"{effect.replace('_', ' ')}, {declaration_of(name).meaning} ({name})"
+
+
+def as_estimated(name: str, measured: float, expected: float, unit: str, recording: object) -> str:
+    """A value that is not the expected one, in words."""
+    text = f"{spoken(name)} of {measured:.4g} instead of {expected:.4g} {unit}".rstrip()
+    if not expected:
+        return text
+    percent = 100.0 * (measured / expected - 1.0)
+    return f"{text} ({'+' if percent > 0.0 else ''}{number(percent, 1)} %)"
+
+
+def would_look_the_same(names: Sequence[str]) -> str:
+    """What the recordings cannot tell from what changed."""
+    *others, last = map(spoken, names)
+    listed = f"{', '.join(others)} or {last}" if others else last
+    return f"{listed[0].upper()}{listed[1:]} would look the same."
+
+
+def quantity_changed(
+    quantity: str, measured: float, expected: float, unit: str, recording: str = ""
+) -> str:
+    """A quantity that the gap hardly moves; ``recording`` where there are more than two."""
+    direction = "rose" if measured > expected else "fell"
+    places = max(0, 2 - math.floor(math.log10(max(abs(measured - expected), 1e-9))))
+    before, after = number(expected, places), number(measured, places)
+    return (
+        f"The {quantity} {direction} from {before} to {after} {unit}{_in(recording)}: "
+        f"{CAUSES[quantity]}, not the gap."
+    )
+
+
+def filter_changed(least_share: float, recording: str = "") -> str:
+    """Of the recorded speed, by the colour of its noise."""
+    direction = "raise" if least_share > 0.0 else "lower"
+    return (
+        f"The noise of the speed changed its colour{_in(recording)}, as behind another filter or "
+        f"with noise from another source. Such a filter alone would {direction} the ringing by "
+        f"{100.0 * abs(least_share):.2g} % or more. Record all snapshots through the same filter, "
+        "or the motor current as well."
+    )
+
+
+def line_changed(
+    quantity: str,
+    order: int,
+    measured: float,
+    expected: float,
+    unit: str,
+    furthest_share: float,
+    recording: str = "",
+) -> str:
+    """A line of the motor that changed and may be all that moved the ringing."""
+    direction = "rose" if measured > expected else "fell"
+    return (
+        f"The {quantity} at motor order {order} {direction} from {expected:.2g} to "
+        f"{measured:.2g} {unit}{_in(recording)}: an error of transmission or encoder or a ripple "
+        f"of the torque, not the gap. It could move the ringing by up to "
+        f"{100.0 * furthest_share:.2g} %, as much as was seen."
+    )
+
+
+def _in(recording: str) -> str:
+    return f" in {recording}" if recording else ""
+
+
+CAUSES = {
+    "proportional gain": (
+        "the speed controller's gains, the torque constant or a filter of the speed"
+    ),
+    "integral gain": "the speed controller's gains or the torque constant",
+    "mean current": "friction, or a constant torque",
+    "current at load order 1": "the payload or the torque constant",
+    "current at load order 2": "friction that depends on the load",
+    "speed at load order 1": "the payload or the controller's integral gain",
+    "speed at load order 2": "the integral gain, or friction that depends on the load",
+    "ringing frequency": "payload, stiffness, gains or a filter of the drive",
+    "ringing decay": "damping, gains or a filter of the drive",
+}
+"""What of the joint moves a quantity that snapshots are compared by."""
+
+UNSEEN_WITHOUT_CURRENT = "the speed controller's gains, the torque constant and friction"
+
+_TOO_SMALL = "too small for these recordings to show"
+
+
+def change_unseen(quantity: str, share: float | None) -> str:
+    """How much a quantity may change; ``None`` where noise hides it."""
+    change = f"a change of the {quantity}, which one of them does not show"
+    if share is not None:
+        change = f"a change of the {quantity} by less than {100.0 * share:.2g} %"
+    return f"{change} ({CAUSES[quantity]}; {_TOO_SMALL})"
+
+
+def parameter_unseen(name: str, size: float, expected: float, unit: str) -> str:
+    """A change of the bench, as a share of its value or in its unit where that is zero."""
+    change = f"{size:.2g} {unit}".rstrip()
+    if expected:
+        change = f"{100.0 * size / abs(expected):.2g} %"
+    return f"{spoken(name)} by {change} ({_TOO_SMALL})"
+
+
+def held_compliance_unseen(items: Sequence[Mapping[str, Any]]) -> str:
+    """Friction or compliance that changed, and holds more or less of the joint's compliance."""
+    changes = []
+    for item in items:
+        milli = item["unit"].startswith("rad")
+        scale, unit = (1e3, f"m{item['unit']}") if milli else (1.0, item["unit"])
+        after, before = scale * item["measured"], scale * item["expected"]
+        changes.append(f"{item['quantity']} of {after:.3g} instead of {before:.3g} {unit}")
+    return f"compliance that friction holds, with {' and '.join(changes)} ({_LIKE_PLAY})"
+
+
+_LIKE_PLAY = "ramps cannot distinguish it from play"
 
 
 def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
@@ -345,6 +478,37 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     # Of a change.
     "routes_disagree": routes_disagree,
+    "joint_changed": (
+        "Something other than the gap changed between the snapshots, which moves the ringing too, "
+        "so their change is withheld."
+    ),
+    "quantity_changed": quantity_changed,
+    "filter_changed": filter_changed,
+    "line_changed": line_changed,
+    "parameter_changed": lambda recording, **values: (
+        f"In {recording} something other than the gap is different: "
+        f"{as_estimated(recording=recording, **values)}."
+    ),
+    "would_look_the_same": would_look_the_same,
+    "change_allows_for_it": "The change of δ is given with this allowed for.",
+    # What a comparison cannot see.
+    "gains_unseen": f"{UNSEEN_WITHOUT_CURRENT} (no motor current can be compared)",
+    "change_unseen": change_unseen,
+    "filter_unseen": (
+        "a filter of the speed (these recordings have too little noise above the ringing, were "
+        "mended, or have different rates)"
+    ),
+    "filter_before_noise_unseen": (
+        "a filter of the speed behind which most of the noise arises, or before a recorder that "
+        "keeps one sample in several (the noise does not show it)"
+    ),
+    "small_filter_unseen": (
+        "a change of a filter of the speed that moves the ringing by less than {share:.2g %} "
+        "(too small for the noise of these recordings to show)"
+    ),
+    "parameter_unseen": parameter_unseen,
+    "softer_flanks_unseen": (f"flanks that became softer at small torque alone ({_LIKE_PLAY})"),
+    "held_compliance_unseen": held_compliance_unseen,
     # What limits an answer.
     "by_amplitude_instead": by_amplitude_instead,
     "no_current": (

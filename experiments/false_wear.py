@@ -182,7 +182,7 @@ def _listed(found: DirectMatch, changed: set[str]) -> bool:
     """Whether something that changed is named, or listed as what would pass unseen."""
     named = {c.name for c in found.joint.changed}
     spots = check_of_comparison(found.joint, found.change_rad, LEVEL, is_given=True)["blind_spots"]
-    return bool(changed & named) or any(name in s["change"] for name in changed for s in spots)
+    return bool(changed & named) or any(s["name"] in changed for s in spots)
 
 
 @cache

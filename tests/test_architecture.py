@@ -13,13 +13,13 @@ from places import ROOT
 PACKAGE = ROOT / "bayesbl"
 
 FLOW = {
-    "tools of every room": """errors arguments units sentences declared libraries processes
+    "tools of every room": """errors arguments units declared libraries processes
         progress probabilities compiled""",
     "recordings, and the virtual bench": "recording noise bench sampling",
     "optimum and posterior": "ramps two_encoders ringing matching",
     "which laws explain a misfit": "model_search",
     "curve, configuration, result files": "curve config results",
-    "gap and change": "measurement",
+    "gap and change": "measurement sentences",
     "what a bench lacks, and many joints": "diagnosis identification fleet",
     "runs, and the report": "runs presentation library cli __main__",
 }

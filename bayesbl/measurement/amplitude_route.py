@@ -7,7 +7,7 @@ the recording's noise, and the draws of A go through the curve to δ.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,24 +17,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bayesbl.bench.bench import Bench
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.curve.gap_curve import GapCurve, likeliest_branch, published_curve
 from bayesbl.errors import RecordingError, ResultError
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
-from bayesbl.measurement.curves import CURVE, curve_source, curves_group
+from bayesbl.measurement.curves import CURVE, CurveMeasurer, curves_group
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
 from bayesbl.measurement.joint_check import JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
     Measurement,
-    Measurer,
     Reason,
     Task,
-    estimator_of,
     outcome_of,
     sampling_reasons,
 )
@@ -210,24 +207,14 @@ GROUPS = (
 )
 
 
-class AmplitudeMeasurer(Measurer):
+class AmplitudeMeasurer(CurveMeasurer):
     """The amplitude route with its estimator and where its gap curves come from."""
-
-    def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
-        super().__init__(config)
-        self.estimator = estimator_of(config)
-        self.source = curve_source(config, bench)
-
-    @property
-    def gap_range_rad(self) -> tuple[float, float] | None:
-        """Gaps that the curve reaches; ``None`` without one."""
-        return self.source.gap_range_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The curve, and what else a run needs: an earlier optimum, the second sampler."""
         estimator = self.estimator
         yield "estimator", lambda: f"search {estimator.search}, noise {estimator.noise_kind}"
-        yield "curve", self.source.describe
+        yield "curve", self.describe_curve
         start_from = self.config.estimator.search.start_from
         if start_from is not None:
             yield "start from", lambda: f"{', '.join(read_earlier(start_from))} in {start_from}"
@@ -245,19 +232,11 @@ class AmplitudeMeasurer(Measurer):
                 expected="the direct route, which needs a bench (--bench FILE); `bayesbl init "
                 "--bench` begins one, and `bayesbl identify` of three such motions completes it",
             )
-        self.source.require_usable(recording)
-
-    def doubts(self, recording: Recording) -> Iterable[Reason]:
-        """Why δ would be withheld whatever the fit finds."""
-        return self.source.doubts(recording)
-
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """All recordings are of one speed, unless each has a curve of its own."""
-        return self.source.require_together(recordings)
+        super().require_usable(recording)
 
     def measure(self, task: Task) -> Measurement:
         """Fit every recording and read its gap from its curve, if there is one."""
-        curves = self.source.curves(task)
+        curves = self.curves(task)
         of_each: Sequence[GapCurve | None] = curves or [None] * len(task.recordings)
         fits = run_fits(self._jobs(task, of_each), task.config.run.workers, task.progress)
         for fit in fits:
@@ -280,16 +259,15 @@ class AmplitudeMeasurer(Measurer):
         )
         seeds = task.seeds.predictive.spawn(len(fits))
         parts = zip(task.recordings, fits, found, of_each, seeds, strict=True)
-        change = None if curves is None else change_reason(check)
         return Measurement(
             NAME,
             [self._answer(*part, task) for part in parts],
             shared=self._curve(curves, found, task),
             curve=curves[0].name if curves else "",
-            warnings=self.source.warnings,
+            warnings=curves[0].warnings if curves else (),
             ringing_change=_ringing_change(fits, found, curves),
             same_joint=check,
-            change_reason=None if change is None else Reason.of_text("joint_changed", change),
+            change_reason=None if curves is None else change_reason(check),
         )
 
     def _answer(
@@ -306,7 +284,7 @@ class AmplitudeMeasurer(Measurer):
         check, unlike = self._against_bench(recording, fit, gap, curve, level)
         unsuitable = unsuited(recording, fit, curve, task.config)
         against = [*reasons_as_printed(fit, curve), *unsuitable, *unlike]
-        reasons = reasons_of(fit, gap, against, self.source.question(recording))
+        reasons = reasons_of(fit, gap, against, self.question(recording))
         bounded = all(reason.code == "beyond_curve" for reason in reasons if reason.withholds)
         return Answer(
             recording.name,
@@ -329,7 +307,7 @@ class AmplitudeMeasurer(Measurer):
         if curve is None or gap is None:
             return joint_check(), []
         check = ringing_check(curve, measured_ringing(fit), gap)
-        bench = self.source.bench_of(recording)
+        bench = self.bench_of(recording)
         if bench is None or np.any(gap.delta_rad <= 0.0):
             return check, []
         draws = gap.delta_rad.ravel()
@@ -376,7 +354,7 @@ class AmplitudeMeasurer(Measurer):
         for recording, seed, curve in zip(
             task.recordings, task.seeds.recordings, curves, strict=True
         ):
-            bench = self.source.bench_of(recording)
+            bench = self.bench_of(recording)
             known = None if bench is None else bench.value("gear_ratio")
             ratio = self.config.joint.gear_ratio or known
             start = earlier.get(recording.name) or last or task.earlier.get(recording.name)

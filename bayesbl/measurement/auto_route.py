@@ -1,9 +1,12 @@
-"""Both routes, each whole: the direct one answers where its checks pass, beside the amplitude.
+"""Several routes beside one another, each whole; one answers for all snapshots.
 
-One route answers for all snapshots, so that the change between them lies within one. Where the
-direct route could not be sampled, or a recording cannot be compared with the simulation, the
-amplitude answers. Where a recording contradicts the bench, neither does: the curve is of that
-bench too.
+So the change between snapshots lies within one route. With a bench the direct route answers where
+its checks pass, the amplitude beside it. Where the direct route could not be sampled, or a
+recording cannot be compared with the simulation, the amplitude answers. Where a recording
+contradicts the bench, neither does: the curve is of that bench too.
+
+Where all recordings have the load's position too, both encoders are a witness beside these. They
+need no bench, so what the bench has wrong shows as a disagreement.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
@@ -19,10 +23,12 @@ from bayesbl.matching.signals import SMALLEST_GAP_RAD
 from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.compatibility import bench_of
 from bayesbl.measurement.direct_route import DirectMeasurer
-from bayesbl.measurement.measurement import ExpectedSd, Measurement, Measurer, Reason, Task
+from bayesbl.measurement.measurement import Answer, ExpectedSd, Measurement, Measurer, Reason, Task
+from bayesbl.measurement.two_encoder_route import CHANNELS, NAME, TwoEncoderMeasurer
 from bayesbl.probabilities import normal_isf
-from bayesbl.recording.checks import moves
-from bayesbl.recording.types import FloatArray, Recording
+from bayesbl.recording.checks import moves, require_alive
+from bayesbl.recording.types import MOTOR_POSITION, FloatArray, Recording
+from bayesbl.units import RPM_PER_RAD_PER_S
 
 FALSE_ALARM = 0.01
 """Of the routes' disagreement, over all snapshots of a run."""
@@ -48,17 +54,16 @@ class AutoMeasurer(Measurer):
         yield from self.amplitude.describe()
 
     def require_usable(self, recording: Recording) -> None:
-        """The amplitude can be measured; where only the direct route cannot, it is left out.
-
-        Motions are the direct route's alone.
-        """
-        (self.direct if moves(recording) else self.amplitude).require_usable(recording)
+        """The amplitude can be measured; where only the direct route cannot, it is left out."""
+        self._of([recording]).require_usable(recording)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
         """What holds for the amplitude; the direct route takes any."""
-        if any(map(moves, recordings)):
-            return self.direct.require_together(recordings)
-        return self.amplitude.require_together(recordings)
+        return self._of(recordings).require_together(recordings)
+
+    def _of(self, recordings: Sequence[Recording]) -> Measurer:
+        """The route that decides what can be measured: motions are the direct one's alone."""
+        return self.direct if any(map(moves, recordings)) else self.amplitude
 
     def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
         """Of the direct route."""
@@ -75,23 +80,19 @@ class AutoMeasurer(Measurer):
         if any(map(moves, task.recordings)):
             return replace(self.direct.measure(task), why=Reason("motion"))
         direct, amplitude = _tried(self.direct.measure, task), _tried(self.amplitude.measure, task)
-        match direct, amplitude:
-            case UserError(), UserError():
+        if isinstance(amplitude, UserError):
+            if isinstance(direct, UserError):
                 raise direct
-            case Measurement(), UserError():
-                refused = {"amplitude": Reason.of_text(amplitude.code, str(amplitude))}
-                return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
-            case UserError(), Measurement():
-                refusal = Reason.of_text(direct.code, str(direct))
-                found = self._by_amplitude(amplitude, [refusal])
-                return replace(found, refused={"direct": refusal})
-            case Measurement(), Measurement():
-                return self._of_both(direct, amplitude)
-        raise AssertionError("all cases are above")
+            refused = {"amplitude": Reason.of_text(amplitude.code, str(amplitude))}
+            return replace(direct, why=Reason("amplitude_has_no_answer"), refused=refused)
+        if isinstance(direct, UserError):
+            refusal = Reason.of_text(direct.code, str(direct))
+            return replace(_instead(amplitude, [refusal]), refused={"direct": refusal})
+        return self._of_both(direct, amplitude)
 
     def _of_both(self, direct: Measurement, amplitude: Measurement) -> Measurement:
         """Direct, unless it failed by itself while the amplitude has an answer."""
-        if self.amplitude.source.is_of_bench:
+        if self.amplitude.bench is not None:
             amplitude = _without_contradicted(direct, amplitude)
         failed = [
             reason
@@ -100,26 +101,22 @@ class AutoMeasurer(Measurer):
             for reason in answer.withholding
         ]
         if failed and not all(answer.is_withheld for answer in amplitude.answers):
-            return replace(self._by_amplitude(amplitude, failed), beside=(direct,))
+            return replace(_instead(amplitude, failed), beside=(direct,))
         checked = all(answer.model_check["agrees"] for answer in direct.answers)
         why = "sharper_and_checked" if checked else "sharper"
         if any(answer.is_withheld for answer in direct.answers):
             why = "direct_withheld"
-        found = replace(
-            direct,
-            why=Reason(why),
-            beside=(amplitude,),
-        )
-        if self.amplitude.source.is_of_bench and found.change_reason is None:
-            found = replace(found, change_reason=disagreement(direct, amplitude))
-        return found
+        against = direct.change_reason
+        if against is None and self.amplitude.bench is not None:
+            against = disagreement(direct, amplitude)
+        return replace(direct, why=Reason(why), beside=(amplitude,), change_reason=against)
 
-    def _by_amplitude(self, amplitude: Measurement, because: Sequence[Reason]) -> Measurement:
-        """The amplitude's answer, which says why it is not the direct one."""
-        told = [reason.stored for reason in because]
-        note = Reason("by_amplitude_instead", {"because": told})
-        answers = [replace(a, reasons=(*a.reasons, note)) for a in amplitude.answers]
-        return replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
+
+def _instead(amplitude: Measurement, because: Sequence[Reason]) -> Measurement:
+    """The amplitude's answer, which says why it is not the direct one."""
+    note = Reason("by_amplitude_instead", {"because": [reason.stored for reason in because]})
+    answers = [replace(answer, reasons=(*answer.reasons, note)) for answer in amplitude.answers]
+    return replace(amplitude, answers=answers, why=Reason("direct_has_no_answer"))
 
 
 def _tried(measure: Callable[[Task], Measurement], task: Task) -> Measurement | UserError:
@@ -166,6 +163,58 @@ def _standard_difference(first: FloatArray, second: FloatArray) -> float:
     first, second = (np.log(SMALLEST_GAP_RAD + gap_rad) for gap_rad in (first, second))
     sd = float(np.hypot(first.std(), second.std()))
     return float(first.mean() - second.mean()) / sd
+
+
+def with_witness(measured: Measurement, task: Task) -> Measurement:
+    """The measurement with what two encoders say beside it, or why they say nothing.
+
+    The answer stays; a disagreement withholds the change, as one between other routes does.
+    """
+    measurer = TwoEncoderMeasurer(_with_gear_ratio(task.config))
+    recordings = tuple(map(_of_both_encoders, task.recordings))
+    try:
+        for recording in recordings:
+            require_alive(recording, CHANNELS)
+            measurer.require_usable(recording)
+    except RecordingError as refusal:
+        refused = {**measured.refused, NAME: Reason.of_text(refusal.code, str(refusal))}
+        return replace(measured, refused=refused)
+    witness = measurer.measure(replace(task, recordings=recordings))
+    bounded = replace(witness, answers=[within_bound(answer) for answer in witness.answers])
+    return replace(
+        measured,
+        beside=(*measured.beside, witness),
+        change_reason=disagreement(measured, bounded, witness=True) or measured.change_reason,
+        why=Reason("witnessed") if measured.why.code == "only_route" else measured.why,
+    )
+
+
+def _with_gear_ratio(config: SnapshotConfig) -> SnapshotConfig:
+    """With the ratio of the bench, where the joint's is not stated."""
+    if config.joint.gear_ratio is not None or config.estimator.bench is None:
+        return config
+    known = {"gear_ratio": bench_of(config).value("gear_ratio")}
+    return config.model_copy(update={"joint": config.joint.model_copy(update=known)})
+
+
+def _of_both_encoders(recording: Recording) -> Recording:
+    """Samples that are no repairs; a motor's position that is missing is its speed, integrated."""
+    channels, notes = dict(recording.channels), recording.notes
+    if MOTOR_POSITION not in channels:
+        speed = recording.motor_speed_rpm / RPM_PER_RAD_PER_S
+        channels[MOTOR_POSITION] = cumulative_trapezoid(speed, recording.time_s, initial=0.0)
+        notes = (*notes, "The motor's position is its speed, integrated.")
+    if (lost := recording.excluded) is None:
+        return replace(recording, channels=channels, notes=notes)
+    kept = {name: values[~lost] for name, values in channels.items()}
+    time_s = recording.time_s[~lost]
+    return replace(recording, time_s=time_s, channels=kept, notes=notes, excluded=None)
+
+
+def within_bound(answer: Answer) -> Answer:
+    """An answer whose gap may be none has all gaps below its bound alike, rad."""
+    bound = answer.upper_bound_rad
+    return answer if bound is None else replace(answer, delta_rad=np.linspace(0.0, bound, 1000))
 
 
 prepare = AutoMeasurer

@@ -8,11 +8,11 @@ and rates too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import xarray as xr
@@ -41,7 +41,7 @@ from bayesbl.measurement.compatibility import (
     require_one_speed_of_all,
     require_same_estimator,
 )
-from bayesbl.measurement.measurement import Reason, Task, estimator_of
+from bayesbl.measurement.measurement import Measurer, Reason, Task, estimator_of
 from bayesbl.processes import processes
 from bayesbl.progress import Progress, of_stage
 from bayesbl.recording.checks import speed_in_another_unit
@@ -49,7 +49,7 @@ from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.store import read_tree, texts
 from bayesbl.results.variables import Group, Variable, attributes, dataset, stack_snapshots, table
 from bayesbl.results.work import WorkStore
-from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
+from bayesbl.ringing.estimator import nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
 
 AMPLITUDES, BAND_DRAWS = 200, 1000
@@ -276,12 +276,15 @@ class SweepProblem:
         )
         kept = [self.work.recall("sweep row", self._inputs(b), SweepRow) for b in benches]
         lacking = [bench for bench, row in zip(benches, kept, strict=True) if row is None]
-        made = _mapped(partial(self.drawn, nominal), lacking, workers)
         rows = []
-        for row in kept:
-            rows.append(departures(row or next(made), nominal, self.model))
-            if progress is not None:
-                progress(len(rows), count)
+        # Few benches are swept before processes have started.
+        alone = workers == 1 or len(lacking) < 2 * workers
+        with nullcontext() if alone else processes(workers) as pool:
+            made = (map if pool is None else pool.map)(partial(self.drawn, nominal), lacking)
+            for row in kept:
+                rows.append(departures(row or next(made), nominal, self.model))
+                if progress is not None:
+                    progress(len(rows), count)
         return SweptDraws(names, shifts, np.array(rows), _root_of_shifts(self.bench))
 
     def drawn(self, nominal: SweepRow, bench: Bench) -> SweepRow:
@@ -322,17 +325,6 @@ def _finite(make: Callable[[], SweepRow]) -> SweepRow:
     return row
 
 
-def _mapped(
-    row_of: Callable[[Bench], SweepRow], benches: Sequence[Bench], workers: int
-) -> Iterator[SweepRow]:
-    """In order, over processes where that pays."""
-    if workers == 1 or len(benches) < 2 * workers:
-        yield from map(row_of, benches)
-        return
-    with processes(workers) as pool:
-        yield from pool.map(row_of, benches)
-
-
 GAPS, START_ANGLES = 20, 4
 """Of a curve on demand. See ``experiments/curve_counts.py`` for what δ is off by against 60 gaps,
 16 start angles and 5 rotations: far less than the amplitude tells δ to."""
@@ -355,115 +347,6 @@ MOST_KEPT = 5000
 """Rows in the store, some 10 kB each; the oldest go first."""
 
 
-class CurveSource:
-    """Gives the curve of each recording; this one none, for the ringing alone.
-
-    ``is_of_bench``: the curves are those of the configured bench.
-    """
-
-    is_of_bench: ClassVar[bool] = False
-
-    @property
-    def gap_range_rad(self) -> tuple[float, float] | None:
-        """Gaps that the curves reach; ``None`` without one."""
-        return None
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What every reader of its gaps must know."""
-        return ()
-
-    def describe(self) -> str:
-        """Which curve this is, or what gives one."""
-        return "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
-
-    def require_usable(self, recording: Recording) -> None:
-        """Raises where no curve means the same amplitude as a fit of this recording."""
-        return
-
-    def doubts(self, recording: Recording) -> Iterable[Reason]:
-        """Why δ would be withheld whatever the fit finds."""
-        return ()
-
-    def question(self, recording: Recording) -> Reason | None:
-        """What to ask the user first where δ is withheld."""
-        return None
-
-    def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Raises where these cannot be compared; what they share, where that is worth saying."""
-        if len(recordings) < 2:
-            return None
-        require_one_speed_of_all(recordings)
-        return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
-
-    def bench_of(self, recording: Recording) -> Bench | None:
-        """The bench that the curve of a recording is of, where that is known."""
-        return None
-
-    def curves(self, task: Task) -> list[GapCurve] | None:
-        """The curve of each recording, in order; ``None`` without one."""
-        return None
-
-
-def curve_source(config: SnapshotConfig, bench: Bench | None) -> CurveSource:
-    """Where a configuration has its curves from.
-
-    Raises
-    ------
-    UserError
-        If a named curve cannot be read.
-    """
-    if config.curve.source == PUBLISHED:
-        return NamedCurve(published_curve(), config)
-    if config.curve.source is not None:
-        return NamedCurve(read_curve(config.curve.source), config)
-    if bench is not None:
-        return BenchCurves(bench, config)
-    return CurveSource()
-
-
-@dataclass(frozen=True, slots=True)
-class NamedCurve(CurveSource):
-    """One curve for all recordings: the published one, or that of a sweep."""
-
-    curve: GapCurve
-    config: SnapshotConfig
-
-    @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Gaps that the curve reaches."""
-        return self.curve.gap_range_rad
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Those of the curve."""
-        return self.curve.warnings
-
-    def describe(self) -> str:
-        """Its name."""
-        return self.curve.name
-
-    def require_usable(self, recording: Recording) -> None:
-        """The curve means the same amplitude as a fit of this recording."""
-        require_same_estimator(self.curve, estimator_of(self.config), recording)
-
-    def doubts(self, recording: Recording) -> Iterator[Reason]:
-        """The recording is of another speed than the curve."""
-        if not self.config.curve.allow_extrapolation:
-            against = other_speed(recording, self.curve)
-            question = self.question(recording)
-            yield from (reason for reason in (against and question, against) if reason)
-
-    def question(self, recording: Recording) -> Reason | None:
-        """Whether the speed is in another unit."""
-        text = speed_in_another_unit(recording, self.curve.reference_speed_rpm)
-        return None if text is None else Reason.of_text("speed_unit", text)
-
-    def curves(self, task: Task) -> list[GapCurve]:
-        """The same for all."""
-        return [self.curve] * len(task.recordings)
-
-
 @dataclass(frozen=True, slots=True)
 class _Need:
     """What decides the curve of a recording, beside bench file and estimator.
@@ -480,45 +363,93 @@ class _Need:
         return f"{self.sampling_hz:g} Hz at {abs(self.reference_speed_rpm):g} rpm"
 
 
-@dataclass(frozen=True, slots=True)
-class BenchCurves(CurveSource):
-    """Curves of the configured bench, swept for what each recording needs."""
+class CurveMeasurer(Measurer):
+    """A route that reads gaps from curves: a named one, one swept from the bench, or none.
 
-    bench: Bench
-    config: SnapshotConfig
+    Attributes
+    ----------
+    named
+        The published curve, or that of a sweep: one for all recordings.
+    estimator
+        Of the ringing's amplitude.
+    bench
+        Swept for what each recording needs, where no curve is named.
 
-    is_of_bench: ClassVar[bool] = True
+    Raises
+    ------
+    UserError
+        If a named curve cannot be read.
+    """
+
+    def __init__(self, config: SnapshotConfig, bench: Bench | None) -> None:
+        super().__init__(config)
+        self.estimator = estimator_of(config)
+        self.named: GapCurve | None = None
+        if config.curve.source is not None:
+            is_published = config.curve.source == PUBLISHED
+            self.named = published_curve() if is_published else read_curve(config.curve.source)
+        self.bench = bench if self.named is None else None
 
     @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Gaps that are swept."""
-        return SMALLEST_GAP_RAD, SweepSettings().high_rad
+    def gap_range_rad(self) -> tuple[float, float] | None:
+        """Gaps that the curves reach; ``None`` without one."""
+        if self.named is not None:
+            return self.named.gap_range_rad
+        return None if self.bench is None else (SMALLEST_GAP_RAD, SweepSettings().high_rad)
 
-    def describe(self) -> str:
-        """Its bench."""
-        return f"swept from {self.config.estimator.bench} on demand"
+    def describe_curve(self) -> str:
+        """Which curve this is, or what gives one."""
+        if self.named is not None:
+            return self.named.name
+        if self.bench is not None:
+            return f"swept from {self.config.estimator.bench} on demand"
+        return "none, so the ringing alone: δ needs --bench FILE, or --curve RESULT of a sweep"
 
     def require_usable(self, recording: Recording) -> None:
-        """The recording is of a speed at which the gap shows: the one given for it, or the bench's.
+        """A named curve means the same amplitude as a fit; a bench shows its gap at this speed.
 
         Raises
         ------
         UserError
-            If it is of another speed, or the load stays on one flank.
+            If not.
         """
-        need, bench = self._need(recording), self.bench_of(recording)
-        require_flank_change(bench, [need.reference_speed_rpm], self.config.estimator.bench)
+        if self.named is not None:
+            require_same_estimator(self.named, self.estimator, recording)
+        elif (bench := self.bench_of(recording)) is not None:
+            speed = self._need(recording, bench).reference_speed_rpm
+            require_flank_change(bench, [speed], self.config.estimator.bench)
 
-    def bench_of(self, recording: Recording) -> Bench:
-        """With what is known of it at the time of the recording."""
-        return bench_with(self.bench, self.config.entry_of(recording.name).bench)
+    def doubts(self, recording: Recording) -> Iterator[Reason]:
+        """Why δ would be withheld whatever the fit finds: the curve is of another speed."""
+        if self.named is not None and not self.config.curve.allow_extrapolation:
+            against = other_speed(recording, self.named)
+            question = self.question(recording)
+            yield from (reason for reason in (against and question, against) if reason)
+
+    def question(self, recording: Recording) -> Reason | None:
+        """What to ask the user first where δ is withheld: is the speed in another unit?"""
+        speed_rpm = None if self.named is None else self.named.reference_speed_rpm
+        text = speed_in_another_unit(recording, speed_rpm)
+        return None if text is None else Reason.of_text("speed_unit", text)
 
     def require_together(self, recordings: Sequence[Recording]) -> str | None:
-        """Recordings may be of any speeds and rates: each has its own curve."""
-        return None
+        """Raises where these cannot be compared; what they share, where that is worth saying.
 
-    def curves(self, task: Task) -> list[GapCurve]:
-        """Read or swept, one for each need.
+        With a bench they may be of any speeds and rates: each has its own curve.
+        """
+        if self.bench is not None or len(recordings) < 2:
+            return None
+        require_one_speed_of_all(recordings)
+        return f"{nominal_speed_rpm(recordings[0]):.5g} rpm in all"
+
+    def bench_of(self, recording: Recording) -> Bench | None:
+        """The bench at the time of a recording; ``None`` where curves are not of a bench."""
+        if self.bench is None:
+            return None
+        return bench_with(self.bench, self.config.entry_of(recording.name).bench)
+
+    def curves(self, task: Task) -> list[GapCurve] | None:
+        """The curve of each recording, read or swept, in order; ``None`` without one.
 
         Raises
         ------
@@ -527,30 +458,33 @@ class BenchCurves(CurveSource):
         CurveError
             If A does not grow with δ.
         """
-        needs = [self._need(recording) for recording in task.recordings]
-        estimator = estimator_of(self.config)
+        if self.named is not None:
+            return [self.named] * len(task.recordings)
+        if self.bench is None:
+            return None
+        needs = [self._need(recording, self.bench) for recording in task.recordings]
         made = {
-            need: self._curve(need, estimator, task, recording)
+            need: self._swept(need, task, recording)
             for need, recording in dict(zip(needs, task.recordings, strict=True)).items()
         }
         task.swept.keep_latest(count=MOST_KEPT)
         return [made[need] for need in needs]
 
-    def _need(self, recording: Recording) -> _Need:
+    def _need(self, recording: Recording, bench: Bench) -> _Need:
         entry = self.config.entry_of(recording.name)
-        speed = reference_speed(recording, self.bench, entry.reference_speed_rpm)
-        turns = recording.duration_s / self.bench.rotation_period_s(speed)
+        speed = reference_speed(recording, bench, entry.reference_speed_rpm)
+        turns = recording.duration_s / bench.rotation_period_s(speed)
         rotations = min(max(int(turns), 2), MOST_ROTATIONS)
         # To the digits by which the fingerprint of an estimator tells rates apart.
         sampling_hz = float(f"{1.0 / recording.sampling_period_s:.3g}")
         return _Need(speed, sampling_hz, rotations, tuple(sorted(entry.bench.items())))
 
-    def _curve(
-        self, need: _Need, estimator: Estimator, task: Task, recording: Recording
-    ) -> GapCurve:
+    def _swept(self, need: _Need, task: Task, recording: Recording) -> GapCurve:
         bench = self.bench_of(recording)
+        assert bench is not None
         bench = bench.with_parameters(reference_speed_rpm=need.reference_speed_rpm)
-        model = replace(estimator.model, ranges=estimator.model.lasting_ranges)
+        model = self.estimator.model
+        model = replace(model, ranges=model.lasting_ranges)
         settings = SweepSettings(
             low_rad=SMALLEST_GAP_RAD,
             count=GAPS,
@@ -575,7 +509,7 @@ class BenchCurves(CurveSource):
             nominal,
             model,
             DEGREE,
-            estimator.fingerprint(recording),
+            self.estimator.fingerprint(recording),
             curve_seed,
             swept,
         )

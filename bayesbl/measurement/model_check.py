@@ -1,4 +1,4 @@
-"""What a comparison with the bench says of the joint: items, sentences, what is withheld.
+"""What a comparison with the bench says of the joint: items, findings, blind spots.
 
 From what :mod:`bayesbl.model_search.joint_change` finds to the checks of snapshot and comparison.
 """
@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from bayesbl.bench.effects import EFFECT_BY_NAME
-from bayesbl.bench.parameters import PARAMETER_INFO, declaration_of
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement.joint_check import (
-    BlindSpot,
     CheckItem,
     JointCheck,
+    blind_spot,
     check_item,
     joint_check,
 )
@@ -28,7 +26,6 @@ from bayesbl.model_search.joint_change import (
     JointFindings,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import number
 
 
 def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
@@ -51,23 +48,24 @@ def check_of_comparison(
     withheld.
     """
     between = found.between
-    sentences = [_sentence(c) for c in between]
+    findings = [{"code": "parameter_changed", **_values(c)} for c in between]
     if between:
-        if others := _alike(found, between):
-            listed = _listed(others, "or")
-            sentences[-1] += f" {listed[0].upper()}{listed[1:]} would look the same."
-        if is_given:
-            sentences[-1] += " The change of δ is given with this allowed for."
+        alike = {"code": "would_look_the_same", "names": _alike(found, between)}
+        given = {"code": "change_allows_for_it"}
+        findings[-1]["also"] = [alike] * bool(alike["names"]) + [given] * is_given
     return joint_check(
         found.explained and not between,
         [_item(c) for c in between],
         found.could_be if between else (),
-        sentences,
+        findings,
         [
-            BlindSpot(
-                change=f"{spoken(spot.name)} by {_size(spot.size, spot.expected, spot.unit)}",
-                reason="too small for these recordings to show",
-                delta_error_rad=spot.error_rad,
+            blind_spot(
+                "parameter_unseen",
+                spot.error_rad,
+                name=spot.name,
+                size=spot.size,
+                expected=spot.expected,
+                unit=spot.unit,
             )
             for spot in found.blind_spots
             if spot.error_rad > MATTERS * _width(change_rad, level)
@@ -80,14 +78,7 @@ def bench_lacks(found: JointFindings) -> dict[str, Any]:
     changed = found.beyond_bench
     if not changed:
         return {}
-    several = len({c.recording for c in changed}) > 1
-    where = [f" in {c.recording or 'all'}" if several else "" for c in changed]
-    effects = [EFFECT_BY_NAME.get(c.name.partition(".")[0]) for c in changed]
-    return {
-        "parameters": [_as_estimated(c) + own for c, own in zip(changed, where, strict=True)],
-        "alike": _alike(found, changed),
-        "in_bench_file": [e.in_bench_file for e in dict.fromkeys(effects) if e and e.in_bench_file],
-    }
+    return {"parameters": [_values(c) for c in changed], "alike": _alike(found, changed)}
 
 
 def _alike(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
@@ -96,7 +87,7 @@ def _alike(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[st
     freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
     if freed >= set(FRICTION[:2]):
         freed |= {MOTOR_FRICTION, *FRICTION}
-    return [spoken(name) for name in found.could_be if name not in freed]
+    return [name for name in found.could_be if name not in freed]
 
 
 def _item(changed: ChangedParameter) -> CheckItem:
@@ -104,43 +95,16 @@ def _item(changed: ChangedParameter) -> CheckItem:
     return check_item(changed.name, changed.estimate, changed.expected, changed.unit, z)
 
 
-def _sentence(changed: ChangedParameter) -> str:
-    value = _as_estimated(changed)
-    return f"In {changed.recording} something other than the gap is different: {value}."
-
-
-def _as_estimated(changed: ChangedParameter) -> str:
-    share = ""
-    if changed.expected:
-        percent = 100.0 * (changed.estimate / changed.expected - 1.0)
-        share = f" ({'+' if percent > 0.0 else ''}{number(percent, 1)} %)"
-    text = f"{spoken(changed.name)} of {changed.estimate:.4g} instead of {changed.expected:.4g}"
-    return f"{text} {changed.unit}".rstrip() + share
-
-
-def _size(size: float, believed: float, unit: str) -> str:
-    """As a share of the believed value, or in its unit where that is zero."""
-    if believed:
-        return f"{100.0 * size / abs(believed):.2g} %"
-    return f"{size:.2g} {unit}".rstrip()
-
-
-def spoken(name: str) -> str:
-    """A bench parameter or ``effect.parameter`` in words, with its name."""
-    effect, _, parameter = name.partition(".")
-    if effect in PARAMETER_INFO:
-        return f"{PARAMETER_INFO[effect].meaning} ({name})"
-    if not parameter:
-        return name.replace("_", " ")
-    return f"{effect.replace('_', ' ')}, {declaration_of(name).meaning} ({name})"
+def _values(changed: ChangedParameter) -> dict[str, Any]:
+    return {
+        "name": changed.name,
+        "measured": changed.estimate,
+        "expected": changed.expected,
+        "unit": changed.unit,
+        "recording": changed.recording,
+    }
 
 
 def _width(draws_rad: FloatArray, level: float) -> float:
     low, high = np.quantile(draws_rad, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
     return float(high - low)
-
-
-def _listed(texts: Sequence[str], last: str) -> str:
-    if len(texts) < 2:
-        return "".join(texts)
-    return f"{', '.join(texts[:-1])} {last} {texts[-1]}"

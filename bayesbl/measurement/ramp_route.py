@@ -24,13 +24,7 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.joint_check import (
-    BlindSpot,
-    CheckItem,
-    JointCheck,
-    check_item,
-    joint_check,
-)
+from bayesbl.measurement.joint_check import JointCheck, blind_spot, check_item, joint_check
 from bayesbl.measurement.measurement import (
     UPPER_BOUND_LEVEL,
     Answer,
@@ -89,12 +83,7 @@ COMPARED = {
 }
 
 
-INDISTINGUISHABLE = "ramps cannot distinguish it from play"
-SOFTER = BlindSpot(
-    change="flanks that became softer at small torque alone",
-    reason=INDISTINGUISHABLE,
-    delta_error_rad=None,
-)
+SOFTER = blind_spot("softer_flanks_unseen")
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,18 +125,8 @@ def compliance_check(first: HeldCompliance, last: HeldCompliance) -> JointCheck:
     changed = [item for item in items if abs(item["z"]) > CHANGED_SD]
     if not changed or error <= MATTERS * (high - low):
         return joint_check(True, items, blind_spots=(SOFTER,))
-    told = " and ".join(_in_words(item) for item in changed)
-    change = f"compliance that friction holds, with {told}"
-    held_more = BlindSpot(change=change, reason=INDISTINGUISHABLE, delta_error_rad=error)
+    held_more = blind_spot("held_compliance_unseen", error, items=changed)
     return joint_check(True, items, blind_spots=(held_more, SOFTER))
-
-
-def _in_words(item: CheckItem) -> str:
-    unit, scale = item["unit"], 1.0
-    if unit.startswith("rad"):
-        unit, scale = f"m{unit}", 1e3
-    after, before = scale * item["measured"], scale * item["expected"]
-    return f"{item['quantity']} of {after:.3g} instead of {before:.3g} {unit}"
 
 
 def _deviations(last: Sequence[FloatArray], first: Sequence[FloatArray]) -> float:
@@ -236,9 +215,10 @@ class RampMeasurer(Measurer):
 
     def require_usable(self, recording: Recording) -> None:
         """The torque goes to both sides of zero and back at least once."""
-        if self._flanks(recording).level is not None:
+        _, flanks = self._flanks(recording)
+        if flanks.level is not None:
             return
-        torque = self._output_torque(recording)
+        torque = recording.channels[MOTOR_TORQUE] * self._ratio
         raise RecordingError(
             "The torque does not go to one side of zero, back, to the other side, and back.",
             file=recording.place,
@@ -250,16 +230,12 @@ class RampMeasurer(Measurer):
 
     def doubts(self, recording: Recording) -> Iterable[Reason]:
         """Why δ will be withheld."""
-        why = against(self._flanks(recording))
-        return () if why is None else (why,)
+        _, flanks = self._flanks(recording)
+        return against(flanks)
 
     def measure(self, task: Task) -> Measurement:
         """The play of all snapshots together."""
-        files = [self._ramps(recording) for recording in task.recordings]
-        flanks = [
-            find_flanks(each, self._resolution(r))
-            for each, r in zip(files, task.recordings, strict=True)
-        ]
+        files, flanks = zip(*map(self._flanks, task.recordings), strict=True)
         widths = [
             Widths(r.name, tuple(found.level.widths()), self._resolution(r))
             for r, found in zip(task.recordings, flanks, strict=True)
@@ -302,9 +278,7 @@ class RampMeasurer(Measurer):
         gap = draws["delta_rad"] = gap_draws(flanks, draws, shares, generator)
         if play.shared_pattern is not None:
             draws["shared_pattern"] = play.shared_pattern
-        why = against(flanks)
-        reasons = [why] if why else []
-        reasons += sampling_reasons(play.diagnostics)
+        reasons = [*against(flanks), *sampling_reasons(play.diagnostics)]
         withheld = outcome_of(reasons) == "withheld"
         given = self.config.joint.gear_ratio is not None
         reasons += notes_on(files, flanks, draws, ratio_given=given, elsewhere=elsewhere)
@@ -332,39 +306,35 @@ class RampMeasurer(Measurer):
     def _ratio(self) -> float:
         return self.config.joint.gear_ratio or 1.0
 
-    def _output_torque(self, recording: Recording) -> FloatArray:
-        return np.asarray(recording.channels[MOTOR_TORQUE] * self._ratio)
-
     def _resolution(self, recording: Recording) -> float:
         """The smallest step of the position at the output, rad."""
         steps = np.abs(np.diff(recording.channels[MOTOR_POSITION]))
         return float(steps[steps > 0.0].min()) / self._ratio
 
-    def _flanks(self, recording: Recording) -> Flanks:
-        return find_flanks(self._ramps(recording), self._resolution(recording))
-
-    def _ramps(self, recording: Recording) -> tuple[Ramps, ...]:
-        torque = self._output_torque(recording)
+    def _flanks(self, recording: Recording) -> tuple[tuple[Ramps, ...], Flanks]:
+        """The ramps of each file, and the flanks that they show, at the output."""
+        torque = recording.channels[MOTOR_TORQUE] * self._ratio
         position = recording.channels[MOTOR_POSITION] / self._ratio
         starts = list(recording.metadata[FILE_STARTS])
         stops = [*starts[1:], recording.samples]
-        return tuple(
+        files = tuple(
             find_ramps(torque[a:b], position[a:b]) for a, b in zip(starts, stops, strict=True)
         )
+        return files, find_flanks(files, self._resolution(recording))
 
 
-def against(flanks: Flanks) -> Reason | None:
-    """Why δ is withheld; ``None`` where it is not."""
+def against(flanks: Flanks) -> list[Reason]:
+    """Why δ is withheld, if it is."""
     level = flanks.level
     if flanks.answered or level is None:
-        return None
+        return []
     values = {
         "skipped_nm": list(flanks.skipped_nm),
         "amplitude_nm": level.amplitude_nm,
         "needed_nm": flanks.needed_nm,
         "friction_nm": level.friction_nm,
     }
-    return Reason("ramps_held", values)
+    return [Reason("ramps_held", values)]
 
 
 def notes_on(
@@ -375,24 +345,11 @@ def notes_on(
     ratio_given: bool,
     elsewhere: bool,
 ) -> Iterator[Reason]:
-    """What a reader should know of how δ came about.
+    """What a reader should know of how δ came about: of flanks, torque and positions.
 
     ``draws``: of ``width_rad`` and ``preload_torque_nm``. ``elsewhere``: one file a snapshot, and
     not at the same position of the turn.
     """
-    yield from _on_flanks(flanks, draws)
-    moved = [file.offset_nm for file in files if file.offset_nm]
-    if moved:
-        yield Reason("torque_offset", {"low_nm": min(moved), "high_nm": max(moved)})
-    if any(file.turned for file in files):
-        yield Reason("torque_turned")
-    if not ratio_given:
-        yield Reason("no_gear_ratio")
-    yield from _on_positions(files, flanks, elsewhere=elsewhere)
-
-
-def _on_flanks(flanks: Flanks, draws: Mapping[str, FloatArray]) -> Iterator[Reason]:
-    """Whether they play, carry a preload or are soft, and which ramps told it."""
     level, relative = flanks.level, flanks.relative_compliance
     assert level is not None
     if flanks.finding == "preloaded":
@@ -412,12 +369,13 @@ def _on_flanks(flanks: Flanks, draws: Mapping[str, FloatArray]) -> Iterator[Reas
     if flanks.skipped_nm and flanks.answered:
         skipped = {"skipped_nm": list(flanks.skipped_nm), "amplitude_nm": level.amplitude_nm}
         yield Reason("ramps_skipped", skipped)
-
-
-def _on_positions(files: Sequence[Ramps], flanks: Flanks, *, elsewhere: bool) -> Iterator[Reason]:
-    """How many of the turn δ is known at, and by how many cycles."""
-    level = flanks.level
-    assert level is not None
+    moved = [file.offset_nm for file in files if file.offset_nm]
+    if moved:
+        yield Reason("torque_offset", {"low_nm": min(moved), "high_nm": max(moved)})
+    if any(file.turned for file in files):
+        yield Reason("torque_turned")
+    if not ratio_given:
+        yield Reason("no_gear_ratio")
     missing = sum(not file for file in level.files)
     if missing:
         values = {"missing": missing, "files": len(files), "amplitude_nm": level.amplitude_nm}

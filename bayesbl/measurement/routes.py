@@ -94,5 +94,5 @@ def measure(
     measured = measurer.measure(task)
     has_load = all(LOAD_POSITION in recording.channels for recording in recordings)
     if has_load and measured.route not in WITHOUT_BENCH:
-        measured = import_module("bayesbl.measurement.load_encoder").with_witness(measured, task)
+        measured = import_module("bayesbl.measurement.auto_route").with_witness(measured, task)
     return measurement_tree(measured, task)

@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bayesbl.measurement.joint_check import (
-    NO_CURRENT,
-    BlindSpot,
     CheckItem,
     JointCheck,
+    blind_spot,
     check_item,
     joint_check,
 )
@@ -30,6 +30,7 @@ from bayesbl.measurement.joint_features import (
     features_of,
     harmonic_name,
 )
+from bayesbl.measurement.measurement import Reason
 from bayesbl.measurement.noise_colour import (
     FilterChange,
     NoiseSpectrum,
@@ -40,7 +41,6 @@ from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import MOTOR_CURRENT
 from bayesbl.ringing.cleaning import MotorLine
 from bayesbl.ringing.estimator import PointEstimate, nominal_speed_rpm
-from bayesbl.units import number
 
 FALSE_ALARM = 0.01
 """Of one comparison, over all its quantities and snapshots."""
@@ -101,28 +101,8 @@ COULD_BE = {
 }
 """What of the joint would move each quantity."""
 
-IN_WORDS = {
-    PROPORTIONAL: "the speed controller's gains, the torque constant or a filter of the speed",
-    INTEGRAL: "the speed controller's gains or the torque constant",
-    MEAN_CURRENT: "friction, or a constant torque",
-    harmonic_name("current", 1): "the payload or the torque constant",
-    harmonic_name("current", 2): "friction that depends on the load",
-    harmonic_name("speed", 1): "the payload or the controller's integral gain",
-    harmonic_name("speed", 2): "the integral gain, or friction that depends on the load",
-    FREQUENCY: "payload, stiffness, gains or a filter of the drive",
-    DECAY: "damping, gains or a filter of the drive",
-}
-
 SHOWN_BEST = (DECAY, FREQUENCY, PROPORTIONAL, INTEGRAL, harmonic_name("current", 1))
 """Of which it is told how much may change unseen, those of the ringing itself first."""
-
-WITHOUT_CURRENT = (
-    BlindSpot(
-        change="the speed controller's gains, the torque constant and friction",
-        reason=NO_CURRENT,
-        delta_error_rad=None,
-    ),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,32 +177,28 @@ def same_joint(
         return joint_check()
     bound = normal_isf(0.5 * FALSE_ALARM / compared)
     filters = [pair.filter_change(bound) for pair in pairs]
-    findings = [
-        finding
-        for pair, change in zip(pairs, filters, strict=True)
-        for finding in pair.findings(change, bound, f" in {pair.other.name}" * (len(pairs) > 1))
-    ]
-    changed = [(item, sentence) for item, sentence in findings if sentence]
+    items, changed = [], []
+    for pair, change in zip(pairs, filters, strict=True):
+        where = {"recording": pair.other.name} if len(pairs) > 1 else {}
+        for item, finding in pair.findings(change, bound):
+            items.append(item)
+            if finding is not None:
+                changed.append((item["quantity"], {**finding, **where}))
     blind = [*_too_small(pairs, bound), *_filters_unseen(pairs, filters)]
     if not all(MOTOR_CURRENT in point.recording.channels for point in points):
-        blind = [*WITHOUT_CURRENT, *blind]
+        blind = [blind_spot("gains_unseen"), *blind]
     return joint_check(
         not changed,
-        [item for item, _ in findings],
-        (cause for item, _ in changed for cause in COULD_BE[item["quantity"]]),
-        [sentence for _, sentence in changed],
+        items,
+        (cause for quantity, _ in changed for cause in COULD_BE[quantity]),
+        [finding for _, finding in changed],
         blind,
     )
 
 
-def change_reason(check: JointCheck) -> str | None:
+def change_reason(check: JointCheck) -> Reason | None:
     """Why the change of a gap that a curve gave is withheld; ``None`` where it is not."""
-    if check["agrees"]:
-        return None
-    return (
-        "Something other than the gap changed between the snapshots, which moves the ringing too, "
-        f"so their change is withheld. {' '.join(check['sentences'])}"
-    )
+    return None if check["agrees"] else Reason("joint_changed", {"also": check["findings"]})
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,24 +267,27 @@ class _Pair:
         return filter_change(first.noise, other.noise, bound)
 
     def findings(
-        self, change: FilterChange | None, bound: float, where: str
-    ) -> Iterator[tuple[CheckItem, str]]:
-        """Each quantity with what is said of it, nothing where it may be chance or does no harm."""
+        self, change: FilterChange | None, bound: float
+    ) -> Iterator[tuple[CheckItem, dict[str, Any] | None]]:
+        """Each quantity with what is to be said of it, where it is no chance and does harm."""
         for item in self.items:
-            yield item, _sentence(item, where) if abs(item["z"]) > bound else ""
+            moved = abs(item["z"]) > bound
+            yield item, {"code": "quantity_changed", **_values(item)} if moved else None
         if change is not None:
             shift = change.log_amplitude
             item = check_item(FILTER, math.exp(shift), 1.0, "", change.deviations)
             moved = abs(item["z"]) > bound and abs(shift) > self.harmless
-            yield item, _sentence_of_filter(change, where) if moved else ""
+            least = math.expm1(change.low if shift > 0.0 else change.high)
+            yield item, {"code": "filter_changed", "least_share": least} if moved else None
         for order, item in self.lines.items():
             # What repeats with the motor is there when the teeth meet, so they meet faster or
             # slower by as much as it moves the motor: the ringing behind is that much louder.
             furthest = abs(item["measured"] - item["expected"]) / math.exp(self.first.log_amplitude)
             least = max(abs(self.change) - bound * self.change_sd, 0.0)
             moved = abs(item["z"]) > bound and abs(self.change) > self.harmless
+            values = {"order": order, "furthest_share": furthest, **_values(item)}
             told = moved and furthest >= least
-            yield item, _sentence_of_line(item, order, furthest, where) if told else ""
+            yield item, {"code": "line_changed", **values} if told else None
 
     def sd(self, name: str) -> float:
         """Of a feature's change."""
@@ -340,7 +319,12 @@ class _Pair:
         return 0.5 * self.first.features[INTEGRAL].value * later_s
 
 
-def _too_small(pairs: Sequence[_Pair], bound: float) -> Iterator[BlindSpot]:
+def _values(item: CheckItem) -> dict[str, Any]:
+    """What is said of a quantity: all but its deviations."""
+    return {key: value for key, value in item.items() if key != "z"}
+
+
+def _too_small(pairs: Sequence[_Pair], bound: float) -> Iterator[dict[str, Any]]:
     """How much of each quantity could change unseen, by the pair that shows it worst."""
     for name in SHOWN_BEST:
         least = [
@@ -353,79 +337,24 @@ def _too_small(pairs: Sequence[_Pair], bound: float) -> Iterator[BlindSpot]:
         ]
         if not least:
             continue
-        if all(value > 0.0 for _, value in least):
-            percent = 100.0 * max(size / value for size, value in least)
-            change = f"a change of the {name} by less than {percent:.2g} %"
-        else:  # a harmonic that noise hides
-            change = f"a change of the {name}, which one of them does not show"
-        why = "too small for these recordings to show"
-        yield BlindSpot(change=f"{change} ({IN_WORDS[name]})", reason=why, delta_error_rad=None)
+        # Noise may hide a harmonic.
+        shown = all(value > 0.0 for _, value in least)
+        share = max(size / value for size, value in least) if shown else None
+        yield blind_spot("change_unseen", quantity=name, share=share)
 
 
 def _filters_unseen(
     pairs: Sequence[_Pair], filters: Sequence[FilterChange | None]
-) -> Iterator[BlindSpot]:
+) -> Iterator[dict[str, Any]]:
     """What filter of the speed would pass, by the pair that shows it worst."""
     by_noise = [(p, f) for p, f in zip(pairs, filters, strict=True) if not p.shows_gains]
     if any(change is None for _, change in by_noise):
-        yield BlindSpot(
-            change="a filter of the speed",
-            reason="these recordings have too little noise above the ringing, were mended, or "
-            "have different rates",
-            delta_error_rad=None,
-        )
+        yield blind_spot("filter_unseen")
     reach = [
         max(change.high - change.log_amplitude, change.log_amplitude - change.low, pair.harmless)
         for pair, change in by_noise
         if change is not None
     ]
     if reach:
-        yield BlindSpot(
-            change="a filter of the speed behind which most of the noise arises, or before a "
-            "recorder that keeps one sample in several",
-            reason="the noise does not show it",
-            delta_error_rad=None,
-        )
-        yield BlindSpot(
-            change="a change of a filter of the speed that moves the ringing by less than "
-            f"{100.0 * math.expm1(max(reach)):.2g} %",
-            reason="too small for the noise of these recordings to show",
-            delta_error_rad=None,
-        )
-
-
-def _sentence(item: CheckItem, where: str) -> str:
-    measured, expected, quantity = item["measured"], item["expected"], item["quantity"]
-    direction = "rose" if measured > expected else "fell"
-    places = max(0, 2 - math.floor(math.log10(max(abs(measured - expected), 1e-9))))
-    before, after = number(expected, places), number(measured, places)
-    return (
-        f"The {quantity} {direction} from {before} to {after} {item['unit']}{where}: "
-        f"{IN_WORDS[quantity]}, not the gap."
-    )
-
-
-def _sentence_of_filter(change: FilterChange, where: str) -> str:
-    direction, least = (
-        ("raise", math.expm1(change.low))
-        if change.log_amplitude > 0.0
-        else ("lower", -math.expm1(change.high))
-    )
-    return (
-        f"The noise of the speed changed its colour{where}, as behind another filter or with noise "
-        f"from another source. Such a filter alone would {direction} the ringing by "
-        f"{100.0 * least:.2g} % or more. Record all snapshots through the same filter, or the "
-        "motor current as well."
-    )
-
-
-def _sentence_of_line(item: CheckItem, order: int, furthest: float, where: str) -> str:
-    """Of a line that changed and may be all that moved the ringing."""
-    measured, expected = item["measured"], item["expected"]
-    direction = "rose" if measured > expected else "fell"
-    return (
-        f"The {LINE} at motor order {order} {direction} from {expected:.2g} to "
-        f"{measured:.2g} rpm{where}: an error of transmission or encoder or a ripple of the "
-        f"torque, not the gap. It could move the ringing by up to {100.0 * furthest:.2g} %, as "
-        "much as was seen."
-    )
+        yield blind_spot("filter_before_noise_unseen")
+        yield blind_spot("small_filter_unseen", share=math.expm1(max(reach)))

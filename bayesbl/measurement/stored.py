@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -126,7 +127,8 @@ def one_of(reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     if not reasons:
         return None
     first, *others = reasons
-    return {**first, **({"also": others} if others else {})}
+    also = [*first.get("also", ()), *others]
+    return {**first, **({"also": also} if also else {})}
 
 
 def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
@@ -209,7 +211,6 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         }
         for number in range(count)
     ]
-    total = _step(measured, 0, count - 1, config)
     ringing = next((r for r in (measured, *measured.beside) if r.ringing_change is not None), None)
     grew = None
     # With a curve it is δ that is withheld, which the curve alone may be the reason for.
@@ -219,40 +220,36 @@ def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:
         grew = ringing.ringing_change
     return {
         "snapshots": snapshots,
-        "change_rad": total["change_rad"],
-        "changes": [_step(measured, n, n + 1, config) for n in range(count - 1)],
-        "probability_increase": total["probability_increase"],
+        **_change(measured, 0, count - 1, config),
+        "changes": [
+            {"from": before, "to": after, **_change(measured, n, n + 1, config)}
+            for n, (before, after) in enumerate(pairwise(a.name for a in measured.answers))
+        ],
         "ringing_change": None if grew is None else _interval(grew, config),
         "probability_ringing_grew": None if grew is None else float(np.mean(grew > 0.0)),
         "same_joint": measured.same_joint,
         "routes": {
-            one.route: _change_of_route(one, config) for one in (measured, *measured.beside)
+            one.route: {
+                **_change(one, 0, count - 1, config),
+                "outcome": one.outcome,
+                "reason": _reason_of_all(one),
+                "same_joint": one.same_joint,
+            }
+            for one in (measured, *measured.beside)
         },
     }
 
 
-def _change_of_route(one: Measurement, config: CompareConfig) -> dict[str, Any]:
-    """What a route alone says of the change."""
-    step = _step(one, 0, len(one.answers) - 1, config)
-    return {
-        **{key: step[key] for key in ("change_rad", "probability_increase")},
-        "outcome": one.outcome,
-        "reason": _reason_of_all(one),
-        "same_joint": one.same_joint,
-    }
-
-
-def _step(measured: Measurement, first: int, last: int, config: CompareConfig) -> dict[str, Any]:
+def _change(measured: Measurement, first: int, last: int, config: CompareConfig) -> dict[str, Any]:
+    """Of δ between two recordings, where neither is withheld nor the change itself."""
     ends = [measured.answers[number] for number in (first, last)]
     before, after = (None if end.is_withheld else end.delta_rad for end in ends)
-    change = None
-    if before is not None and after is not None and measured.change_reason is None:
-        change = after - before
+    if before is None or after is None or measured.change_reason is not None:
+        return {"change_rad": None, "probability_increase": None}
+    change = after - before
     return {
-        "from": ends[0].name,
-        "to": ends[1].name,
-        "change_rad": None if change is None else _interval(change, config),
-        "probability_increase": None if change is None else float(np.mean(change > 0.0)),
+        "change_rad": _interval(change, config),
+        "probability_increase": float(np.mean(change > 0.0)),
     }
 
 

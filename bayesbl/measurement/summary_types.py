@@ -11,22 +11,21 @@ from bayesbl.sampling.convergence import Outcome
 
 
 class ReasonSummary(TypedDict):
-    """Why an answer is withheld or limited: programs go by ``code``.
+    """Why an answer is withheld or limited, or is the answer: programs go by ``code``.
 
     It also has the numbers and names of its sentence, by name; ``recordings`` if it concerns only
-    some, ``also`` if there are further reasons, which ``text`` includes.
+    some, ``also`` if there are further reasons, which ``text`` includes. Of those listed in the
+    diagnostics ``withholds`` says whether δ is withheld, ``because`` why another route has no
+    answer; that of the answer names its ``route``.
     """
 
     code: str
     text: str
     also: NotRequired[list[ReasonSummary]]
     recordings: NotRequired[list[str]]
-
-
-class ListedReason(ReasonSummary):
-    """A reason, and whether it withholds δ."""
-
-    withholds: bool
+    because: NotRequired[list[ReasonSummary]]
+    withholds: NotRequired[bool]
+    route: NotRequired[str]
 
 
 class NoiseSummary(TypedDict):
@@ -52,21 +51,14 @@ class DiagnosticsSummary(TypedDict):
     simulated_draws: NotRequired[int]
     surrogate_refits: NotRequired[int]
     outcome: Outcome
-    reasons: list[ListedReason]
-
-
-class SymbolCheck(TypedDict):
-    """A second sampler beside emcee for one symbol."""
-
-    difference_sd: float
-    width_ratio: float
+    reasons: list[ReasonSummary]
 
 
 class SamplerCheckSummary(TypedDict):
-    """A second sampler beside emcee."""
+    """A second sampler beside emcee: ``difference_sd`` and ``width_ratio`` of each symbol."""
 
     agrees: bool
-    symbols: dict[str, SymbolCheck]
+    symbols: dict[str, dict[str, float]]
 
 
 class PredictiveCheckEntry(TypedDict):
@@ -76,21 +68,6 @@ class PredictiveCheckEntry(TypedDict):
     highest_order: int
     ratio: float
     probability: float
-
-
-class _FromRinging(TypedDict, total=False):
-    """Of the fit of the ringing's waveform; RMSE is also relative to the speed's scatter.
-
-    ``impact_sd_rpm``: how far the amplitude of impacts differs, beyond noise.
-    """
-
-    rmse_rpm: float
-    relative_rmse: float
-    misfit_rms_rpm: float
-    impact_sd_rpm: Interval
-    start: str
-    box_search: dict[str, float]
-    sampler_check: SamplerCheckSummary
 
 
 class MotionSummary(TypedDict):
@@ -105,15 +82,6 @@ class MotionSummary(TypedDict):
     compared_from_s: float
 
 
-class _FromSimulation(TypedDict, total=False):
-    """Of the simulated bench."""
-
-    cramer_rao_sd: dict[str, float | None]
-    posterior_sd: dict[str, float]
-    predictive_check: list[PredictiveCheckEntry]
-    motion: MotionSummary
-
-
 class RampsSummary(TypedDict):
     """The ramps that show the play; ``width_rad`` is the mean of each position around the turn."""
 
@@ -121,29 +89,6 @@ class RampsSummary(TypedDict):
     cycles: int
     torque_nm: float
     width_rad: list[float]
-
-
-class _FromRamps(TypedDict, total=False):
-    """Of torque ramps with the output held, all at the output.
-
-    ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: no play is
-    seen, and ``preload_torque_nm`` is the torque at which one of both flanks lifts; 0 with play,
-    ``None`` where that is not seen.
-    ``held_windup_rad``: what of δ is compliance that friction holds at zero torque.
-    ``stiffness_nm_per_rad``: of a line through the largest ramps, as test reports state it.
-    """
-
-    lost_motion_rad: Interval | None
-    lost_motion_torque_nm: float
-    compliance_rad_per_nm: Interval
-    stiffness_nm_per_rad: Interval
-    friction_torque_nm: Interval
-    held_windup_rad: Interval
-    preload_torque_nm: Interval | None
-    preloaded: bool
-    probability_of_play: float
-    relative_compliance: float
-    ramps: RampsSummary
 
 
 class HarmonicSummary(TypedDict):
@@ -164,22 +109,6 @@ class TransmissionErrorSummary(TypedDict):
     harmonics: list[HarmonicSummary]
 
 
-class _FromTwoEncoders(TypedDict, total=False):
-    """Of the encoders of motor and load.
-
-    ``play_rad`` is 2δ. ``lost_motion_rad`` is between both directions: the play, and what the
-    load's friction winds up. ``windup_rad_per_nm`` is the compliance at the output, where a torque
-    tells it. ``channel_skew_s`` is how late the load's stamps are.
-    """
-
-    play_rad: Interval | None
-    windup_rad_per_nm: Interval | None
-    gear_ratio: Interval
-    channel_skew_s: Interval
-    transmission_error: TransmissionErrorSummary
-    reversals: int
-
-
 class StatedLimit(TypedDict):
     """The limit as it was given, and δ in its unit and of its kind (``arcmin of play``)."""
 
@@ -188,13 +117,62 @@ class StatedLimit(TypedDict):
     measured: Interval | None
 
 
-class RouteSummary(_FromRinging, _FromSimulation, _FromRamps, _FromTwoEncoders):
+class _OfSomeRoutes(TypedDict, total=False):
+    """Keys that not every route has."""
+
+    # Of the fit of the ringing's waveform.
+    rmse_rpm: float
+    relative_rmse: float
+    misfit_rms_rpm: float
+    impact_sd_rpm: Interval
+    start: str
+    box_search: dict[str, float]
+    sampler_check: SamplerCheckSummary
+    # Of the simulated bench.
+    cramer_rao_sd: dict[str, float | None]
+    posterior_sd: dict[str, float]
+    predictive_check: list[PredictiveCheckEntry]
+    motion: MotionSummary
+    # Of torque ramps, all at the output, and of two encoders.
+    lost_motion_rad: Interval | None
+    lost_motion_torque_nm: float
+    compliance_rad_per_nm: Interval
+    stiffness_nm_per_rad: Interval
+    friction_torque_nm: Interval
+    held_windup_rad: Interval
+    preload_torque_nm: Interval | None
+    preloaded: bool
+    probability_of_play: float
+    relative_compliance: float
+    ramps: RampsSummary
+    play_rad: Interval | None
+    windup_rad_per_nm: Interval | None
+    gear_ratio: Interval
+    channel_skew_s: Interval
+    transmission_error: TransmissionErrorSummary
+    reversals: int
+
+
+class RouteSummary(_OfSomeRoutes):
     """One recording by one route; every route has the keys here, and some of its own.
 
     A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone. Recordings of
     the load's position have ``two_encoders`` beside the route that answers, as a witness.
     ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
     gap.
+
+    The ringing: RMSE is also relative to the speed's scatter; ``impact_sd_rpm`` is how far the
+    amplitude of impacts differs, beyond noise.
+
+    Torque ramps: ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: no play
+    is seen, and ``preload_torque_nm`` is the torque at which one of both flanks lifts; 0 with play,
+    ``None`` where that is not seen. ``held_windup_rad``: what of δ is compliance that friction
+    holds at zero torque. ``stiffness_nm_per_rad``: of a line through the largest ramps, as test
+    reports state it.
+
+    Two encoders: ``play_rad`` is 2δ, ``lost_motion_rad`` between both directions: the play, and
+    what the load's friction winds up. ``windup_rad_per_nm`` is the compliance at the output, where
+    a torque tells it, ``channel_skew_s`` how late the load's stamps are.
     """
 
     route: str
@@ -217,21 +195,13 @@ class RouteSummary(_FromRinging, _FromSimulation, _FromRamps, _FromTwoEncoders):
 
 
 class SnapshotSummary(RouteSummary):
-    """The answer for one recording, and under ``routes`` what each route that ran says of it."""
+    """The answer for one recording, and under ``routes`` what each route that ran says of it.
+
+    ``name``: of a snapshot of a comparison.
+    """
 
     routes: dict[str, RouteSummary]
-
-
-class NamedSnapshotSummary(SnapshotSummary):
-    """A snapshot of a comparison."""
-
-    name: str
-
-
-class AnswerSummary(ReasonSummary):
-    """Which route's answer is the answer; ``code`` and ``text`` say why."""
-
-    route: str
+    name: NotRequired[str]
 
 
 class _Measured(Origin):
@@ -239,7 +209,7 @@ class _Measured(Origin):
 
     outcome: str
     warnings: list[str]
-    answer: AnswerSummary
+    answer: ReasonSummary
 
 
 class FitSummary(_Measured, SnapshotSummary):
@@ -258,12 +228,6 @@ StepSummary = TypedDict(
     },
 )
 """Change between neighbouring snapshots."""
-
-
-class RateInterval(Interval):
-    """An interval of a rate of wear, with its unit."""
-
-    unit: str
 
 
 class NotBefore(TypedDict):
@@ -340,8 +304,8 @@ class WearSummary(TypedDict):
     decide_before: str | None
     probability_wear: float
     law: dict[str, float]
-    rate: RateInterval
-    rate_now: RateInterval
+    rate: Interval
+    rate_now: Interval
     rate_at_most_rad_per_year: float
     scatter_rad_per_root_year: Interval | None
     years_to_limit: Interval | None
@@ -373,7 +337,7 @@ class ComparisonSummary(_Measured):
     kind: Literal["compare"]
     curve: str | None
     reason: ReasonSummary | None
-    snapshots: list[NamedSnapshotSummary]
+    snapshots: list[SnapshotSummary]
     change_rad: Interval | None
     changes: list[StepSummary]
     probability_increase: float | None

@@ -1,13 +1,12 @@
 """How fast a joint wears, and when its gap reaches a limit: from joint draws of dated snapshots.
 
-Since the last repair the gap follows a monotone path,
+Path, laws and priors are those of ``docs/design.md``, "Change and wear". Time counts in spans, from
+0 at the first snapshot in use to 1 at the last, so no law has a unit of time; the growth since the
+first snapshot is a multiple of that over the span.
 
-    δ(t) = δ(t₁) + X(t),    X a gamma process with mean Δ u(t) and variance σ² u(t),    Δ > 0,
-
-whose mean u follows one of the laws below and whose increments are irregular by σ (van Noortwijk
-2009). Law and σ are drawn by sequential Monte Carlo (Del Moral, Doucet and Jasra 2006) from their
+Law and scatter are drawn by sequential Monte Carlo (Del Moral, Doucet and Jasra 2006) from their
 marginal likelihood: δ(t₁) and Δ have flat priors and are integrated out; between snapshots the
-process is taken as normal with the same mean and covariance, beyond the last it is the gamma
+gamma process is taken as normal with the same mean and covariance, beyond the last it is the gamma
 process itself, with changes of the law that no snapshot can show.
 
 The path is laid through *each joint draw* of the gaps, each with a law of its own. What the
@@ -18,32 +17,9 @@ share.
 Wear does not heal: paths that fall are left out. Rate and date must therefore never be read as a
 sign of wear; that is what :func:`trend` is for, which may have either sign.
 
-**Laws of wear.** Time counts in spans, from 0 at the first snapshot in use to 1 at the last, so no
-law has a unit of time. The growth since the first snapshot is a multiple of that over the span,
-u(0) = 0, u(1) = 1.
-
-There is one law, a power of age that changes from time to time. With a + t the age and p₀, p₁, …
-the exponents of its regimes, the rate of wear is
-
-    r(t) ∝ (a + t)^(p_i − 1)    from change i to change i + 1.
-
-Changes come at random, ``HAZARD`` to an e-folding of the age whatever happened before; each
-multiplies the rate by k_i and gives it a new exponent. They may lie between the snapshots or ahead
-of the last one. So the family holds steady wear (Archard 1953), running in (Blau 2005), powers of
-age (exponents 1/8 to 2 in the deterioration laws that van Noortwijk 2009 lists), a kink, wear-out
-after years of steady wear, and speeding up that levels off, none of them for certain. Its priors
-are
-
-    ln p_i ~ N(ln ``EXPONENT``)    ln k_i ~ N(ln ``FACTOR``)    ln a uniform in ``AGE``
-
-each a median with the standard deviation of its logarithm. With two dates they alone say how wide a
-forecast is, and with any number how soon wear may change that was steady so far.
-
 **Stored.** :data:`DATES` and, where there is a rate, :data:`WEAR` as one group of ``result.nc``.
 Attributes: ``decide_before`` where that was asked, ``relative_sd_per_date`` with ``drift_widens``
-where the gaps drift, ``width_over_prior`` of the date.
-
-``wear`` of ``summary.json`` is ``null`` where no snapshot is dated; its keys are those of
+where the gaps drift, ``width_over_prior`` of the date. The keys of the summary are those of
 :class:`bayesbl.measurement.summary_types.WearSummary`.
 """
 
@@ -58,13 +34,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.optimize import bisect
 from scipy.special import gdtrib, ndtr, ndtri
 
 from bayesbl.config.measurement import CompareConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.measurement.compatibility import limit_rad_of
 from bayesbl.measurement.measurement import Answer, Reason
-from bayesbl.measurement.summary_types import RateInterval, WearSummary
+from bayesbl.measurement.summary_types import WearSummary
 from bayesbl.probabilities import normal_sf
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
@@ -530,11 +507,7 @@ def _step(likely: FloatArray, most: float) -> float:
 
     if effective(most) >= LEAST_EFFECTIVE:
         return most
-    low, high = 0.0, most
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if effective(middle) >= LEAST_EFFECTIVE else (low, middle)
-    return high
+    return float(bisect(lambda step: effective(step) - LEAST_EFFECTIVE, 0.0, most))
 
 
 def _growth_needed(
@@ -693,7 +666,7 @@ def summarise_wear(
     return result
 
 
-def _rate(found: Interval) -> RateInterval:
+def _rate(found: Interval) -> Interval:
     return {**found, "unit": "rad/year"}
 
 

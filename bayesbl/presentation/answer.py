@@ -126,60 +126,68 @@ def lead(summary: MeasuredSummary) -> Iterator[str]:
         yield wear.headline(summary, rated)
         if wear.spans_repair(summary, rated):
             return
-    yield headline(summary)
+    yield in_words(summary)
 
 
 def headline(summary: MeasuredSummary) -> str:
-    """The gap, or the change of compared ones."""
-    if is_ringing_alone(summary):
-        return _ringing_headline(summary)
+    """What comes first of that."""
+    return next(lead(summary))
+
+
+def in_words(summary: MeasuredSummary) -> str:
+    """The gap, or the change of compared ones; of the ringing, where there is no curve."""
+    alone = is_ringing_alone(summary)
+    told = _ringing_in_words(summary) if alone else _gap_in_words(summary)
+    what = "ringing" if alone else "gap"
+    what = f"change of the {what}" if summary["kind"] == "compare" else what
+    return told or (
+        f"The {what} is withheld: these data do not give an answer that can be trusted."
+    )
+
+
+def _gap_in_words(summary: MeasuredSummary) -> str | None:
     by = f"{OTHER_MACHINE}: " if is_by_other_machine(summary) else ""
     if summary["kind"] == "compare":
         change, growth = summary["change_rad"], summary["probability_increase"]
-        if change is not None and growth is not None:
-            if (cause := wear.other_cause(summary)) is not None:
-                told = words.change_of("it", change, "mrad", 1e3)
-                return (
-                    f"{by}The gap is not shown to have changed: {told} if nothing else in the "
-                    f"joint changed ({grew(growth)}), but a change of {cause} could explain as "
-                    "much."
-                )
-            told = words.change_of("The gap", change, "mrad", 1e3)
-            return f"{by}{told}; {grew(growth)}{wear.unless(summary)}."
-    elif (none := play.no_play_by_ramps(summary)) is not None:
-        return none
-    elif summary["delta_upper_bound_rad"] is not None:
-        bound = words.significant(1e3 * summary["delta_upper_bound_rad"])
-        return f"There may be no gap: it is below {bound} mrad with 95 % probability."
-    elif summary["delta_rad"] is not None:
-        return f"{by}The gap is {words.in_mrad(summary['delta_rad'])}."
-    what = "change of the gap" if summary["kind"] == "compare" else "gap"
-    return f"The {what} is withheld: these data do not give an answer that can be trusted."
-
-
-def _ringing_headline(summary: MeasuredSummary) -> str:
-    """The amplitude, or its change from first to last, where there is no gap."""
-    if summary["outcome"] == "withheld":
-        what = "change of the ringing" if summary["kind"] == "compare" else "ringing"
-        return f"The {what} is withheld: these data do not give an answer that can be trusted."
-    if summary["kind"] == "compare":
-        change, grew = summary["ringing_change"], summary["probability_ringing_grew"]
-        if change is None or grew is None:
-            return "The change of the ringing is withheld."
-        told = words.change_of("The ringing", change, "%", 100.0)
-        told += f"; probability that it grew: {words.probability(grew)}"
-        if not summary["same_joint"]["agrees"]:
-            told += ". Something other than the gap changed, so this is no evidence of wear"
-        elif (unseen := wear.unseen_without_current(summary)) is not None:
-            told += (
-                f". It is evidence about the gap only if {unseen} did not change: no motor "
-                "current can be compared"
+        if change is None or growth is None:
+            return None
+        if (cause := wear.other_cause(summary)) is not None:
+            told = words.change_of("it", change, "mrad", 1e3)
+            return (
+                f"{by}The gap is not shown to have changed: {told} if nothing else in the "
+                f"joint changed ({grew(growth)}), but a change of {cause} could explain as much."
             )
-        return f"{told}."
-    found = summary["amplitude_rpm"]
-    if found is None:
-        return "The ringing is withheld."
-    return f"The ringing has an amplitude of {words.with_bounds(found, 'rpm')}."
+        told = words.change_of("The gap", change, "mrad", 1e3)
+        return f"{by}{told}; {grew(growth)}{wear.unless(summary)}."
+    if (none := play.no_play_by_ramps(summary)) is not None:
+        return none
+    if (upper_rad := summary["delta_upper_bound_rad"]) is not None:
+        bound = words.significant(1e3 * upper_rad)
+        return f"There may be no gap: it is below {bound} mrad with 95 % probability."
+    gap = summary["delta_rad"]
+    return None if gap is None else f"{by}The gap is {words.in_mrad(gap)}."
+
+
+def _ringing_in_words(summary: MeasuredSummary) -> str | None:
+    """The amplitude, or its change from first to last."""
+    if summary["outcome"] == "withheld":
+        return None
+    if summary["kind"] == "fit":
+        found = summary["amplitude_rpm"]
+        shown = None if found is None else words.with_bounds(found, "rpm")
+        return shown and f"The ringing has an amplitude of {shown}."
+    change, growth = summary["ringing_change"], summary["probability_ringing_grew"]
+    if change is None or growth is None:
+        return None
+    told = f"{words.change_of('The ringing', change, '%', 100.0)}; {grew(growth)}"
+    if not summary["same_joint"]["agrees"]:
+        told += ". Something other than the gap changed, so this is no evidence of wear"
+    elif (unseen := wear.unseen_without_current(summary)) is not None:
+        told += (
+            f". It is evidence about the gap only if {unseen} did not change: no motor "
+            "current can be compared"
+        )
+    return f"{told}."
 
 
 def which(summary: MeasuredSummary) -> str | None:
@@ -211,11 +219,11 @@ def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]
     """Why a route beside the answer has none, unless that is why the other one answers."""
     reasons: dict[tuple[str, str], list[str]] = {}
     for name, part in parts:
-        listed = [reason["code"] for reason in part["diagnostics"]["reasons"]]
+        listed = part["diagnostics"]["reasons"]
+        told = tuple(cause["text"] for one in listed for cause in one.get("because", ()))
         for route, found in part["routes"].items():
             reason = found["reason"]
-            is_told = route == "direct" and "by_amplitude_instead" in listed
-            if route == part["route"] or reason is None or is_told:
+            if route == part["route"] or reason is None or reason["text"].startswith(told):
                 continue
             reasons.setdefault((route, reason["text"]), []).append(name)
     for (route, why), names in reasons.items():
@@ -321,15 +329,13 @@ def sampler_check(check: SamplerCheckSummary) -> str:
 
 
 def _gap_table(summary: MeasuredSummary) -> Table:
-    """A row a snapshot, and one of the change; columns for each route."""
+    """A row a snapshot, and one of the change; columns for each route, and for what it adds."""
     parts = snapshots(summary)
-    compared = summary["kind"] == "compare"
-    if "lost_motion_rad" in parts[0][1]:
-        return play.gap_table(parts)
-    routes = [name for name, found in parts[0][1]["routes"].items() if "diagnostics" in found]
+    named = [text("Snapshot")] if summary["kind"] == "compare" else []
+    routes = [route["route"] for route in answering(parts[0][1])]
     first = next((p["delta_rad"] for _, p in parts if p["delta_rad"]), None)
     kind = words.interval_kind(first or next(iter(parts[0][1]["parameters"].values())))
-    columns = [text("Snapshot")] if compared else []
+    columns = [*named]
     for route in routes:
         by = (
             f"{words.capitalised(route_in_words(route).removeprefix('the '))}\n"
@@ -337,19 +343,20 @@ def _gap_table(summary: MeasuredSummary) -> Table:
             else "Gap "
         )
         columns += [numbers(f"{by}δ (mrad)"), numbers(f"{kind}\n(mrad)")]
-    columns.append(text("Outcome"))
+    beside = play.columns(parts[0][1])
+    columns += [*map(numbers, beside), text("Outcome")]
     rows = []
     for name, part in parts:
-        cells = [name] if compared else []
+        cells = [name] * len(named)
         for own in (part["routes"][route] for route in routes):
             cells += words.gap_cells(own["delta_rad"], own["delta_upper_bound_rad"])
-        rows.append([*cells, part["diagnostics"]["outcome"]])
+        cells += [shown(part) for shown in beside.values()]
+        rows.append([*cells, play.outcome(part) if beside else part["diagnostics"]["outcome"]])
     if summary["kind"] == "compare":
-        cells = ["change"]
-        for route in routes:
-            by_route = summary["routes"][route]["change_rad"]
-            cells += words.gap_cells(summary["change_rad"] if route == routes[0] else by_route)
-        rows.append([*cells, summary["outcome"]])
+        cells = ["change", *words.gap_cells(summary["change_rad"])]
+        for route in routes[1:]:
+            cells += words.gap_cells(summary["routes"][route]["change_rad"])
+        rows.append([*cells, *("" for _ in beside), summary["outcome"]])
     return table(columns, rows)
 
 
@@ -357,29 +364,26 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     """What the ringing of each snapshot is: A, τ, ω, and how well the waveform fits."""
     from bayesbl.ringing.symbols import DECAY, FREQUENCY
 
-    compared = summary["kind"] == "compare"
+    named = [text("Ringing")] if summary["kind"] == "compare" else []
     titles = ("A\n(rpm)", "τ\n(1/s)", "1/τ\n(ms)", "ω/2π\n(Hz)", "RMSE\n(rpm)", "Noise sd\n(rpm)")
-    columns = (*([text("Ringing")] if compared else []), *map(numbers, titles))
     rows = []
     for name, part in snapshots(summary):
         found = with_ringing(part)
         if found is None:
             continue
-        symbol = {n: v["median"] for n, v in found["parameters"].items()}
-        decay, frequency = (symbol.get(n, found["optimum"][n]) for n in (DECAY, FREQUENCY))
-        amplitude = found["amplitude_rpm"]
+        symbol = found["optimum"] | {n: v["median"] for n, v in found["parameters"].items()}
+        amplitude, decay = found["amplitude_rpm"], symbol[DECAY]
+        bounds = None if amplitude is None else words.bounds(amplitude, places=1)
         cells = [
-            "–"
-            if amplitude is None
-            else f"{amplitude['median']:.1f} ({words.bounds(amplitude, places=1)})",
+            "–" if amplitude is None else f"{amplitude['median']:.1f} ({bounds})",
             f"{decay:.3g}",
             f"{1e3 / decay:.3g}",
-            f"{frequency / (2.0 * math.pi):.2f}",
+            f"{symbol[FREQUENCY] / (2.0 * math.pi):.2f}",
             f"{found['rmse_rpm']:.2f} ({100.0 * found['relative_rmse']:.0f} %)",
             f"{found['noise']['sd_rpm']:.2f}",
         ]
-        rows.append([*([name] if compared else []), *cells])
-    return table(columns, rows)
+        rows.append([name] * len(named) + cells)
+    return table([*named, *map(numbers, titles)], rows)
 
 
 _AGAIN = {
@@ -445,7 +449,7 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
     ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
     change = None if compared is None else compared["change_rad"]
     if compared is not None and cause is not None:
-        told = headline(summary) if rated is None else wear.headline(compared, rated)
+        told = in_words(summary) if rated is None else wear.headline(compared, rated)
         return Advice("watch", NOT_SHOWN, (told, ask))
     if rated is None and change is None:
         return Advice("note", "Compare this gap with the joint's limit.", (ask,))
@@ -461,7 +465,7 @@ def _of_ringing(summary: MeasuredSummary) -> Advice:
         return Advice(
             "watch",
             "Find out what changed besides the gap.",
-            (*summary["same_joint"]["sentences"], _why(summary)),
+            (*(one["text"] for one in summary["same_joint"]["findings"]), _why(summary)),
         )
     grew = summary["kind"] == "compare" and (summary["probability_ringing_grew"] or 0.0) >= SURE
     title = "The ringing grew. To learn how much the gap grew, describe the joint in a bench file."

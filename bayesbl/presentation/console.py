@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,7 +19,7 @@ from bayesbl.presentation.blocks import (
     table,
     text,
 )
-from bayesbl.presentation.subjects import SUBJECTS, blocks
+from bayesbl.presentation.subjects import SUBJECTS, blocks, details, origin
 from bayesbl.presentation.terminal import print_blocks
 from bayesbl.presentation.words import significant
 from bayesbl.recording.guessing import NO_UNIT, UNKNOWN
@@ -52,20 +51,8 @@ def print_summary(tree: xr.DataTree, console: Console) -> None:
     """Everything that a stored result says: the answer, parameters, diagnostics, origin."""
     summary = summarise(tree)
     print_result(summary, None, console)
-    print_blocks(SUBJECTS[summary["kind"]].details(tree, summary), console)
-    print_blocks(_origin(tree, summary), console)
-
-
-def _origin(tree: xr.DataTree, summary: Summary) -> Iterator[Block]:
-    yield Heading("Origin")
-    lines = {
-        "Version": f"{summary['version']}, commit {summary['commit']}",
-        "Made": tree.attrs.get("created_utc"),
-        "Seed": summary["seed"],
-        "Gap curve": dict(summary).get("curve"),  # that a sweep made, or gaps were read from
-    }
-    inputs = json.loads(tree.attrs.get("input_sha256", "{}"))
-    yield from labelled(lines | {f"SHA-256 of {file}": sha for file, sha in inputs.items()})
+    print_blocks(details(tree, summary), console)
+    print_blocks([Heading("Origin"), *origin(tree)], console)
 
 
 def catalogue(effects: Iterable[Effect]) -> Iterator[Block]:

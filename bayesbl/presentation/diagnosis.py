@@ -283,11 +283,13 @@ def _sized_rms(row: DisagreementSummary, key: Literal["before", "after", "noise_
     return f"{significant(row[key], 3)}{unit}"
 
 
-ASSUMES = (
-    "What is missing, if anything, is in the catalogue (bayesbl effects).",
-    "Noise does not repeat; a named effect predicts what it was not fitted on.",
-    "The other parameters are as the bench file says, within their tolerances.",
-)
+def assumptions(_: object) -> tuple[str, ...]:
+    """What has to hold."""
+    return (
+        "What is missing, if anything, is in the catalogue (bayesbl effects).",
+        "Noise does not repeat; a named effect predicts what it was not fitted on.",
+        "The other parameters are as the bench file says, within their tolerances.",
+    )
 
 
 def advice(summary: DiagnosisSummary) -> Advice:

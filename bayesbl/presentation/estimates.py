@@ -5,19 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bayesbl.presentation import answer, play, words
+from bayesbl.presentation import answer, words
 from bayesbl.presentation.blocks import Block, Heading, Table, aside, labelled, numbers, table, text
-from bayesbl.units import number
+from bayesbl.units import number, quantity_and_unit
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from bayesbl.measurement.summary_types import MeasuredSummary, RouteSummary
+    from bayesbl.results.intervals import Interval
 
 
 BOUND_EXPLAINED = (
     "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
     "can have without prior knowledge of the bench."
+)
+
+RELATIVE_EXPLAINED = (
+    "Relative compliance: between the positions that ramps leave at zero torque, over that of "
+    "larger ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
+    "preloaded one is below, as both flanks carry it there."
 )
 
 CHECK_EXPLAINED = (
@@ -33,14 +40,58 @@ def blocks(tree: xr.DataTree, summary: MeasuredSummary) -> Iterator[Block]:
         for route in routes:
             by = f", by {words.route_in_words(route['route'])}" if len(routes) > 1 else ""
             yield Heading((f"Snapshot {name}" if name else "Fit") + by)
+            yield parameter_table(route)
             if "cramer_rao_sd" in route:
                 yield from _of_simulation(route)
             elif "ramps" in route:
-                yield from play.ramp_blocks(route)
+                yield from _of_ramps(route)
             elif "transmission_error" in route:
-                yield from play.encoder_blocks(route)
+                sure = words.probability(route["probability_of_play"])
+                turned = route["reversals"]
+                yield from labelled({"Probability of play": sure, "Reversals of the motor": turned})
             else:
                 yield from _of_amplitude(route, "; ".join(_rivals(tree, route, name)) or "none")
+
+
+def parameter_table(part: RouteSummary) -> Table:
+    """A row a parameter: where the fit is best, median, interval; of a simulation, its bound."""
+    intervals: dict[str, Interval | None] = dict.fromkeys(part["optimum"])
+    intervals.pop("rmse_rpm", None)
+    intervals |= part["parameters"]
+    if "delta_rad" in intervals:
+        intervals["delta_rad"] = part["delta_rad"]
+    for error in part["transmission_error"]["harmonics"] if "transmission_error" in part else ():
+        name = f"order {error['order']} per turn of the {error['of']}_rad"
+        intervals[name] = error["amplitude_rad"]
+    heads = ["Posterior sd", "Cramér-Rao"] if "cramer_rao_sd" in part else ["Median"]
+    if part["optimum"]:
+        heads = ["Optimum", *heads]
+    kind = words.interval_kind(next(iter(part["parameters"].values())))
+    rows = [_row(part, name, found, len(heads)) for name, found in intervals.items()]
+    return table([text("Parameter"), *map(numbers, [*heads, kind]), text("Unit")], rows)
+
+
+def _row(part: RouteSummary, name: str, found: Interval | None, values: int) -> list[str]:
+    """Name, so many values, interval and unit; what is fixed or withheld has no interval."""
+    quantity, unit = quantity_and_unit(name.replace("__", ": "))
+    optimum = part["optimum"]
+    if found is None and name == "delta_rad":
+        return [quantity, *["withheld"] * values, "withheld", unit]
+    if found is None:
+        return [quantity, f"{optimum[name]:g}", "", "fixed", unit]
+    scale = 1.0
+    if name == "delta_rad" or (not optimum and unit.startswith(("rad", "s"))):
+        scale, unit = 1e3, f"m{unit}"
+    places = words.decimals(found, scale, units=20.0)
+    shown = [number(scale * optimum[name], places)] if optimum else []
+    if "cramer_rao_sd" in part:
+        # What these recordings say nothing of has no finite bound.
+        bound = part["cramer_rao_sd"][name]
+        shown.append(words.significant(scale * part["posterior_sd"][name], 3))
+        shown.append("–" if bound is None else words.significant(scale * bound, 3))
+    else:
+        shown.append(number(scale * found["median"], places))
+    return [quantity, *shown, words.bounds(found, scale, places), unit]
 
 
 def noise(part: RouteSummary) -> str:
@@ -67,7 +118,6 @@ def noise(part: RouteSummary) -> str:
 
 
 def _of_amplitude(part: RouteSummary, rivals: str) -> Iterator[Block]:
-    yield _parameter_table(part)
     lines = {
         "Search": part.get("start"),
         "Table 2's ranges": _box_search(part) if "box_search" in part else None,
@@ -95,24 +145,6 @@ def _box_search(part: RouteSummary) -> str:
     )
 
 
-def _parameter_table(part: RouteSummary) -> Table:
-    """All nine symbols, with intervals or as fixed."""
-    from bayesbl.ringing.symbols import SYMBOLS
-
-    kind = words.interval_kind(next(iter(part["parameters"].values())))
-    columns = (text("Parameter"), *map(numbers, ("Optimum", "Median", kind)), text("Unit"))
-    rows = []
-    for name, symbol in SYMBOLS.items():
-        best, found = part["optimum"][name], part["parameters"].get(name)
-        cells = [f"{best:g}", "", "fixed"]
-        if found is not None:
-            places = words.decimals(found, units=20.0)
-            cells = [number(value, places) for value in (best, found["median"])]
-            cells.append(words.bounds(found, places=places))
-        rows.append([name, *cells, symbol.unit])
-    return table(columns, rows)
-
-
 def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
     """Other local optima of one snapshot, as amplitude and RMSE."""
     optimum = tree.children[part["route"]].children["optimum"].to_dataset()
@@ -127,8 +159,7 @@ def _rivals(tree: xr.DataTree, part: RouteSummary, name: str) -> list[str]:
 
 
 def _of_simulation(part: RouteSummary) -> Iterator[Block]:
-    """Every unknown with its interval and its bound, the predictive check, noise and sampling."""
-    yield unknown_table(part)
+    """What the bound is, the predictive check, noise and sampling."""
     yield aside(BOUND_EXPLAINED)
     yield _check_table(part)
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
@@ -143,25 +174,14 @@ def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     yield from labelled(lines)
 
 
-def unknown_table(part: RouteSummary) -> Table:
-    """A row an unknown: optimum, standard deviation, its bound, interval."""
-    kind = words.interval_kind(next(iter(part["parameters"].values())))
-    titles = ("Optimum", "Posterior sd", "Cramér-Rao", kind)
-    rows = [_unknown_row(part, name) for name in part["optimum"]]
-    return table((text("Parameter"), *map(numbers, titles)), rows)
-
-
-def _unknown_row(part: RouteSummary, name: str) -> tuple[str, ...]:
-    found = part["delta_rad"] if name == "delta_rad" else part["parameters"][name]
-    # What these recordings say nothing of has no finite bound.
-    errors = (
-        "–" if (sd := part[key][name]) is None else words.significant(sd, 3)
-        for key in ("posterior_sd", "cramer_rao_sd")
-    )
-    if found is None:
-        return name, "withheld", *errors, "withheld"
-    best = f"{part['optimum'][name]:.6g}"
-    return name, best, *errors, words.bounds(found, places=words.decimals(found))
+def _of_ramps(part: RouteSummary) -> Iterator[Block]:
+    """What says whether there is play."""
+    relative = part["relative_compliance"]
+    shown = "not known, without larger ramps" if relative is None else words.significant(relative)
+    sure = words.probability(part["probability_of_play"])
+    compliance = f"{shown}; probability that it is above 1: {sure}"
+    yield from labelled({"Relative compliance": compliance, "Sampling": words.sampling(part)})
+    yield aside(RELATIVE_EXPLAINED)
 
 
 def _check_table(part: RouteSummary) -> Table:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Advice, Block, Sentence, numbers, table, text
+from bayesbl.presentation.blocks import Block, Sentence, numbers, table, text
 from bayesbl.presentation.wear import LAWS, month
 
 if TYPE_CHECKING:
@@ -169,23 +169,6 @@ def state(row: Row, summary: Row) -> str:
     notes += ["not shown to grow"] * (row["probability_wear"] < words.SURE)
     notes += [f"wears {unlike}"] * bool(unlike) + [f"{left} left out"] * bool(left)
     return ", ".join(notes)
-
-
-def advice(summary: FleetSummary) -> Advice:
-    """What to do about the plant."""
-    if summary["alarms"]:
-        return Advice("act", "Repair these joints.", (", ".join(summary["alarms"]),))
-    return Advice("fine", "No joint is called over its limit.", (headline(summary),))
-
-
-def assumptions(summary: FleetSummary) -> Iterator[str]:
-    """What is taken for granted of the fleet as a whole."""
-    yield "Each recording belongs to the joint and the date that its name or its table says."
-    if summary["types"]:
-        yield (
-            f"Most joints of one {summary['pool_by']} wear by the same kinds of law, with the "
-            "same scatter, at rates from one log-normal distribution; the others differ."
-        )
 
 
 def _count(number: int, what: str) -> str:

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from bayesbl.presentation import words
-from bayesbl.presentation.blocks import Block, Table, aside, labelled, numbers, table, text
-from bayesbl.units import quantity_and_unit
 
 if TYPE_CHECKING:
-    from bayesbl.measurement.summary_types import RouteSummary, SnapshotSummary
+    from bayesbl.measurement.summary_types import SnapshotSummary
     from bayesbl.results.intervals import Interval
-
-
-RELATIVE_EXPLAINED = (
-    "Relative compliance: between the positions that ramps leave at zero torque, over that of "
-    "larger ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
-    "preloaded one is below, as both flanks carry it there."
-)
 
 
 def no_play_by_ramps(part: SnapshotSummary) -> str | None:
@@ -36,33 +27,32 @@ def no_play_by_ramps(part: SnapshotSummary) -> str | None:
     )
 
 
-def gap_table(parts: Sequence[tuple[str, SnapshotSummary]]) -> Table:
-    """A row per snapshot, named in a comparison: the gap, what the route measures, the outcome."""
-    cells = _encoder_cells
-    titles = ["Play 2δ\n(mrad)", "Lost motion\n(mrad)", "Skew\n(ms)", "Gear\nratio"]
-    if "ramps" in parts[0][1]:
-        cells, at = _ramp_cells, words.significant(parts[0][1]["lost_motion_torque_nm"])
-        titles = [f"Lost motion\n±{at} N m\n(mrad)", "Compliance\n(mrad/N m)", "Friction\n(N m)"]
-    named = [text("Snapshot")] if any(name for name, _ in parts) else []
-    kind = words.interval_kind(next(iter(parts[0][1]["parameters"].values())))
-    columns = (
-        *named,
-        *map(numbers, ("Gap δ\n(mrad)", f"{kind}\n(mrad)", *titles)),
-        text("Outcome"),
-    )
-    rows = ([*([name] if named else []), *_gap(part), *cells(part)] for name, part in parts)
-    return table(columns, rows)
+def columns(part: SnapshotSummary) -> dict[str, Callable[[SnapshotSummary], str]]:
+    """What a route that measures the play shows of a snapshot beside δ, by title of its column."""
+    if "ramps" in part:
+        at = words.significant(part["lost_motion_torque_nm"])
+        return {
+            f"Lost motion\n±{at} N m\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "Compliance\n(mrad/N m)": lambda p: _median(p["compliance_rad_per_nm"], 1e3),
+            "Friction\n(N m)": lambda p: _median(p["friction_torque_nm"]),
+        }
+    if "reversals" in part:
+        return {
+            "Play 2δ\n(mrad)": lambda p: _median(p["play_rad"], 1e3),
+            "Lost motion\n(mrad)": lambda p: _median(p["lost_motion_rad"], 1e3),
+            "Skew\n(ms)": lambda p: words.bounds(p["channel_skew_s"], 1e3),
+            "Gear\nratio": lambda p: words.middle(p["gear_ratio"]),
+        }
+    return {}
 
 
-def _gap(part: SnapshotSummary) -> tuple[str, str]:
-    return words.gap_cells(part["delta_rad"], part["delta_upper_bound_rad"])
-
-
-def _ramp_cells(part: SnapshotSummary) -> Iterator[str]:
-    yield _median(part["lost_motion_rad"], 1e3)
-    yield _median(part["compliance_rad_per_nm"], 1e3)
-    yield _median(part["friction_torque_nm"])
-    yield "no play" if part.get("preloaded") else part["diagnostics"]["outcome"]
+def outcome(part: SnapshotSummary) -> str:
+    """Whether there is play, where that is not sure; else how the measurement ended."""
+    if part.get("preloaded"):
+        return "no play"
+    if "reversals" in part and part["delta_upper_bound_rad"] is not None:
+        return "play likely" if part["probability_of_play"] > 0.5 else "no play found"
+    return part["diagnostics"]["outcome"]
 
 
 def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
@@ -87,51 +77,8 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
             )
 
 
-def ramp_blocks(part: RouteSummary) -> Iterator[Block]:
-    """Every quantity with its interval, and what says whether there is play."""
-    yield _quantities(part)
-    relative = part["relative_compliance"]
-    shown = "not known, without larger ramps" if relative is None else words.significant(relative)
-    sure = words.probability(part["probability_of_play"])
-    compliance = f"{shown}; probability that it is above 1: {sure}"
-    yield from labelled({"Relative compliance": compliance, "Sampling": words.sampling(part)})
-    yield aside(RELATIVE_EXPLAINED)
-
-
-def _quantities(part: RouteSummary, angles: Sequence[tuple[str, Interval]] = ()) -> Table:
-    """All parameters by the quantity and unit in their names, and further angles by a name."""
-    found = [(*quantity_and_unit(name), each) for name, each in part["parameters"].items()]
-    found += [(name, "rad", each) for name, each in angles]
-    rows = []
-    for name, unit, each in found:
-        scale, milli = (1e3, "m") if unit.startswith(("rad", "s")) else (1.0, "")
-        middle = words.significant(scale * each["median"], 4)
-        rows.append((name, middle, words.bounds(each, scale), f"{milli}{unit}"))
-    kind = words.interval_kind(found[0][2])
-    return table((text("Quantity"), numbers("Median"), numbers(kind), text("Unit")), rows)
-
-
 def _median(found: Interval | None, scale: float = 1.0) -> str:
     return "withheld" if found is None else words.significant(scale * found["median"], 3)
-
-
-def _encoder_cells(part: SnapshotSummary) -> Iterator[str]:
-    yield _median(part["play_rad"], 1e3)
-    yield _median(part["lost_motion_rad"], 1e3)
-    yield words.bounds(part["channel_skew_s"], 1e3)
-    yield words.middle(part["gear_ratio"])
-    bounded = part["delta_upper_bound_rad"] is not None
-    unsure = "play likely" if part["probability_of_play"] > 0.5 else "no play found"
-    yield unsure if bounded else part["diagnostics"]["outcome"]
-
-
-def encoder_blocks(part: RouteSummary) -> Iterator[Block]:
-    """Every quantity with its interval."""
-    orders = part["transmission_error"]["harmonics"]
-    told = [(f"order {e['order']} per turn of the {e['of']}", e["amplitude_rad"]) for e in orders]
-    yield _quantities(part, told)
-    sure = words.probability(part["probability_of_play"])
-    yield from labelled({"Probability of play": sure, "Reversals of the motor": part["reversals"]})
 
 
 RAMPS_ASSUME = (

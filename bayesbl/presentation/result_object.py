@@ -151,7 +151,8 @@ class Result:
 
     @property
     def _headline(self) -> str:
-        return SUBJECTS[self.summary["kind"]].headline(self.summary)
+        headline: str = SUBJECTS[self.summary["kind"]].headline(self.summary)
+        return headline
 
     _rows: ClassVar[Any] = staticmethod(lambda summary: [summary])
     """From the summary to the rows of the table."""

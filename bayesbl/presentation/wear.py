@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block, Sentence, Table, aside, numbers, table, text
 from bayesbl.presentation.words import capitalised
+from bayesbl.sentences import UNSEEN_WITHOUT_CURRENT
 from bayesbl.units import number
 
 if TYPE_CHECKING:
@@ -37,9 +38,7 @@ def other_cause(summary: ComparisonSummary) -> str | None:
         return None
     worst = max(spots, key=lambda spot: spot["delta_error_rad"] or 0.0)
     nearest = max(ends[0], -ends[1])
-    if not 0.0 < nearest <= (worst["delta_error_rad"] or 0.0):
-        return None
-    return f"{worst['change']} ({worst['reason']})"
+    return worst["text"] if 0.0 < nearest <= (worst["delta_error_rad"] or 0.0) else None
 
 
 def unless(summary: ComparisonSummary) -> str:
@@ -57,10 +56,9 @@ def unless(summary: ComparisonSummary) -> str:
 
 def unseen_without_current(summary: ComparisonSummary) -> str | None:
     """What may have changed by any size, where no motor current shows it; ``None`` elsewhere."""
-    from bayesbl.measurement.joint_check import NO_CURRENT  # numbers are behind it
-
     spots = summary["same_joint"]["blind_spots"]
-    return next((spot["change"] for spot in spots if spot["reason"] == NO_CURRENT), None)
+    unseen = any(spot["code"] == "gains_unseen" for spot in spots)
+    return UNSEEN_WITHOUT_CURRENT if unseen else None
 
 
 def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:
@@ -90,19 +88,22 @@ def check_blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Blo
         checks = [("", summary["model_check"])]
     for name, check in checks:
         # What the change is withheld for has been said.
-        for sentence in () if "joint_changed" in codes and not name else check["sentences"]:
-            yield Sentence(f"{name}: {sentence}" if name else sentence, "warning", "Check")
+        for finding in () if "joint_changed" in codes and not name else check["findings"]:
+            text = finding["text"]
+            yield Sentence(f"{name}: {text}" if name else text, "warning", "Check")
     unsized, sized = "Undetectable changes", "Undetectable changes that could look like wear"
-    found: dict[tuple[str, str], list[str]] = {}
+    unseen: dict[str, list[str]] = {sized: [], unsized: []}
     for spot in checks[-1][1]["blind_spots"]:
-        label, size = unsized, ""
-        if (up_to := spot["delta_error_rad"]) is not None:
-            label, size = sized, f", up to {number(1e3 * up_to, 3)} mrad"
-        found.setdefault((label, spot["reason"]), []).append(spot["change"] + size)
-    for (label, reason), told in sorted(found.items(), key=lambda item: item[0][0] == unsized):
-        if len(told) > MOST_TOLD:
-            told[MOST_TOLD:] = [f"{len(told) - MOST_TOLD} more in summary.json"]
-        yield Sentence(capitalised(f"{'; '.join(told)}."), "aside", f"{label} ({reason})")
+        up_to = spot["delta_error_rad"]
+        if up_to is None:
+            unseen[unsized].append(spot["text"])
+        else:
+            unseen[sized].append(f"{spot['text']}, up to {number(1e3 * up_to, 3)} mrad")
+    for label, listed in unseen.items():
+        if len(listed) > MOST_TOLD:
+            listed[MOST_TOLD:] = [f"{len(listed) - MOST_TOLD} more in summary.json"]
+        if listed:
+            yield Sentence(capitalised(f"{'; '.join(listed)}."), "aside", label)
 
 
 MODEL = (

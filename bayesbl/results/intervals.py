@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 
@@ -12,13 +12,14 @@ IntervalKind = Literal["equal_tailed", "hdi"]
 
 
 class Interval(TypedDict):
-    """Median and bounds, and what share of the probability they hold."""
+    """Median and bounds, and what share of the probability they hold; of a rate with its unit."""
 
     median: float
     low: float
     high: float
     level: float
     kind: IntervalKind
+    unit: NotRequired[str]
 
 
 def interval(draws: FloatArray, level: float, kind: IntervalKind) -> Interval:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -27,7 +26,7 @@ class Variable:
     Attributes
     ----------
     unit
-        As text, ``"1"`` for a pure number, empty for texts.
+        ``"1"`` of a pure number, ``"text"`` of a text.
     meaning
         Its long name.
     optional
@@ -38,7 +37,6 @@ class Variable:
     dims: tuple[str, ...]
     unit: str
     meaning: str
-    kind: Literal["number", "text"] = "number"
     optional: bool = False
 
 
@@ -97,16 +95,15 @@ def _declared(head: str, unit: str, meaning: str) -> Variable:
     return Variable(
         name.removesuffix("?"),
         tuple(dims.removesuffix(")").split(", ")) if dims else (),
-        "" if unit == "text" else unit,
+        unit,
         meaning,
-        "text" if unit == "text" else "number",
-        optional=name.endswith("?"),
+        name.endswith("?"),
     )
 
 
 def labels(name: str, meaning: str) -> Variable:
     """A coordinate of texts along its own dimension."""
-    return Variable(name, (name,), "", meaning, "text")
+    return Variable(name, (name,), "text", meaning)
 
 
 def attributes(group: Group, source: object) -> dict[str, object]:
@@ -155,7 +152,8 @@ def dataset(
 
 def _stored(group: Group, name: str, value: object) -> xr.Variable:
     declared, array = group.variable(name), np.asarray(value)
-    if declared.kind == "text":
+    is_text = declared.unit == "text"
+    if is_text:
         array = array.astype(np.str_)
     elif array.ndim == 0:
         array = array.astype(np.float64)
@@ -163,9 +161,8 @@ def _stored(group: Group, name: str, value: object) -> xr.Variable:
         raise ValueError(
             f"{group.name}/{declared.name} has the shape {array.shape}, not {declared.dims}"
         )
-    return xr.Variable(
-        declared.dims, array, {"units": declared.unit, "long_name": declared.meaning}
-    )
+    unit = "" if is_text else declared.unit
+    return xr.Variable(declared.dims, array, {"units": unit, "long_name": declared.meaning})
 
 
 def stack_snapshots(groups: Mapping[str, Mapping[str, xr.Dataset]]) -> dict[str, xr.Dataset]:

@@ -15,8 +15,7 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
-from bayesbl.measurement.amplitude_route import prepare
-from bayesbl.measurement.curves import BenchCurves
+from bayesbl.measurement.amplitude_route import AmplitudeMeasurer, prepare
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.measurement import Seeds, Task
 from bayesbl.recording.types import Recording
@@ -72,7 +71,7 @@ def test_each_speed_and_rate_has_a_curve_of_its_own_that_reads_the_true_gap(tmp_
         recording(bench, 8e-4, "fast", reference_speed_rpm=-2400.0, sampling_hz=1000.0),
     ]
     task = task_of(recordings, tmp_path, KNOWN, WorkStore(tmp_path / "kept"))
-    curves = BenchCurves(bench, task.config).curves(task)
+    curves = AmplitudeMeasurer(task.config, bench).curves(task)
     assert [curve.reference_speed_rpm for curve in curves] == [1500.0, 2400.0]
     for found in gaps(curves, [ringing(made) for made in recordings], task.seeds.gap):
         # The design's bound on a curve's error, 0.03 %, beside the start angle's scatter of A.
@@ -85,17 +84,17 @@ def test_what_was_swept_is_read_the_next_time_and_the_store_is_bounded(
     bench, store = load_bench(KNOWN), WorkStore(tmp_path / "kept")
     made = recording(bench, 8e-4, "one", sampling_hz=250.0)
     task = task_of([made, replace(made, name="two")], tmp_path, KNOWN, store)
-    first, again = BenchCurves(bench, task.config).curves(task)
+    first, again = AmplitudeMeasurer(task.config, bench).curves(task)
     assert first is again, "one need, one curve"
 
     def never(*_: object) -> None:
         raise AssertionError("swept again")
 
     monkeypatch.setattr("bayesbl.measurement.curves.sweep_nominal", never)
-    read, _ = BenchCurves(bench, task.config).curves(task)
+    read, _ = AmplitudeMeasurer(task.config, bench).curves(task)
     assert np.array_equal(read.coefficients, first.coefficients)
     monkeypatch.setattr("bayesbl.measurement.curves.MOST_KEPT", 0)
-    BenchCurves(bench, task.config).curves(task)
+    AmplitudeMeasurer(task.config, bench).curves(task)
     assert store.folder is not None
     assert [*store.folder.iterdir()] == []
 
@@ -108,7 +107,7 @@ def test_an_unknown_bench_cancels_in_the_change_between_two_speeds(tmp_path: Pat
         recording(true, 8e-4, "fast", reference_speed_rpm=2200.0, sampling_hz=250.0),
     ]
     task = task_of(recordings, tmp_path, TOLERANCES, WorkStore(tmp_path / "kept"))
-    curves = BenchCurves(believed, task.config).curves(task)
+    curves = AmplitudeMeasurer(task.config, believed).curves(task)
     seen = [ringing(made) for made in recordings]
     paired = [np.log(found.delta_rad) for found in gaps(curves, seen, task.seeds.gap)]
     apart = [

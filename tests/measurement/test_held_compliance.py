@@ -12,6 +12,7 @@ from bayesbl.measurement.ramp_route import (
     HeldCompliance,
     compliance_check,
 )
+from bayesbl.sentences import sentence
 
 RNG = np.random.default_rng(1)
 CYCLES = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
@@ -52,8 +53,9 @@ def test_what_is_held_explains_a_width_of_its_own_sign_alone(before, after, erro
     assert len(errors) == (error_mrad is not None)
     if error_mrad is not None:
         assert errors[0] == pytest.approx(1e-3 * error_mrad, rel=0.02)
-        assert "friction of 3 instead of 2 N m" in check["blind_spots"][0]["change"]
-        assert "compliance of" not in check["blind_spots"][0]["change"]
+        text = sentence(check["blind_spots"][0])
+        assert "friction of 3 instead of 2 N m" in text
+        assert "compliance of" not in text
 
 
 def test_one_snapshot_is_compared_with_nothing():

@@ -13,8 +13,8 @@ from bayesbl.config.bench import load_bench
 from bayesbl.config.loading import config_from_options
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import ConfigError, UserError
+from bayesbl.measurement.amplitude_route import AmplitudeMeasurer
 from bayesbl.measurement.compatibility import bench_with
-from bayesbl.measurement.curves import BenchCurves
 from bayesbl.measurement.measurement import Seeds, Task, recording_of
 from bayesbl.measurement.routes import measurer_of
 from bayesbl.results.work import WorkStore
@@ -93,9 +93,9 @@ def test_the_curve_of_a_recording_is_of_the_bench_as_it_was_then(tmp_path: Path)
         Seeds.spawn(1, 2),
         swept=WorkStore(tmp_path / "kept"),
     )
-    before, after = BenchCurves(bench, config).curves(task)
+    before, after = AmplitudeMeasurer(config, bench).curves(task)
     weaker = bench_with(bench, {"speed_gain_nm_s_per_rad": 0.1665})
-    wholly, alike = BenchCurves(weaker, config).curves(task)
+    wholly, alike = AmplitudeMeasurer(config, weaker).curves(task)
     assert not np.allclose(before.coefficients, after.coefficients, rtol=1e-3, atol=0.0)
     assert np.array_equal(after.coefficients, alike.coefficients)
     assert np.array_equal(after.coefficients, wholly.coefficients)

@@ -22,8 +22,7 @@ from bayesbl.bench.simulation import simulate_motions
 from bayesbl.cli import status
 from bayesbl.config.bench import dump_bench, load_bench
 from bayesbl.config.measurement import CompareConfig
-from bayesbl.measurement.auto_route import disagreement
-from bayesbl.measurement.load_encoder import with_witness, within_bound
+from bayesbl.measurement.auto_route import disagreement, with_witness, within_bound
 from bayesbl.measurement.measurement import Answer, Measurement, Seeds, Task
 from bayesbl.presentation.answer import lead, which
 from bayesbl.recording.types import LOAD_POSITION, MOTOR_POSITION, Recording

@@ -20,6 +20,7 @@ from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.measurement.model_check import bench_lacks
 from bayesbl.model_search.joint_change import find_changes
 from bayesbl.sampling.chains import SamplerSettings
+from bayesbl.sentences import sentence
 
 pytestmark = pytest.mark.long
 
@@ -187,7 +188,7 @@ def test_a_smoothed_speed_is_told_with_its_time_and_how_a_bench_states_it(indepe
     _, found = changes(nominal_fit(independent, smoothed, seed=6, first=smoothed))
     assert [c.name for c in found.changed] == ["speed_averaging.time_s"]
     assert abs(found.changed[0].estimate - 4e-3) < SURE * found.changed[0].sd
-    assert any("speed_filter_s under" in how for how in bench_lacks(found)["in_bench_file"])
+    assert "speed_filter_s under" in sentence({"code": "bench_lacks", **bench_lacks(found)})
 
 
 def test_an_error_of_the_encoder_is_no_change_of_the_joint_and_does_not_move_the_gap(independent):

@@ -299,7 +299,7 @@ def compared_undated(change, above, limit=1.2e-3, spots=()):
 
 @pytest.mark.parametrize("change", [(1e-4, 3e-4), (-3e-4, -1e-4)])
 def test_what_something_else_could_have_done_is_no_wear_and_no_repair(change):
-    spot = {"change": "payload by 3 %", "reason": "too small to show", "delta_error_rad": 2e-4}
+    spot = {"code": "parameter_unseen", "text": "payload by 3 %", "delta_error_rad": 2e-4}
     given = advice(compared_undated(change, None, None, [spot]))
     assert given.title == NOT_SHOWN
     told = " ".join(given.sentences)
@@ -417,11 +417,11 @@ def test_the_headline_of_dated_snapshots_claims_growth_only_where_it_is_shown():
 def test_dated_snapshots_lead_with_their_wear_and_never_with_a_change_across_a_repair():
     steady, repaired, untold = dated(), dated(), dated()
     of_wear = worn.headline(steady, steady["wear"])
-    assert list(answer.lead(steady)) == [of_wear, answer.headline(steady)]
+    assert list(answer.lead(steady)) == [of_wear, answer.in_words(steady)]
     repaired["snapshots"].insert(0, {**repaired["snapshots"][0], "name": "worn"})
     assert list(answer.lead(repaired)) == [of_wear]
     untold["wear"] |= {"reason": {"code": "one_date", "text": "There is only one snapshot."}}
-    assert list(answer.lead(untold)) == [answer.headline(untold)]
+    assert list(answer.lead(untold)) == [answer.in_words(untold)]
 
 
 def test_two_snapshots_are_told_to_be_few():

@@ -23,16 +23,15 @@ from bayesbl.curve.gap_curve import published_curve
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.same_joint import WITHOUT_CURRENT
 from bayesbl.presentation import answer, estimates, words
 from bayesbl.presentation.console import print_result, print_summary
 from bayesbl.presentation.diagnosis import UNTOLD_SHARE, removed
 from bayesbl.presentation.identification import compared
-from bayesbl.presentation.subjects import study_table
+from bayesbl.presentation.study import study_table
 from bayesbl.presentation.terminal import error, filled, print_table, progress, wrapped
 from bayesbl.ringing.symbols import SYMBOLS
 from bayesbl.ringing.waveform import pulse_train
-from bayesbl.sentences import sentence
+from bayesbl.sentences import UNSEEN_WITHOUT_CURRENT, sentence
 from bayesbl.units import number, quantity_and_unit
 
 WARNING = "The published curve belongs to the paper's bench; δ can be off by several percent."
@@ -65,7 +64,7 @@ def check(*sentences, blind_spots=()):
         "agrees": not sentences,
         "items": [],
         "could_be": [],
-        "sentences": list(sentences),
+        "findings": [because(text, code="quantity_changed") for text in sentences],
         "blind_spots": list(blind_spots),
     }
 
@@ -249,8 +248,8 @@ def test_without_a_curve_the_ringing_alone_is_told():
 
 
 def test_without_a_current_the_first_line_says_on_what_wear_rests():
-    spots = check(blind_spots=WITHOUT_CURRENT)
-    gains = WITHOUT_CURRENT[0]["change"]
+    spots = check(blind_spots=[{"code": "gains_unseen", "text": "", "delta_error_rad": None}])
+    gains = UNSEEN_WITHOUT_CURRENT
     alone = answer.headline(ringing_alone(same_joint=spots))
     assert alone.startswith("The ringing grew by 24 %")
     assert f"only if {gains} did not change: no motor current can be compared." in alone
@@ -282,7 +281,7 @@ def test_what_changed_besides_the_gap_is_told_once():
 @pytest.mark.parametrize(("error", "told"), [(2.0e-4, False), (2.2e-4, True)])
 def test_growth_that_an_unseen_change_could_make_is_not_told_as_shown(error, told):
     """The interval begins at 0.212 mrad."""
-    spot = {"change": "K_t by 2 %", "reason": "too small to show", "delta_error_rad": error}
+    spot = {**because("K_t by 2 % (too small to show)"), "delta_error_rad": error}
     text = flat(printed(comparison() | {"same_joint": check(blind_spots=[spot])}))
     assert text.startswith("The gap is not shown to have changed") is told
     assert ("but a change of K_t by 2 % (too small to show) could explain as much" in text) is told
@@ -315,6 +314,20 @@ def test_a_disagreement_of_the_routes_comes_first():
     lead = "The two routes disagree in after. Find out why the two estimates differ. The change "
     assert text.startswith(f"{lead}of the gap is withheld")
     assert text.count("disagree") == 1
+
+
+def test_why_another_route_has_no_answer_is_told_once():
+    lost, still = (because(text, code="refused") for text in ("It was lost.", "It never turns."))
+    note = because("By the amplitude: It was lost.", code="by_amplitude_instead")
+    found = comparison()
+    for snapshot in found["snapshots"]:
+        reasons = [{**note, "because": [lost], "withholds": False}]
+        snapshot["diagnostics"] = {**snapshot["diagnostics"], "reasons": reasons}
+        for route, reason in {"direct": lost, "two_encoders": still}.items():
+            snapshot["routes"][route] = {"route": route, "delta_rad": None, "reason": reason}
+    text = flat(printed(found))
+    assert text.count("It was lost.") == 1
+    assert "No answer by two encoders of before, after: It never turns." in text
 
 
 def test_the_ringing_is_always_told_with_its_time_constant_frequency_and_error():
@@ -493,7 +506,8 @@ def test_inspect_prints_every_parameter_with_its_unit_and_the_origin(stored):
     print_summary(stored, target)
     text = target.file.getvalue()
     for symbol in SYMBOLS.values():
-        (row,) = [line for line in text.splitlines() if line.startswith(symbol.name)]
+        quantity, _ = quantity_and_unit(symbol.name)
+        (row,) = [line for line in text.splitlines() if line.startswith(f"{quantity}  ")]
         assert row.rstrip().endswith(symbol.unit)
         assert ("fixed" in row) == symbol.name.startswith("window")
     for told in ("RMSE", "Noise:", "Sampling:", "Rival optima:", "SHA-256", "Seed: 1", "commit"):
@@ -505,8 +519,8 @@ def test_a_bound_that_is_not_finite_is_a_dash():
     size = {"load_inertia_kg_m2": 0.2}
     found = {"parameters": {"load_inertia_kg_m2": between(19.0, 21.0)}, "optimum": size}
     stored = found | {"posterior_sd": size, "cramer_rao_sd": {"load_inertia_kg_m2": None}}
-    ((_, best, sd, bound, _),) = estimates.unknown_table(stored).rows
-    assert (best, sd, bound) == ("0.2", "0.200", "–")
+    ((_, _, sd, bound, _, unit),) = estimates.parameter_table(stored | {"delta_rad": None}).rows
+    assert (sd, bound, unit) == ("0.200", "–", "kg m²")
 
 
 def test_noise_is_told_with_its_evidence():

@@ -127,12 +127,6 @@ def _worst(course: dict[str, FloatArray]) -> tuple[float, float]:
     return begin, begin + width
 
 
-def _one_above_the_other(place: SubplotSpec, count: int) -> list[Axes]:
-    """Panels on one scale: where little was removed, one course would hide the other."""
-    spec = place.subgridspec(count, 1, hspace=0.12)
-    return list(spec.subplots(sharex=True, sharey=True, squeeze=False).ravel())
-
-
 def _draw_residuals(
     place: SubplotSpec,
     course: dict[str, FloatArray],
@@ -144,7 +138,9 @@ def _draw_residuals(
     unit, sizes, floor = unit_of(channel), (rms["before"], rms["after"]), rms["noise_floor"]
     unchanged = np.array_equal(course["before"], course["after"])
     stages = list(zip(("before", "after"), _LOOKS, strict=True))[: 1 if unchanged else 2]
-    panels = _one_above_the_other(place, len(stages))
+    # On one scale, one above the other: where little was removed, one would hide the other.
+    spec = place.subgridspec(len(stages), 1, hspace=0.12)
+    panels = list(spec.subplots(sharex=True, sharey=True, squeeze=False).ravel())
     for panel, (stage, look), size in zip(panels, stages, sizes, strict=False):
         middle, low, high = style.envelope(
             course["time_s"], course["measured"] - course[stage], _OUTLINE_BINS

@@ -222,11 +222,12 @@ def amplitude_to_gap(tree: xr.DataTree) -> Figure:
     figure = style.new_figure(style.DOUBLE_COLUMN_IN, top + 2.9)
     panel = figure.add_subplot(style.grid(figure, 1, 1, top=top)[0, 0])
     curve = tree[f"{route_holding(tree, 'curve')}/curve"].to_dataset()
-    if STACKED in curve.dims:
-        for name in curve[STACKED].values:
-            _draw_one_curve(panel, curve.sel({STACKED: name}), f" of {name}")
-    else:
-        _draw_one_curve(panel, curve, "")
+    stacked = STACKED in curve.dims
+    for name in curve[STACKED].values if stacked else ("",):
+        own = curve.sel({STACKED: name}) if stacked else curve
+        which, band = curve_name(own.attrs["name"]), style.band_in_words(own)
+        label = f"gap curve{f' of {name}' if name else ''} ({which}), {band}"
+        style.draw_curve(panel, own, style.NEUTRAL, label, None)
     for index, snapshot in enumerate(parts):
         _draw_snapshot(panel, tree, snapshot, index)
     _set_view(panel, tree, parts)
@@ -235,19 +236,6 @@ def amplitude_to_gap(tree: xr.DataTree) -> Figure:
     panel.set_ylabel("Gap δ (mrad)")
     style.legend_over(figure, panel, 2)
     return figure
-
-
-def _draw_one_curve(main: Axes, curve: xr.Dataset, whose: str) -> None:
-    amplitude = curve["amplitude"].values
-    name = curve_name(curve.attrs["name"])
-    main.fill_between(
-        amplitude, 1e3 * curve["low_rad"].values, 1e3 * curve["high_rad"].values,
-        color="#c8c8c8", linewidth=0.0,
-    )  # fmt: skip
-    main.plot(
-        amplitude, 1e3 * curve["delta_rad"].values, color=style.NEUTRAL, linewidth=0.9,
-        label=f"gap curve{whose} ({name}), {style.band_in_words(curve)}",
-    )  # fmt: skip
 
 
 def _draw_snapshot(main: Axes, tree: xr.DataTree, snapshot: Snapshot, index: int) -> None:

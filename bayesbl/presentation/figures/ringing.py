@@ -21,15 +21,7 @@ from bayesbl.presentation.figures.stored_figure import (
     stored_figure,
 )
 from bayesbl.recording.types import FloatArray
-from bayesbl.ringing.symbols import (
-    AMPLITUDE,
-    ROTATION,
-    SEPARATION,
-    START,
-    SYMBOLS,
-    WINDOW_END,
-    WINDOW_START,
-)
+from bayesbl.ringing.symbols import ROTATION, SEPARATION, START, SYMBOLS, WINDOW_END, WINDOW_START
 
 _BLOCK_IN = 2.5
 _OVERLAY_IN = 2.4
@@ -134,15 +126,28 @@ def _outline(axes: Axes, time: FloatArray, values: FloatArray, colour: str) -> N
 def _draw_part(top: Axes, bottom: Axes, data: _Signal, band: str) -> None:
     """Every sample of a short stretch."""
     top.fill_between(data.time, data.low, data.high, color=style.BAND, linewidth=0.0, label=band)
-    top.plot(data.time, data.speed, color=style.MEASURED, linewidth=0.7, label="measured")
-    top.plot(data.time, data.model, color=style.MODEL, linewidth=1.1, label="model")
     low, high = data.low - data.model, data.high - data.model
     bottom.fill_between(data.time, low, high, color=style.BAND, linewidth=0.0)
-    bottom.plot(data.time, data.residual, color=style.MEASURED, linewidth=0.7, label="residual")
-    bottom.axhline(0.0, color=style.MODEL, linewidth=0.8)
-    bottom.set_xlim(data.time[0], data.time[-1])
-    bottom.set_xlabel("Time (s)")
+    _draw_samples(top, bottom, data.time, data.speed, data.model, data.residual, "model")
     bottom.locator_params(axis="x", nbins=3)
+
+
+def _draw_samples(
+    upper: Axes,
+    lower: Axes,
+    time: FloatArray,
+    measured: FloatArray,
+    model: FloatArray,
+    residual: FloatArray,
+    label: str,
+) -> None:
+    """What was measured and its model, named by ``label``, with the residual below."""
+    upper.plot(time, measured, color=style.MEASURED, linewidth=0.7, label="measured")
+    upper.plot(time, model, color=style.MODEL, linewidth=1.0, label=label)
+    lower.plot(time, residual, color=style.MEASURED, linewidth=0.7, label="residual")
+    lower.axhline(0.0, color=style.MODEL, linewidth=0.7)
+    lower.set_xlim(time[0], time[-1])
+    lower.set_xlabel("Time (s)")
 
 
 _CHANNELS = {"motor_speed_rpm": "Motor speed (rpm)", "motor_current_a": "Motor current (A)"}
@@ -189,18 +194,14 @@ def _draw_overlay(upper: Axes, lower: Axes, snapshot: Snapshot, channel: str) ->
     period = snapshot.number("predictive", "rotation_period_s")
     begin = time[0] + 0.5 * max(0.0, time[-1] - time[0] - period)
     inside = (time >= begin) & (time <= begin + period)
-    measured = snapshot.channel(channel)[inside]
-    upper.plot(time[inside], measured, color=style.MEASURED, linewidth=0.6, label="measured")
-    simulated = snapshot.values("predictive", f"simulated_{channel}")[inside]
-    label = "simulated at the optimum"
-    upper.plot(time[inside], simulated, color=style.MODEL, linewidth=0.9, label=label)
-    residual = snapshot.values("predictive", f"residual_{channel}")[inside]
-    lower.plot(time[inside], residual, color=style.MEASURED, linewidth=0.6)
-    lower.axhline(0.0, color=style.NEUTRAL, linewidth=0.6)
+    simulated, residual = (
+        snapshot.values("predictive", f"{name}_{channel}")[inside]
+        for name in ("simulated", "residual")
+    )
+    measured, label = snapshot.channel(channel)[inside], "simulated at the optimum"
+    _draw_samples(upper, lower, time[inside], measured, simulated, residual, label)
     reach = 1.1 * float(np.nanmax(np.abs(residual)))
     lower.set_ylim(-reach, reach)
-    lower.set_xlim(begin, begin + period)
-    lower.set_xlabel("Time (s)")
     unit = _CHANNELS[channel].rsplit(" ", 1)[1]
     upper.set_ylabel(_CHANNELS[channel])
     lower.set_ylabel(f"Residual {unit}")
@@ -245,7 +246,8 @@ class _Symbol(NamedTuple):
 
 
 @stored_figure(
-    "The posterior of every free symbol, pair by pair.",
+    "The posterior of every free symbol, pair by pair: contours hold 50 % and 90 % of the draws, "
+    "dashed lines are the median and the 5 % and 95 % quantiles; τ is a decay rate.",
     40,
     holding("posterior/amplitude_rpm"),
     parts=each_snapshot("posterior/amplitude_rpm"),
@@ -286,7 +288,9 @@ def corner(snapshot: Snapshot) -> Figure:
         ticks = [(begin + at, told) for begin, symbol in placed for at, told in symbol.ticks()]
         axis.set_ticks([at for at, _ in ticks], [told for _, told in ticks])
         axis.set_ticks([b + 0.5 * _CELLS for b, _ in placed], [s.label for s in shown], minor=True)
-    _explain(figure, snapshot)
+    withheld = snapshot.withheld and style.GAP in names
+    head = f"{snapshot.name}: δ is withheld" if withheld else snapshot.name
+    figure.text(0.98, 0.97, head, ha="right", va="top", fontsize=9.0)
     return figure
 
 
@@ -317,21 +321,3 @@ def _label(name: str) -> str:
         return "δ\n(mrad)"
     letter, _, index = SYMBOLS[name].paper.partition("_")
     return letter + (f"$_{{{index}}}$" if index else "") + f"\n({SYMBOLS[name].unit})"
-
-
-def _explain(figure: Figure, snapshot: Snapshot) -> None:
-    """Name, what the lines mean, and what has no row, in the empty upper corner."""
-    count = snapshot.values("posterior", AMPLITUDE).size
-    terms = snapshot.groups["posterior"].sizes.get("baseline_term", 0)
-    lines = [
-        f"{count} draws; contours hold 50 % and 90 % of them,",
-        "dashed lines are the median and the 5 % and 95 % quantiles",
-        "τ is a decay rate: the time constant is 1/τ",
-    ]
-    if terms:
-        lines.append(f"not shown: {terms} baseline terms, sampled with the others")
-    if snapshot.withheld and style.GAP in snapshot.groups["posterior"]:
-        lines.append("δ is withheld")
-    figure.text(0.98, 0.97, snapshot.name, ha="right", va="top", fontsize=9.0)
-    text = "\n".join(lines)
-    figure.text(0.98, 0.94, text, ha="right", va="top", linespacing=1.4)

@@ -75,7 +75,7 @@ def each_snapshot(path: str) -> Parts:
     def parts(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
         compared = tree.attrs["kind"] == "compare"
         for snapshot in snapshots(tree, path):
-            yield file_ending(snapshot.name) if compared else "", (snapshot,)
+            yield f"_{snapshot.name}".replace(" ", "_") if compared else "", (snapshot,)
 
     return parts
 
@@ -83,11 +83,6 @@ def each_snapshot(path: str) -> Parts:
 def whole(tree: xr.DataTree) -> Iterable[tuple[str, tuple[object, ...]]]:
     """One figure of the whole result."""
     yield "", (tree,)
-
-
-def file_ending(name: str) -> str:
-    """``_wear_before``: the end of the file name of a figure of one recording."""
-    return "_" + name.replace(" ", "_")
 
 
 @dataclass(frozen=True, slots=True)

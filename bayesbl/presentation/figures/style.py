@@ -250,6 +250,13 @@ def band_in_words(curve: xr.Dataset) -> str:
     return f"{100.0 * float(curve.attrs['level']):g} % band ± {100.0 * float(reach.max()):.2g} %"
 
 
+def draw_curve(panel: Axes, curve: xr.Dataset, colour: str, label: str, band: str | None) -> None:
+    """A stored gap curve, in mrad over rpm, and its band."""
+    amplitude, low, high = (curve[n].values for n in ("amplitude", "low_rad", "high_rad"))
+    panel.fill_between(amplitude, 1e3 * low, 1e3 * high, color="#c8c8c8", linewidth=0.0, label=band)
+    panel.plot(amplitude, 1e3 * curve["delta_rad"].values, color=colour, label=label)
+
+
 def limit_line(panel: Axes, tree: xr.DataTree) -> None:
     """The limit across a panel whose vertical axis is the gap in mrad, if there is one."""
     if "limit_rad" in tree.attrs:

@@ -111,17 +111,8 @@ def departures_from_curve(tree: xr.DataTree) -> FloatArray:
 
 def _draw_whole(panel: Axes, tree: xr.DataTree, papers: bool) -> None:
     sweep, group = tree["sweep"].to_dataset(), tree["curve"].to_dataset()
-    amplitude = group["amplitude"].values
-    panel.fill_between(
-        amplitude, 1e3 * group["low_rad"].values, 1e3 * group["high_rad"].values,
-        color="#c8c8c8", linewidth=0.0, label=f"its {style.band_in_words(group)}, all sources",
-    )  # fmt: skip
-    panel.plot(
-        amplitude,
-        1e3 * group["delta_rad"].values,
-        color=style.MODEL,
-        label=f"curve: {_kind(tree)} with lack of fit",
-    )
+    band = f"its {style.band_in_words(group)}, all sources"
+    style.draw_curve(panel, group, style.MODEL, f"curve: {_kind(tree)} with lack of fit", band)
     if papers:
         inside, eq4 = _paper(tree)
         panel.plot(

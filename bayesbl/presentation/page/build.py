@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import io
-import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -20,7 +19,7 @@ from bayesbl.presentation import words
 from bayesbl.presentation.blocks import Block
 from bayesbl.presentation.citations import all_bibtex
 from bayesbl.presentation.figures.stored_figure import drawn
-from bayesbl.presentation.subjects import SUBJECTS, blocks
+from bayesbl.presentation.subjects import SUBJECTS, blocks, details, origin
 from bayesbl.results.folder import FIGURES
 from bayesbl.results.store import write_text
 from bayesbl.runs.kinds import read_result, summarise
@@ -30,13 +29,16 @@ if TYPE_CHECKING:
 
 PAGE_FILE = "report.html"
 
-_ORIGIN = {
-    "bayesbl_version": "Version",
-    "git_commit": "Commit",
-    "created_utc": "Made",
-    "seed": "Seed",
-    "python_version": "Python",
+TITLES = {
+    "fit": "Backlash gap of a joint",
+    "compare": "Backlash gap of a joint and its change",
+    "diagnose": "What a bench lacks",
+    "identify": "Bench of a joint, from its data sheet and recordings",
+    "sweep": "Gap curve of a virtual bench",
+    "plan": "Motions that would show the gap",
+    "study": "Study",
 }
+"""Of the page of each kind of result; a fleet has pages of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +93,15 @@ def _content(tree: xr.DataTree, pictures: Sequence[Picture]) -> dict[str, Any]:
     headline, advice = subject.headline(summary), subject.advice(summary)
     said = {headline, *advice.sentences}
     return {
-        "title": subject.title,
+        "title": TITLES[summary["kind"]],
         "headline": headline,
         "advice": advice,
         "pictures": pictures,
         "numbers": [block for block in blocks(summary) if getattr(block, "text", "") not in said],
-        "details": list(subject.details(tree, summary)),
+        "details": list(details(tree, summary)),
         "assumptions": list(subject.assumptions(summary)),
         "config": tree.attrs.get("config", ""),
-        "origin": [(label, tree.attrs[key]) for key, label in _ORIGIN.items() if key in tree.attrs],
-        "inputs": json.loads(tree.attrs.get("input_sha256", "{}")),
-        "versions": json.loads(tree.attrs.get("dependency_versions", "{}")),
+        "origin": list(origin(tree)),
         "bibtex": all_bibtex(),
     }
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from bayesbl.presentation import words
+from bayesbl.presentation.blocks import labelled, numbers, table, text
 from bayesbl.presentation.fleet import (
     OUTCOMES,
     Cell,
@@ -135,8 +136,8 @@ def write_pages(folder: Path) -> list[Path]:
     for row in joints:
         # Not by a writer that makes each file whole: the folder as a whole appears so.
         paths.append(pages / f"{row['joint']}.html")
-        text = template.render(level=level, **_page(row, of_joint[str(row["joint"])], summary))
-        paths[-1].write_text(text, encoding="utf-8")
+        page = template.render(level=level, **_page(row, of_joint[str(row["joint"])], summary))
+        paths[-1].write_text(page, encoding="utf-8")
     return paths
 
 
@@ -163,24 +164,27 @@ def _page(row: Row, recordings: Sequence[Row], summary: Row) -> dict[str, Any]:
     from bayesbl.fleet.plant_tables import JOINT_COLUMNS
 
     own = {key: v for key, v in row.items() if key not in JOINT_COLUMNS and v is not None}
+    titles = ("Gap (mrad)", "Outcome", "In the rate", "What to know", "File")
+    cells = (
+        (
+            one["date"],
+            " ".join(filter(None, (gap.text, gap.below))),
+            OUTCOMES[str(one["outcome"])],
+            "yes" if one["used"] else "no",
+            one["reason"] or one["notes"] or "",
+            one["file"],
+        )
+        for one in reversed(recordings)
+        for gap in [in_mrad(one, "delta_rad", summary)]
+    )
     return {
         "name": row["joint"],
         "gearbox": row["gearbox"],
         "headline": _headline(row, summary),
         "reason": row["reason"],
-        "facts": [*_facts(row, summary), *((key, str(value)) for key, value in own.items())],
         "picture": picture(_given(recordings), row["limit_rad"], axes=True),
-        "recordings": [
-            {
-                "date": one["date"],
-                "file": one["file"],
-                "gap": in_mrad(one, "delta_rad", summary),
-                "outcome": OUTCOMES[str(one["outcome"])],
-                "told": one["reason"] or one["notes"] or "",
-                "used": one["used"],
-            }
-            for one in reversed(recordings)
-        ],
+        "numbers": [*labelled({**dict(_facts(row, summary)), **own})],
+        "recordings": [table((text("Date"), numbers(titles[0]), *map(text, titles[1:])), cells)],
     }
 
 

@@ -1,0 +1,56 @@
+"""A study in words: its table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from bayesbl.presentation.blocks import Advice, Block, Table, numbers, table, text
+
+if TYPE_CHECKING:
+    from bayesbl.runs.study import StudySummary
+
+
+def headline(summary: StudySummary) -> str:
+    """Which study, and how much of it."""
+    rows = summary["rows"]
+    cases = sum(int(row["cases"]) for row in rows)
+    return f"Study {summary['study']}: {cases} cases in {len(rows)} rows."
+
+
+def blocks(summary: StudySummary) -> Iterator[Block]:
+    """The table with the time that each row took; commits are in the files."""
+    from bayesbl.runs.study import table_columns
+
+    yield study_table(summary["rows"], [*table_columns(summary["rows"])[:-1], "seconds"])
+
+
+def study_table(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
+    """One line a row, all values whole; what a row lacks stays empty.
+
+    Parameters
+    ----------
+    lines
+        The rows of the study, column to value.
+    columns
+        What is shown, in this order; the first one names the row.
+    """
+    from bayesbl.runs.study import cell
+
+    first, *others = columns
+    rows = [[cell(line.get(column)) for column in columns] for line in lines]
+    return table((text(first), *map(numbers, others)), rows)
+
+
+def assumptions(_: object) -> tuple[str, ...]:
+    """What has to hold."""
+    return ("Each case has random numbers of its own, from the seed, the row and its number.",)
+
+
+def advice(summary: StudySummary) -> Advice:
+    """Whether all cases of a study count."""
+    failed = sum(int(row["failed"]) for row in summary["rows"])
+    if failed:
+        why = f"{failed} cases failed and are not in the numbers; result.nc says why."
+        return Advice("watch", "Look at the cases that failed first.", (why,))
+    return Advice("note", "Read the table below, row by row.", ("No case failed: all count.",))

@@ -1,0 +1,113 @@
+"""A sweep in words: over which gaps a bench was swept, and its gap curve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from bayesbl.presentation.answer import GAP_EXPLAINED
+from bayesbl.presentation.blocks import Advice, Block, Sentence, Table, aside, numbers, table, text
+from bayesbl.presentation.words import percent, significant, source_in_words
+from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.runs.sweep import SweepSummary
+
+
+DEGREES_EXPLAINED = (
+    "Departure of δ from the polynomial alone, fitted with relative weights. The log evidence is "
+    "that of the polynomial with a smooth lack of fit."
+)
+
+_KINDS = {1: "straight line", 2: "parabola", 3: "cubic"}
+
+_SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def headline(summary: SweepSummary) -> str:
+    """Over which gaps the bench was swept, and how it then rings."""
+    first, last = (f"{1e3 * gap:g}" for gap in summary["gap_rad"])
+    low, high = (f"{amplitude:.1f}" for amplitude in summary["amplitude_rpm"])
+    return (
+        f"As the gap grows from {first} to {last} mrad, the amplitude A of the ringing grows from "
+        f"{low} to {high} rpm."
+    )
+
+
+def blocks(summary: SweepSummary) -> Iterator[Block]:
+    """The curve in words, its polynomial, and other degrees beside it."""
+    yield from map(Sentence, curve_quality(summary))
+    yield _coefficient_table(summary)
+    yield aside(GAP_EXPLAINED)
+    yield aside(
+        "δ(A) is the sum of these terms times a smooth correction for lack of fit, at most "
+        f"{percent(summary['largest_correction'])}. The stored curve includes the correction; the "
+        "coefficients alone are off by as much."
+    )
+    yield _degree_table(summary)
+    yield aside(DEGREES_EXPLAINED)
+
+
+def curve_quality(summary: SweepSummary) -> Iterator[str]:
+    """How well the polynomial describes the sweep, how sure the curve is, how far from eq. 4."""
+    degree = summary["degree"]
+    found = summary["degrees"].get(str(degree))
+    if found is not None:
+        yield (
+            f"A {_KINDS.get(degree, f'polynomial of degree {degree}')} describes δ of the sweep "
+            f"within {percent(found['largest_departure'])} "
+            f"({percent(found['rms_departure'])} RMS)."
+        )
+    ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
+    each = ", ".join(f"{source_in_words(name)} {percent(sd)}" for name, sd in ordered)
+    yield f"Largest standard deviation of δ along the curve, by source: {each}."
+    yield (
+        "At a given gap, A differs from that of the paper's eq. 4 by at most "
+        f"{percent(summary['largest_departure_from_published'])}."
+    )
+
+
+def _coefficient_table(summary: SweepSummary) -> Table:
+    rows = []
+    for power, value in enumerate(summary["coefficients"]):
+        raised = "" if power == 1 else str(power).translate(_SUPERSCRIPTS)
+        term, unit = (f"A{raised}", f"rad/rpm{raised}") if power else ("1", "rad")
+        rows.append((term, f"{value:.6e}".replace("-", "−"), unit))
+    return table((text("Term"), numbers("Coefficient"), text("Unit")), rows)
+
+
+def _degree_table(summary: SweepSummary) -> Table:
+    titles = ("Degree", "RMS\ndeparture (%)", "Largest\ndeparture (%)", "Log evidence\nbelow best")
+    best = max(found["log_evidence"] for found in summary["degrees"].values())
+    rows = [
+        (
+            degree,
+            significant(100.0 * found["rms_departure"]),
+            significant(100.0 * found["largest_departure"]),
+            number(best - found["log_evidence"], 1),
+            "used" if int(degree) == summary["degree"] else "",
+        )
+        for degree, found in summary["degrees"].items()
+    ]
+    return table((*map(numbers, titles), text("")), rows)
+
+
+def assumptions(_: object) -> tuple[str, ...]:
+    """What has to hold for the curve of another joint."""
+    return (
+        "The simulated bench is a two-mass drive whose only play is one gap.",
+        "The joint has the bench's parameters, within their tolerances where they have any.",
+        "Measured recordings are fitted as these simulated ones were.",
+    )
+
+
+def advice(_: SweepSummary) -> Advice:
+    """What the curve of a sweep is for."""
+    return Advice(
+        "note",
+        "Use this curve for recordings of this joint.",
+        (
+            "Give it to a comparison: `bayesbl compare FIRST SECOND --curve result.nc`. "
+            "It holds for a joint like the simulated bench, and for no other.",
+        ),
+    )
