@@ -37,9 +37,6 @@ _LEVEL_CYCLES = 40.0
 _OVERSAMPLING = 8
 """Bins in a period of the highest order: of what lies beyond it, no more than 2 % get in."""
 
-_BAND = 1.2
-"""Samples that show orders up to here and up to so many times as high are summed together."""
-
 _SLOWEST = 1e-6
 """Of the fastest: a motor that stands turns so fast."""
 
@@ -214,25 +211,20 @@ def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> Compl
 def _transform(
     item: OrderedRest, orders: FloatArray
 ) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Σ r exp(i n θ) over the samples that show the order, their number, and ½ Σ r² of them."""
-    step, first = float(orders[1] - orders[0]), round(float(orders[0] / (orders[1] - orders[0])))
-    places = np.searchsorted(orders, item.passing)
-    bands = np.floor(np.log(np.maximum(places, 1)) / math.log(_BAND)).astype(int)
-    found = np.zeros(orders.size, dtype=complex)
-    seen, squares = np.zeros(orders.size), np.zeros(orders.size)
-    for band in np.unique(bands):
-        chosen = bands == band
-        # Neither below nor above does a sample count for an order that it does not show.
-        end = int(places[chosen].max() if item.above else places[chosen].min())
-        here = slice(end, None) if item.above else slice(None, end)
-        rest = item.rest[chosen]
-        top = orders.size if item.above else end
-        if not found[here].size:
-            continue
-        found[here] += sums_of(item.angle[chosen], rest, step, first + top)[first:][here]
-        seen[here] += rest.size
-        squares[here] += 0.5 * float(rest @ rest)
-    return found, seen, squares
+    """Σ r exp(i n θ), the number of samples that show the order, and ½ Σ r² of them.
+
+    What does not show an order holds none of it behind the filter, and no noise either.
+    """
+    step = float(orders[1] - orders[0])
+    first = round(float(orders[0]) / step)
+    found = sums_of(item.angle, item.rest, step, first + orders.size)[first:]
+    fastest_first = np.argsort(item.passing)
+    seen = np.searchsorted(item.passing[fastest_first], orders, side="right")
+    squares = np.concatenate([[0.0], np.cumsum(item.rest[fastest_first] ** 2)])
+    powers = squares[seen]
+    if not item.above:
+        seen, powers = item.rest.size - seen, squares[-1] - powers
+    return found, np.asarray(seen, dtype=float), np.asarray(0.5 * powers)
 
 
 @dataclass(frozen=True, slots=True)
