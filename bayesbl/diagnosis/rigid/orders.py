@@ -94,8 +94,8 @@ class OrderSpectrum:
     orders, scores
         Shape (m,), evenly spaced; empty if the motor does not turn far enough.
     powers
-        Half of what noise makes of |Σ r exp(i n θ)|² in a sample, of each owner, shape (m,); 0
-        where it does not show the order.
+        Half of what noise makes of |Σ r exp(i n θ)|², of each owner, shape (m,); 0 where it does
+        not show the order.
     independent
         Number of orders that are independent of one another.
     """
@@ -174,7 +174,6 @@ def spectrum_of(
     orders: FloatArray = step * np.arange(math.ceil(low / step), math.floor(high / step) + 1.0)
     waves = {owner: np.zeros(orders.size, dtype=complex) for owner in owners}
     powers = {owner: np.zeros(orders.size) for owner in owners}
-    samples = {owner: np.zeros(orders.size) for owner in owners}
     for owner, item in zip(owners, rests, strict=True):
         found, seen, white = _transform(item, orders)
         own, level = turns_of([item], shared), np.zeros(orders.size)
@@ -184,13 +183,10 @@ def spectrum_of(
         waves[owner] += np.where(enough, found, 0.0)
         least = 0.0 if coloured else white
         powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), least), 0.0)
-        samples[owner] += seen
     scores = np.zeros(orders.size)
     for owner, wave in waves.items():
         scores += np.abs(wave) ** 2 / np.where(powers[owner] > 0.0, powers[owner], np.inf)
-    single = {owner: powers[owner] / np.maximum(samples[owner], 1.0) for owner in powers}
-    independent = max(1.0, (high - low) * turns)
-    return OrderSpectrum(orders, scores, single, independent)
+    return OrderSpectrum(orders, scores, powers, max(1.0, (high - low) * turns))
 
 
 def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> ComplexArray:
@@ -363,12 +359,10 @@ def _sharp(
     order, step = float(spectrum.orders[k]), float(spectrum.orders[1] - spectrum.orders[0])
 
     def score(at: float) -> float:
-        waves, samples = dict.fromkeys(spectrum.powers, 0.0j), dict.fromkeys(spectrum.powers, 0)
+        waves = dict.fromkeys(spectrum.powers, 0.0j)
         for item in rests:
-            shows, owner = item.shows(order), owner_of(item, shared)
-            waves[owner] += item.rest[shows] @ np.exp(1j * at * item.angle[shows])
-            samples[owner] += int(shows.sum())
-        noise = {o: float(p[k]) * samples[o] for o, p in spectrum.powers.items()}
+            waves[owner_of(item, shared)] += item.rest @ np.exp(1j * at * item.angle)
+        noise = {owner: float(power[k]) for owner, power in spectrum.powers.items()}
         return sum(abs(waves[o]) ** 2 / noise[o] for o in waves if noise[o] > 0.0)
 
     ends = (order - step, order + step)
