@@ -226,7 +226,8 @@ class Bench:
         """
         ratio = self.value("gear_ratio")
         torque = self.value("load_inertia_kg_m2") / ratio * motion.acceleration
-        torque = torque + self.value("gravity_torque_nm") * np.sin(motion.angle / ratio)
+        hanging = motion.angle / ratio + self.value("gravity_angle_rad")
+        torque = torque + self.value("gravity_torque_nm") * np.sin(hanging)
         for present in self.effects:
             law = effect_named(present.name).load_torque
             if law is not None:

@@ -747,11 +747,8 @@ class Inference:
         size = fitted.sizes[self.posterior.likeliest(label)]
         if not candidate.is_wave:
             return dict(zip(candidate.parameters, size.tolist(), strict=True))
-        pairs = size.reshape(-1, 2)
-        made = {candidate.parameters[0]: float(np.hypot(*pairs.T).mean())}
-        if not candidate.own_phase:
-            made[PHASE] = math.atan2(pairs[0, 1], pairs[0, 0])
-        return made
+        waves = _of_waves(candidate, size[None], np.zeros((1, size.size, size.size)))
+        return {name: float(value[0]) for name, (value, _) in waves.items()}
 
     def is_none(self, fitted: Coefficients, label: str) -> bool:
         """Whether a candidate whose sign is known would rather have the other one."""

@@ -362,21 +362,29 @@ some hundred Hz, and what is faster takes as much longer to simulate. A data she
 searched from afar first, and matched as any other where that finds nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a fit of one parameter begins, its unknown last, and χ² beyond noise promised."""
-
-    candidate: Candidate
-    point: FloatArray
-    left: float
-
-
 def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Match | None:
     """One value beyond its tolerance that explains all, wherever in its whole range it lies.
 
-    ``progress``: called with (places scanned, places in all).
+    Each parameter is fitted roughly from its best place, the others within their tolerances; of all
+    that contend, as a promise is off by as much as signals bend. ``progress``: called with (places
+    scanned, places in all).
     """
-    rough = sorted(explanations_from_afar(problem, progress), key=lambda e: e.fit.chi_square)
+    model = _nothing_fitted(problem)
+    places = _places(problem)
+    best: dict[str, tuple[float, FloatArray, Candidate]] = {}
+    for scanned, candidate in enumerate(places):
+        progress(scanned, len(places))
+        left, point = _promised(model, candidate)
+        if left < best.get(candidate.name, (math.inf,))[0]:
+            best[candidate.name] = left, point, candidate
+    most = LEAVES_MOST * max(min((left for left, *_ in best.values()), default=0.0), 0.0) + SLACK
+    rough: list[Explanation] = []
+    for left, point, candidate in best.values():
+        if left < most:
+            with suppress(SimulationError):
+                fit = fit_simulated(extended(model, candidate), point, rough=True)
+                rough.append(Explanation((candidate,), fit))
+    rough.sort(key=lambda e: e.fit.chi_square)
     fitted = [with_noise(polished(e), remaining_noise(e.fit)) for e in rough[:3]]
     own = [weighed(e) for e in fitted if is_explained(e.fit) and _is_outside(e, problem)]
     if not own:
@@ -432,32 +440,6 @@ def may_be_wrong_by_far(problem: Problem) -> bool:
     return not asked and all(seen.motion is None for seen in problem.used)
 
 
-def explanations_from_afar(problem: Problem, progress: Progress) -> list[Explanation]:
-    """Rough fits of one parameter each from its best place, the others within tolerances.
-
-    Of all parameters that contend: a promise is off by as much as signals bend. ``progress``:
-    called with (places scanned, places in all).
-    """
-    model = _nothing_fitted(problem)
-    candidates = _candidates(problem)
-    best: dict[str, Place] = {}
-    for scanned, candidate in enumerate(candidates):
-        progress(scanned, len(candidates))
-        place = _place(model, candidate)
-        known = best.get(candidate.name)
-        if place is not None and (known is None or place.left < known.left):
-            best[candidate.name] = place
-    least = min((place.left for place in best.values()), default=math.inf)
-    fits: list[Explanation] = []
-    for place in best.values():
-        if place.left < LEAVES_MOST * max(least, 0.0) + SLACK:
-            with suppress(SimulationError):
-                beside = extended(model, place.candidate)
-                fit = fit_simulated(beside, place.point, rough=True)
-                fits.append(Explanation((place.candidate,), fit))
-    return fits
-
-
 def _nothing_fitted(problem: Problem) -> SimulatedSignals:
     noise = [noise_of(seen, seen.signals) for seen in problem.used]
     return SimulatedSignals(problem.bench, problem.used, problem.unknowns, noise, problem.workers)
@@ -467,7 +449,7 @@ def _middle(model: SimulatedSignals) -> FloatArray:
     return np.array([u.middle for u in model.unknowns])
 
 
-def _candidates(problem: Problem) -> list[Candidate]:
+def _places(problem: Problem) -> list[Candidate]:
     """Each parameter at factors of its value, up and down to the largest that is sought."""
     largest = max(KG_CM2_PER_KG_M2, problem.bench.value("gear_ratio") ** 2)
     most = math.ceil(math.log(largest) / math.log(STEP))
@@ -480,18 +462,19 @@ def _candidates(problem: Problem) -> list[Candidate]:
     ]
 
 
-def _place(model: SimulatedSignals, candidate: Candidate) -> Place | None:
-    """The best gap and start angles with one parameter at a value; ``None`` if it cannot be."""
+def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, FloatArray]:
+    """χ² beyond noise that is promised with one parameter near a value, its unknown last, and the
+    best gap and start angles there; infinite if it cannot be."""
     beside = extended(model, candidate)
     at = float(candidate.neutral[0])
-    if not _can_be(beside, np.append(_middle(model), at)):
-        return None
-    value = {len(beside.unknowns) - 1: np.array([at])}
-    point = aligned_starts(beside, value, SCANNED_GAPS)[0]
+    point = np.append(_middle(model), at)
+    if not _can_be(beside, point):
+        return math.inf, point
+    point = aligned_starts(beside, {point.size - 1: np.array([at])}, SCANNED_GAPS)[0]
     low, high = beside.low, beside.high
     low[-1], high[-1] = at - math.log(STEP), at + math.log(STEP)
     left = promised_within(beside, point, low, high) - beside.size
-    return Place(candidate, point, left) if math.isfinite(left) else None
+    return left if math.isfinite(left) else math.inf, point
 
 
 def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:

@@ -68,7 +68,8 @@ def named(found: Diagnosis) -> set[str]:
 
 
 def test_the_inverse_of_a_simulated_bench_gives_back_its_own_torque() -> None:
-    moved = bench().with_effects(
+    hanging = bench().with_parameters(gravity_angle_rad=0.4)
+    moved = hanging.with_effects(
         effect("motor_coulomb_friction", torque_nm=0.4),
         effect("motor_viscous_friction", coefficient_nm_s_per_rad=2e-3),
         effect("load_coulomb_friction", torque_nm=20.0),

@@ -83,8 +83,10 @@ FIRST = ("motor_coulomb_friction", "motor_viscous_friction")
 STEP = 0.05
 """Of a size at which its search begins: for derivatives."""
 
-_ZERO, WIDTH = "angle_zero", "friction_width"
-_FIRST_SHARE = 0.03
+FIRST_SHARE = 0.03
+"""Of the torques at work, in which a search for an effect begins."""
+
+ZERO, WIDTH = "angle_zero", "friction_width"
 _DRIVE = ("speed_gain_nm_s_per_rad", "integral_gain_nm_per_rad", "position_gain_per_s")
 
 
@@ -95,7 +97,10 @@ FREE_MOTION_LAWS: Mapping[str, RigidLaw] = MappingProxyType(
 
 
 Values = Mapping[str, float]
-"""Bench parameters, ``effect.parameter``, the zero, the width, and ``angle@i``, ``speed@i``."""
+"""Bench parameters, ``effect__parameter``, the zero, the width, and ``angle@i``, ``speed@i``."""
+
+Ranges = dict[str, tuple[float, float, float]]
+"""Of these the first value, the lower and the upper bound."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,7 @@ class FreeMotionView:
         start = dict(self.values)
         for name in names:
             found = inference.values(name)
-            start |= {f"{name}.{key}": e.value for key, e in found.items()}
+            start |= {f"{name}__{key}": e.value for key, e in found.items()}
         return replace(self, fitted=names, values=self.fit(names, start))
 
     def settled(self, labels: Sequence[str]) -> FreeMotionView:
@@ -156,42 +161,48 @@ class FreeMotionView:
     def reportable(self, inference: Inference, label: str) -> bool:
         """What ended at the end of its range is no optimum."""
         low, high = (share * self._speed for share in SHAPE_RANGE)
-        shapes = [v for k, v in self.values.items() if k == f"{label}.speed_rad_per_s"]
+        shapes = [v for k, v in self.values.items() if k == f"{label}__speed_rad_per_s"]
         return all(1.01 * low < value < 0.99 * high for value in shapes)
 
     def fit(self, effects: tuple[str, ...], start: Values) -> dict[str, float]:
         """Least squares with these effects, from what ``start`` holds."""
-        shared = self._shared(effects, start)
-        used = [i for i, piece in enumerate(self.pieces) if piece.use == "used"]
-        names = [*shared, *(f"{key}@{i}" for i in used for key in ("angle", "speed"))]
-        own = np.concatenate([start_of(self.pieces[i]) for i in used])
-        first = [
-            *(value for value, _, _ in shared.values()),
-            *(start.get(n, v) for n, v in zip(names[len(shared) :], own, strict=True)),
-        ]
-        low = [*(bound for _, bound, _ in shared.values()), *[-np.inf] * (2 * len(used))]
-        high = [*(bound for _, _, bound in shared.values()), *[np.inf] * (2 * len(used))]
+        places = range(len(self.pieces))
+        used = [i for i in places if self.pieces[i].use == "used"]
+        ranges = self._shared(effects)
+        for i in used:
+            ranges |= self._own(i)
+        ranges = {n: (start.get(n, first), a, b) for n, (first, a, b) in ranges.items()}
+        values = self._least_squares(used, effects, ranges, {})
+        for i in (i for i in places if i not in used):
+            values = self._least_squares([i], effects, self._own(i), values)
+        return values
+
+    def _least_squares(
+        self, pieces: Sequence[int], effects: tuple[str, ...], ranges: Ranges, known: Values
+    ) -> dict[str, float]:
+        """The known values, and those in their ranges that fit some pieces best."""
+        first, low, high = np.transpose(list(ranges.values()))
         # What begins at rest at zero has the size of its motion.
         scale = np.maximum(np.abs(first), 1e-3 * (np.abs(first).max() or self._speed))
 
+        def values_at(x: FloatArray) -> dict[str, float]:
+            return {**known, **dict(zip(ranges, (x * scale).tolist(), strict=True))}
+
         def misfit(x: FloatArray) -> FloatArray:
-            values = dict(zip(names, x * scale, strict=True))
-            return np.concatenate([self._misfit(i, effects, values) for i in used])
+            values = values_at(x)
+            every = ((self.pieces[i], self._predict(i, effects, values)) for i in pieces)
+            return np.concatenate([p.kept(predicted - p.measured) for p, predicted in every])
 
         found = least_squares(
             misfit,
-            np.clip(np.array(first) / scale, np.array(low) / scale, np.array(high) / scale),
-            bounds=(np.array(low) / scale, np.array(high) / scale),
+            np.clip(first, low, high) / scale,
+            bounds=(low / scale, high / scale),
             diff_step=1e-4,
             xtol=1e-6,
             ftol=1e-8,
             max_nfev=60,
         )
-        values = dict(zip(names, (found.x * scale).tolist(), strict=True))
-        for i in range(len(self.pieces)):
-            if i not in used:
-                values |= self._own_start(i, effects, values)
-        return values
+        return values_at(found.x)
 
     @cached_property
     def rows(self) -> Rows:
@@ -214,7 +225,7 @@ class FreeMotionView:
             return np.asarray((moved - at) / step)
 
         base, nuisances = at.copy(), dict[str, FloatArray]()
-        for name in (*self.unknown, *(n for n in (_ZERO, WIDTH) if n in self.values)):
+        for name in (*self.unknown, *(n for n in (ZERO, WIDTH) if n in self.values)):
             step = 1e-4 * max(abs(self.values[name]), 1e-2)
             nuisances[name] = slope(self.fitted, {name: self.values[name] + step}, step)
             if name in self.unknown:  # told as what it differs by from the bench's
@@ -234,17 +245,17 @@ class FreeMotionView:
             if law.scanned is not None:
                 grid = tuple(share * self._speed for share in SHAPES)
                 if name in self.fitted:
-                    grid = (self.values[f"{name}.{law.scanned}"],)
+                    grid = (self.values[f"{name}__{law.scanned}"],)
             effects = tuple(dict.fromkeys((*self.fitted, name)))
-            there = {f"{name}.{p}": self.values.get(f"{name}.{p}", 0.0) for p in parameters}
+            there = {f"{name}__{p}": self.values.get(f"{name}__{p}", 0.0) for p in parameters}
             looks = []
             for value in grid:
                 shapes = {} if law.scanned is None or value is None else {law.scanned: value}
-                fixed = there | {f"{name}.{k}": v for k, v in shapes.items()}
+                fixed = there | {f"{name}__{k}": v for k, v in shapes.items()}
                 columns = []
                 for parameter in parameters:
                     step = STEP * self._first(effect.parameter(parameter))
-                    key = f"{name}.{parameter}"
+                    key = f"{name}__{parameter}"
                     columns.append(slope(effects, {**fixed, key: there[key] + step}, step))
                     base -= columns[-1] * there[key]
                 weight = 1.0 if law.scanned is None else 1.0 / len(SHAPES)
@@ -284,48 +295,47 @@ class FreeMotionView:
         made = [self.predictions(self.fitted, self.values, torque) - at for torque in torques]
         return np.column_stack(made) / size
 
-    def _shared(
-        self, effects: tuple[str, ...], start: Values
-    ) -> dict[str, tuple[float, float, float]]:
-        """Name to (first value, lower, upper bound) of what all recordings share."""
-        shared = {}
+    def _shared(self, effects: tuple[str, ...]) -> Ranges:
+        """Of what all recordings share."""
+        ranges: Ranges = {}
         for name in self.unknown:
             value = self.bench.value(name)
-            shared[name] = (start.get(name, value), 1e-6 * value, np.inf)
+            ranges[name] = value, 1e-6 * value, np.inf
         if not self.load_angle_known:
-            shared[_ZERO] = (start.get(_ZERO, 1e-3), -np.inf, np.inf)
+            ranges[ZERO] = 1e-3, -np.inf, np.inf
         if any("direction" in effect_named(name).depends_on for name in effects):
-            low, first, high = (share * self._speed for share in WIDTHS)
-            shared[WIDTH] = (start.get(WIDTH, first), low, high)
+            least, first, most = (share * self._speed for share in WIDTHS)
+            ranges[WIDTH] = first, least, most
         for name in effects:
             for item in effect_named(name).parameters:
-                lower = 0.0 if item.not_negative else -np.inf
-                upper = np.inf if item.unit else item.high
+                low = 0.0 if item.not_negative else -np.inf
+                high = np.inf if item.unit else item.high
                 if not item.is_amplitude:
-                    lower, upper = (share * self._speed for share in SHAPE_RANGE)
-                value = start.get(f"{name}.{item.name}", self._first(item))
-                shared[f"{name}.{item.name}"] = (value, lower, upper)
-        return shared
+                    low, high = (share * self._speed for share in SHAPE_RANGE)
+                ranges[f"{name}__{item.name}"] = self._first(item), low, high
+        return ranges
+
+    def _own(self, i: int) -> Ranges:
+        """Of angle and speed at a piece's first sample."""
+        first = zip(("angle", "speed"), start_of(self.pieces[i]).tolist(), strict=True)
+        return {f"{key}@{i}": (value, -np.inf, np.inf) for key, value in first}
 
     def _first(self, parameter: EffectParameter) -> float:
         """A small share of the torques at work: where a search for an effect starts."""
-        speed = self._speed
         if not parameter.is_amplitude:
-            return 0.3 * speed
-        torque = self._torque
-        scales = {
-            "N m": torque,
-            "N m s/rad": torque / speed,
-            "": _FIRST_SHARE,
-            "N m/s": 0.1 * torque,
-        }
-        return scales[parameter.unit]
+            return 0.3 * self._speed
+        return {
+            "N m": self._torque,
+            "N m s/rad": self._torque / self._speed,
+            "": FIRST_SHARE,
+            "N m/s": 0.1 * self._torque,
+        }[parameter.unit]
 
     @cached_property
     def _torque(self) -> float:
         """A small share of the torques at work, N m at the motor."""
         ratio = self.bench.value("gear_ratio")
-        torque = _FIRST_SHARE * self.bench.value("gravity_torque_nm") / ratio
+        torque = FIRST_SHARE * self.bench.value("gravity_torque_nm") / ratio
         if torque == 0.0:
             span = max(p.time_s[-1] - p.time_s[0] for p in self.pieces)
             inertia = self.bench.value("load_inertia_kg_m2") / ratio**2
@@ -341,25 +351,6 @@ class FreeMotionView:
             for p in self.pieces
         )
 
-    def _own_start(self, i: int, effects: tuple[str, ...], values: Values) -> dict[str, float]:
-        """Start of a held-out piece, fitted on it."""
-
-        def at(x: FloatArray) -> dict[str, float]:
-            return {**values, f"angle@{i}": float(x[0]), f"speed@{i}": float(x[1])}
-
-        found = least_squares(
-            lambda x: self._misfit(i, effects, at(x)),
-            start_of(self.pieces[i]),
-            diff_step=1e-4,
-            x_scale=[0.1, 1.0],
-        )
-        return {f"angle@{i}": float(found.x[0]), f"speed@{i}": float(found.x[1])}
-
-    def _misfit(self, i: int, effects: tuple[str, ...], values: Values) -> FloatArray:
-        """Prediction less measurement, shape (k,)."""
-        piece = self.pieces[i]
-        return piece.kept(self._predict(i, effects, values) - piece.measured)
-
     def _predict(
         self,
         i: int,
@@ -373,7 +364,7 @@ class FreeMotionView:
         except SimulationError:
             # A step of the search beyond what can be simulated: far off, and so turned back.
             return np.full(piece.measured.size, 1e3)
-        return np.asarray(states[MOTOR_ANGLE] - values.get(_ZERO, 0.0))
+        return np.asarray(states[MOTOR_ANGLE] - values.get(ZERO, 0.0))
 
     def _states(
         self,
@@ -383,17 +374,12 @@ class FreeMotionView:
         torque: LearnedTerm | None = None,
     ) -> FloatArray:
         piece = self.pieces[i]
-        settings = {name: values[name] for name in self.unknown}
-        for name in effects:
-            settings |= {
-                key.replace(".", "__"): value
-                for key, value in values.items()
-                if key.startswith(name + ".")
-            }
+        owners = (*self.unknown, *effects)
+        settings = {name: x for name, x in values.items() if name.partition("__")[0] in owners}
         bench = self.bench if torque is None else replace(self.bench, learned_torque=torque)
         vector = bench.vector(**settings, **dict.fromkeys(_DRIVE, 0.0))[0]
         state = np.zeros(STATES)
-        state[MOTOR_ANGLE] = values[f"angle@{i}"] + values.get(_ZERO, 0.0)
+        state[MOTOR_ANGLE] = values[f"angle@{i}"] + values.get(ZERO, 0.0)
         state[MOTOR_SPEED] = values[f"speed@{i}"]
         vector[Slot.reference_speed_rpm] = self._speed * RPM_PER_RAD_PER_S
         return simulate_states(

@@ -381,19 +381,19 @@ class InverseView:
 
     def _parameter(self, name: str) -> FloatArray:
         """Of one unit of an inertia or of gravity, (N,)."""
-        ratio = self.bench.value("gear_ratio")
+        ratio, ahead = self.bench.value("gear_ratio"), self.bench.value("gravity_angle_rad")
         laws: dict[str, Callable[[Motion], FloatArray]] = {
             INERTIAS[0]: lambda m: m.acceleration,
             INERTIAS[1]: lambda m: m.acceleration / ratio**2,
-            GRAVITY: lambda m: np.sin(m.angle / ratio) / ratio,
+            GRAVITY: lambda m: np.sin(m.angle / ratio + ahead) / ratio,
         }
         return self._torque(name, laws[name])
 
     @property
     def _gravity(self) -> FloatArray:
         """Of one N m, down and across, (N, 2)."""
-        ratio = self.bench.value("gear_ratio")
-        across = self._torque("across", lambda motion: np.cos(motion.angle / ratio) / ratio)
+        ratio, ahead = self.bench.value("gear_ratio"), self.bench.value("gravity_angle_rad")
+        across = self._torque("across", lambda m: np.cos(m.angle / ratio + ahead) / ratio)
         return np.column_stack([self._parameter(GRAVITY), across])
 
     # The model

@@ -37,9 +37,6 @@ _LEVEL_CYCLES = 40.0
 _OVERSAMPLING = 8
 """Bins in a period of the highest order: of what lies beyond it, no more than 2 % get in."""
 
-_BAND = 1.2
-"""Samples that show orders up to here and up to so many times as high are summed together."""
-
 _SLOWEST = 1e-6
 """Of the fastest: a motor that stands turns so fast."""
 
@@ -97,8 +94,8 @@ class OrderSpectrum:
     orders, scores
         Shape (m,), evenly spaced; empty if the motor does not turn far enough.
     powers
-        Half of what noise makes of |Σ r exp(i n θ)|² in a sample, of each owner, shape (m,); 0
-        where it does not show the order.
+        Half of what noise makes of |Σ r exp(i n θ)|², of each owner, shape (m,); 0 where it does
+        not show the order.
     independent
         Number of orders that are independent of one another.
     """
@@ -177,7 +174,6 @@ def spectrum_of(
     orders: FloatArray = step * np.arange(math.ceil(low / step), math.floor(high / step) + 1.0)
     waves = {owner: np.zeros(orders.size, dtype=complex) for owner in owners}
     powers = {owner: np.zeros(orders.size) for owner in owners}
-    samples = {owner: np.zeros(orders.size) for owner in owners}
     for owner, item in zip(owners, rests, strict=True):
         found, seen, white = _transform(item, orders)
         own, level = turns_of([item], shared), np.zeros(orders.size)
@@ -187,13 +183,10 @@ def spectrum_of(
         waves[owner] += np.where(enough, found, 0.0)
         least = 0.0 if coloured else white
         powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), least), 0.0)
-        samples[owner] += seen
     scores = np.zeros(orders.size)
     for owner, wave in waves.items():
         scores += np.abs(wave) ** 2 / np.where(powers[owner] > 0.0, powers[owner], np.inf)
-    single = {owner: powers[owner] / np.maximum(samples[owner], 1.0) for owner in powers}
-    independent = max(1.0, (high - low) * turns)
-    return OrderSpectrum(orders, scores, single, independent)
+    return OrderSpectrum(orders, scores, powers, max(1.0, (high - low) * turns))
 
 
 def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> ComplexArray:
@@ -214,25 +207,20 @@ def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> Compl
 def _transform(
     item: OrderedRest, orders: FloatArray
 ) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Σ r exp(i n θ) over the samples that show the order, their number, and ½ Σ r² of them."""
-    step, first = float(orders[1] - orders[0]), round(float(orders[0] / (orders[1] - orders[0])))
-    places = np.searchsorted(orders, item.passing)
-    bands = np.floor(np.log(np.maximum(places, 1)) / math.log(_BAND)).astype(int)
-    found = np.zeros(orders.size, dtype=complex)
-    seen, squares = np.zeros(orders.size), np.zeros(orders.size)
-    for band in np.unique(bands):
-        chosen = bands == band
-        # Neither below nor above does a sample count for an order that it does not show.
-        end = int(places[chosen].max() if item.above else places[chosen].min())
-        here = slice(end, None) if item.above else slice(None, end)
-        rest = item.rest[chosen]
-        top = orders.size if item.above else end
-        if not found[here].size:
-            continue
-        found[here] += sums_of(item.angle[chosen], rest, step, first + top)[first:][here]
-        seen[here] += rest.size
-        squares[here] += 0.5 * float(rest @ rest)
-    return found, seen, squares
+    """Σ r exp(i n θ), the number of samples that show the order, and ½ Σ r² of them.
+
+    What does not show an order holds none of it behind the filter, and no noise either.
+    """
+    step = float(orders[1] - orders[0])
+    first = round(float(orders[0]) / step)
+    found = sums_of(item.angle, item.rest, step, first + orders.size)[first:]
+    fastest_first = np.argsort(item.passing)
+    seen = np.searchsorted(item.passing[fastest_first], orders, side="right")
+    squares = np.concatenate([[0.0], np.cumsum(item.rest[fastest_first] ** 2)])
+    powers = squares[seen]
+    if not item.above:
+        seen, powers = item.rest.size - seen, squares[-1] - powers
+    return found, np.asarray(seen, dtype=float), np.asarray(0.5 * powers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,12 +359,10 @@ def _sharp(
     order, step = float(spectrum.orders[k]), float(spectrum.orders[1] - spectrum.orders[0])
 
     def score(at: float) -> float:
-        waves, samples = dict.fromkeys(spectrum.powers, 0.0j), dict.fromkeys(spectrum.powers, 0)
+        waves = dict.fromkeys(spectrum.powers, 0.0j)
         for item in rests:
-            shows, owner = item.shows(order), owner_of(item, shared)
-            waves[owner] += item.rest[shows] @ np.exp(1j * at * item.angle[shows])
-            samples[owner] += int(shows.sum())
-        noise = {o: float(p[k]) * samples[o] for o, p in spectrum.powers.items()}
+            waves[owner_of(item, shared)] += item.rest @ np.exp(1j * at * item.angle)
+        noise = {owner: float(power[k]) for owner, power in spectrum.powers.items()}
         return sum(abs(waves[o]) ** 2 / noise[o] for o in waves if noise[o] > 0.0)
 
     ends = (order - step, order + step)

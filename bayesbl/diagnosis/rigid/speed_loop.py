@@ -959,7 +959,7 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
         variance = np.full(len(orders), math.nan)
         if np.any(noise > 0.0):
             level = np.interp(orders, spectrum.orders[noise > 0.0], noise[noise > 0.0])
-            variance = 4.0 * level / left.size
+            variance = 4.0 * level / left.size**2
         variances.append(variance)
         powers.append(np.abs(found) ** 2 - 2.0 * variance)
     speeds = np.array([item.speed_rad_per_s for item in turning])
