@@ -109,6 +109,8 @@ identify.effects | text | catalogue|NAME,NAME | Effects that the data sheet lack
 diagnose.bench | path | FILE|RESULT | The bench that should describe them: its file, or a result
     of identify.
 figures.study | path | FILE | Run this study file to draw its figure.
+export.out | path | FOLDER | Output folder. [default: RESULT_export]
+export.force | flag | - | Replace files that exist.
 """
 """Options as parameters have them, some of one command alone: type, unit and help, which goes on in
 lines that are indented."""
@@ -503,22 +505,19 @@ def figures_command(result: ResultPath, **given: Any) -> None:
         say(str(path))
 
 
-@_takes("force")
+@_takes("out force")
 def export_command(
     result: ResultPath,
     bench: Annotated[
         Path, typer.Option("--bench", metavar="FILE|RESULT", help="The bench it was measured with.")
     ],
-    out: Annotated[
-        Path | None, _option("--out", "FOLDER", "Output folder. [default: RESULT_export]")
-    ] = None,
     **given: Any,
 ) -> None:
     """Write a measured joint as MuJoCo models and tables of draws."""
     from bayesbl.presentation.terminal import say
     from bayesbl.runs.export import export
 
-    for path in export(result, bench, out, force=given["force"]):
+    for path in export(result, bench, given["out"], force=given["force"]):
         say(str(path))
 
 
