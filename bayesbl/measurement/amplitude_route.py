@@ -357,7 +357,7 @@ class AmplitudeMeasurer(CurveMeasurer):
             bench = self.bench_of(recording)
             known = None if bench is None else bench.value("gear_ratio")
             ratio = self.config.joint.gear_ratio or known
-            start = earlier.get(recording.name) or last or task.earlier.get(recording.name)
+            start = earlier.get(recording.name) or last
             jobs.append(
                 FitJob(self.estimator, curve, recording, seed, ratio, start, check, task.work)
             )
@@ -692,14 +692,9 @@ def read_earlier(path: str | Path) -> dict[str, EarlierOptimum]:
             found=f'kind = "{tree.attrs.get("kind")}", routes: {", ".join(routes_of(tree))}',
             expected="the result of bayesbl fit or bayesbl compare by the ringing's amplitude",
         )
-    return optima_of(tree, f" in {path}")
-
-
-def optima_of(tree: xr.DataTree, where: str = "") -> dict[str, EarlierOptimum]:
-    """Optima of a result of the amplitude route; ``where`` it is, in words."""
     return {
         stored.name: EarlierOptimum(
-            f'the optimum of "{stored.name}"{where}',
+            f'the optimum of "{stored.name}" in {path}',
             {symbol: stored.number("optimum", symbol) for symbol in SYMBOLS},
             stored.number("optimum", "rmse_rpm"),
             withheld=stored.summary["diagnostics"]["outcome"] == "withheld",

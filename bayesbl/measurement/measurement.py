@@ -24,7 +24,6 @@ from bayesbl.recording.readers import read_recording
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
-from bayesbl.ringing.optimum import EarlierOptimum
 from bayesbl.ringing.symbols import DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sampling.convergence import Diagnostics, Outcome
@@ -60,8 +59,6 @@ class Task:
         Called with a sentence on what each search started from, if from an earlier optimum.
     swept
         Keeps swept benches for this run and others.
-    earlier
-        Optima to start searches from, by recording, where the configuration names no result.
     """
 
     config: SnapshotConfig
@@ -71,7 +68,6 @@ class Task:
     work: WorkStore = NOTHING_KEPT
     say: Callable[[str], None] = lambda sentence: None
     swept: WorkStore = NOTHING_KEPT
-    earlier: Mapping[str, EarlierOptimum] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:

@@ -8,7 +8,7 @@ position is recorded, two encoders stand beside routes that go by the motor alon
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 
 import xarray as xr
@@ -21,7 +21,6 @@ from bayesbl.progress import StageProgress
 from bayesbl.recording.types import LOAD_POSITION, Recording
 from bayesbl.results.variables import Group
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
-from bayesbl.ringing.optimum import EarlierOptimum
 
 ROUTES = {
     "amplitude": "bayesbl.measurement.amplitude_route",
@@ -58,14 +57,13 @@ def measure(
     say: Callable[[str], None] = lambda sentence: None,
     swept: WorkStore = NOTHING_KEPT,
     seeds: Seeds | None = None,
-    earlier: Mapping[str, EarlierOptimum] | None = None,
     recordings: Sequence[Recording] = (),
 ) -> xr.DataTree:
     """Run a fit or a comparison as configured.
 
     Parameters
     ----------
-    progress, work, say, swept, earlier
+    progress, work, say, swept
         As of :class:`bayesbl.measurement.measurement.Task`.
     seeds
         Those of the configuration by default.
@@ -90,7 +88,7 @@ def measure(
     for recording in recordings:
         measurer.require_usable(recording)
     seeds = seeds or Seeds.spawn(config.run.seed, len(recordings))
-    task = Task(config, recordings, seeds, progress, work, say, swept, earlier or {})
+    task = Task(config, recordings, seeds, progress, work, say, swept)
     measured = measurer.measure(task)
     has_load = all(LOAD_POSITION in recording.channels for recording in recordings)
     if has_load and measured.route not in WITHOUT_BENCH:
