@@ -260,11 +260,11 @@ def change_unseen(quantity: str, share: float | None) -> str:
 
 
 def parameter_unseen(name: str, size: float, expected: float, unit: str) -> str:
-    """A change of the bench, as a share of its value or in its unit where that is zero."""
+    """A change of the bench that is too small to be shown: a share of its value, or in its unit."""
     change = f"{size:.2g} {unit}".rstrip()
     if expected:
         change = f"{100.0 * size / abs(expected):.2g} %"
-    return f"{spoken(name)} by {change} ({_TOO_SMALL})"
+    return f"{spoken(name)} by {change}"
 
 
 def held_compliance_unseen(items: Sequence[Mapping[str, Any]]) -> str:

@@ -91,7 +91,8 @@ def check_blocks(summary: MeasuredSummary, codes: Sequence[str]) -> Iterator[Blo
         for finding in () if "joint_changed" in codes and not name else check["findings"]:
             text = finding["text"]
             yield Sentence(f"{name}: {text}" if name else text, "warning", "Check")
-    unsized, sized = "Undetectable changes", "Undetectable changes that could look like wear"
+    unsized = "Undetectable changes"
+    sized = f"{unsized} that could look like wear (too small for these recordings to show)"
     unseen: dict[str, list[str]] = {sized: [], unsized: []}
     for spot in checks[-1][1]["blind_spots"]:
         up_to = spot["delta_error_rad"]
