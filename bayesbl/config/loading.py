@@ -76,7 +76,10 @@ def problems_of(
             line = next(filter(None, known), 0)
             where = _field_name(model, location)
             where = f"line {line}, {where}".removesuffix(", ") if line else where
-        found.append((line, ConfigError(where=where or None, **_problem(item, model, location))))
+        told = _problem(item, model, location)
+        if where and where.startswith("--") and item["type"] == "extra_forbidden":
+            told = {"problem": "This option is not for this kind of run."}
+        found.append((line, ConfigError(where=where or None, **told)))
     return [problem for _, problem in sorted(found, key=lambda pair: pair[0])]
 
 

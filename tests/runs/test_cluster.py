@@ -343,4 +343,4 @@ def test_only_studies_and_fleets_take_a_scheduler(capsys):
     config = CONFIGS / "wear_snapshots.toml"
     arguments = ["run", str(config), "--scheduler", "tcp://127.0.0.1:1"]
     assert cli.status(arguments) == cli.WRONG
-    assert "--scheduler: This key is not known." in capsys.readouterr().err
+    assert "--scheduler: This option is not for this kind of run." in capsys.readouterr().err
