@@ -17,19 +17,21 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 
 from bayesbl.bench.bench import Bench
+from bayesbl.bench.effects import EFFECTS
 from bayesbl.bench.kernel import Slot
 from bayesbl.errors import BenchError
-
-GRAVITY = 9.81
-STEP_S = 5e-5
-"""Some twentieth of the fastest period: that of the shaft's own inertia on its spring."""
+from bayesbl.units import STANDARD_GRAVITY
 
 SHAFT_SHARE = 1e-3
 """Of the load's inertia, which a body needs: that of the shaft between spring and gap. The load
 has the rest."""
 
-STOP = {"solreflimit": f"{4.0 * STEP_S} 1", "solimplimit": "0.99 0.999 0.00001"}
-"""As stiff as the step allows: the stop gives way by a thousandth of what the shaft does."""
+STEPS_PER_PERIOD = 50.0
+"""Of the shaft's own inertia on its spring, which swings fastest."""
+
+STOP_STEPS, STOP_HOLDS = 4.0, "0.99 0.999 0.00001"
+"""Time constant of the stop in steps, and MuJoCo's impedance of it: as stiff as the step allows. It
+gives way by a thousandth of what the shaft does."""
 
 LEAST_INERTIA = 1e-9
 """kg m²: no body may be without any."""
@@ -59,7 +61,7 @@ def mjcf(bench: Bench, gap_rad: float, values: Mapping[str, float] | None = None
     Returns
     -------
     An XML text with hinges ``motor``, ``shaft`` and ``gap`` and an actuator ``torque``, N m at the
-    motor. What the bench has and MJCF cannot say is listed in a comment.
+    motor. Effects of bench and ``values`` that MJCF cannot say are listed in a comment.
 
     Raises
     ------
@@ -77,13 +79,25 @@ def mjcf(bench: Bench, gap_rad: float, values: Mapping[str, float] | None = None
 
     ratio, inertia = value(Slot.gear_ratio), value(Slot.load_inertia_kg_m2)
     root = ET.Element("mujoco", model="joint")
-    lacks = [effect.name for effect in bench.effects if effect.name not in WRITTEN]
+    lacks = [
+        effect.name
+        for effect in EFFECTS
+        if effect.name not in WRITTEN
+        and any(value(effect.slots[item.name]) != 0.0 for item in effect.amplitudes)
+    ]
     lacks += [learned.block for learned in bench.learned_terms]
     if lacks:
         root.append(ET.Comment(f" Not written: {', '.join(lacks)} "))
     ET.SubElement(root, "compiler", angle="radian")
+    stiffness = value(Slot.shaft_stiffness_nm_per_rad)
+    period_s = 2.0 * math.pi * math.sqrt(SHAFT_SHARE * inertia / stiffness)
+    step_s = period_s / STEPS_PER_PERIOD
     ET.SubElement(
-        root, "option", timestep=f"{STEP_S}", integrator="implicitfast", gravity=f"0 0 {-GRAVITY}"
+        root,
+        "option",
+        timestep=_text(step_s),
+        integrator="implicitfast",
+        gravity=f"0 0 {-STANDARD_GRAVITY}",
     )
     motor = _body(ET.SubElement(root, "worldbody"), "motor")
     _hinge(
@@ -98,12 +112,19 @@ def mjcf(bench: Bench, gap_rad: float, values: Mapping[str, float] | None = None
     _hinge(
         shaft,
         "shaft",
-        stiffness=value(Slot.shaft_stiffness_nm_per_rad),
+        stiffness=stiffness,
         damping=value(Slot.shaft_damping_nm_s_per_rad),
     )
     _inertia(shaft, SHAFT_SHARE * inertia)
     load = _body(shaft, "load")
-    _hinge(load, "gap", range=f"{_text(-gap_rad)} {_text(gap_rad)}", limited="true", **STOP)
+    _hinge(
+        load,
+        "gap",
+        range=f"{_text(-gap_rad)} {_text(gap_rad)}",
+        limited="true",
+        solreflimit=f"{_text(STOP_STEPS * step_s)} 1",
+        solimplimit=STOP_HOLDS,
+    )
     gravity = value(Slot.gravity_torque_nm), value(Slot.gravity_angle_rad)
     _inertia(load, (1.0 - SHAFT_SHARE) * inertia, *gravity)
     friction = {
@@ -145,8 +166,8 @@ def _inertia(body: ET.Element, inertia: float, torque_nm: float = 0.0, at_rad: f
     arm = mass = 0.0
     if torque_nm != 0.0:
         # On an arm so short that more than a third of the inertia is the body's own.
-        arm = min(0.5, 0.6 * inertia * GRAVITY / abs(torque_nm))
-        mass = torque_nm / (GRAVITY * arm)
+        arm = min(0.5, 0.6 * inertia * STANDARD_GRAVITY / torque_nm)
+        mass = torque_nm / (STANDARD_GRAVITY * arm)
     own = max(inertia - mass * arm**2, LEAST_INERTIA)
     place = f"{_text(-arm * math.sin(at_rad))} 0 {_text(-arm * math.cos(at_rad))}"
     size = " ".join([_text(own)] * 3)

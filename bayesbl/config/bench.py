@@ -29,10 +29,9 @@ from bayesbl.config.loading import load_file
 from bayesbl.config.sections import Items, Section, Tolerance, refuse, require_different
 from bayesbl.errors import BenchError, ConfigError
 from bayesbl.noise.process import NoiseModel
-from bayesbl.units import RPM_PER_RAD_PER_S
+from bayesbl.units import RPM_PER_RAD_PER_S, STANDARD_GRAVITY
 
 ARCMIN_PER_RAD = 60.0 * 180.0 / math.pi
-STANDARD_GRAVITY = 9.80665
 
 Values = Mapping[str, float]
 Conversion = Callable[[float, Values], float]

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.steady import contact_rates
-from bayesbl.config.bench import STANDARD_GRAVITY, load_bench, reduced_inertia_kg_m2
+from bayesbl.config.bench import load_bench, reduced_inertia_kg_m2
 from bayesbl.runs.workflow import Plan
+from bayesbl.units import STANDARD_GRAVITY
 
 USUAL_FREQUENCY_HZ = (2.0, 100.0)
 USUAL_INERTIA_RATIO = (0.05, 50.0)

@@ -12,8 +12,8 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.bench.effects import effect_named
 from bayesbl.bench.kernel import Slot
-from bayesbl.bench.mjcf import WRITTEN, mjcf
-from bayesbl.bench.parameters import BENCH_PARAMETERS
+from bayesbl.bench.mjcf import mjcf
+from bayesbl.bench.parameters import BENCH_PARAMETERS, simulated_range
 from bayesbl.errors import ResultError
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import require_inside
@@ -93,19 +93,21 @@ def export(
 
 def _draws(tree: xr.DataTree, bench: Bench, name: str) -> dict[str, FloatArray]:
     """By slot, of one snapshot, shape (draw,)."""
-    slots = [info.name for info in BENCH_PARAMETERS]
-    for effect in (effect_named(written) for written in WRITTEN):
-        slots += [slot.name for slot in effect.slots.values()]
     gap = _of_snapshot(tree[GAP_GROUP].to_dataset(), name)["delta_rad"].values.ravel()
     posterior = _of_snapshot(tree[f"{tree.attrs['route']}/posterior"].to_dataset(), name)
+    slots = [info.name for info in BENCH_PARAMETERS]
+    for effect in (effect_named(present.name) for present in bench.effects):
+        slots += [slot.name for slot in effect.slots.values()]
+    # Nor is what the joint has beside its bench left out.
+    slots += [slot for slot in Slot.__members__ if "__" in slot and slot in posterior]
     draws = {GAP: gap}
-    for slot in slots:
+    for slot in dict.fromkeys(slots):
         values = np.full(gap.size, bench.value(slot))
         if slot in posterior:
             values = posterior[slot].values.ravel()
         if DRIFT + slot in posterior:
             drift = posterior[DRIFT + slot].values.ravel()
-            values = np.maximum(values + np.nan_to_num(drift), 0.0)
+            values = np.clip(values + np.nan_to_num(drift), *simulated_range(slot))
         draws[slot] = values
     return draws
 
