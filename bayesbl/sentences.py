@@ -431,6 +431,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "Only {effective:.0f} of {total} draws of the curve match the ringing's frequency and "
         "decay, too few to narrow the bench's tolerances. State narrower tolerances."
     ),
+    "curve_scaled": "A known gap scales the curve: every gap is {scale:.3g} times the curve's.",
+    "known_gaps_disagree": (
+        "The known gaps are not on one curve, whatever its scale. Check them, and the recordings "
+        "they belong to."
+    ),
     "beyond_curve": beyond_curve,
     "box_search_missed": (
         "The search of eq. 6 in the ranges of Table 2, both as printed, missed the best fit. "

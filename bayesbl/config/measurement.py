@@ -308,6 +308,25 @@ class Curve(Section):
     allow_extrapolation: bool = False
 
 
+class KnownGap(Section):
+    """``known_gap`` of a recording: δ at that time as two encoders or a dial gauge measured it."""
+
+    delta_rad: Positive
+    sd_rad: Positive
+
+
+class MeasuredRecording(SnapshotRecording):
+    """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's.
+
+    ``files``: the positions around the turn at which ramps of torque were made, one file each;
+    ``file`` is then the first of them. ``repaired`` marks the first one after a repair. ``bench``:
+    what is known to have been another value than the bench file's when it was made, a bench
+    parameter or ``"effect.parameter"``. ``known_gap`` gives the amplitude's curve its scale.
+    """
+
+    known_gap: KnownGap | None = None
+
+
 class WearOverDates(Section):
     """``[wear]``: what is known of wear beside the recordings.
 
@@ -327,7 +346,7 @@ class SnapshotConfig(RecordedConfig):
     most_recordings: ClassVar[int | None] = None
 
     joint: Joint = Field(default_factory=Joint)
-    recordings: Items[SnapshotRecording]
+    recordings: Items[MeasuredRecording]
     estimator: Estimator = Field(default_factory=Estimator)
     posterior: Posterior = Field(default_factory=Posterior)
     interval: Interval = Field(default_factory=Interval)
@@ -336,8 +355,8 @@ class SnapshotConfig(RecordedConfig):
     @field_validator("recordings")
     @classmethod
     def _right_number(
-        cls, recordings: tuple[SnapshotRecording, ...]
-    ) -> tuple[SnapshotRecording, ...]:
+        cls, recordings: tuple[MeasuredRecording, ...]
+    ) -> tuple[MeasuredRecording, ...]:
         count, least, most = len(recordings), cls.least_recordings, cls.most_recordings
         if count < least or (most is not None and count > most):
             refuse(
@@ -347,7 +366,7 @@ class SnapshotConfig(RecordedConfig):
             )
         return differently_named(recordings)
 
-    def entry_of(self, recording: str) -> SnapshotRecording:
+    def entry_of(self, recording: str) -> MeasuredRecording:
         """The entry of this name."""
         return next(entry for entry in self.recordings if entry.name == recording)
 
@@ -371,6 +390,7 @@ class SnapshotConfig(RecordedConfig):
                 ("recordings", n, "reference_speed_rpm"): alone
                 and recording.reference_speed_rpm is not None,
                 ("recordings", n, "bench"): recording.bench and not by_value,
+                ("recordings", n, "known_gap"): not by_amplitude and recording.known_gap,
             }
         for at, is_given in unused.items():
             if is_given:
@@ -420,7 +440,7 @@ class CompareConfig(SnapshotConfig):
 
     @field_validator("recordings")
     @classmethod
-    def _by_date(cls, recordings: tuple[SnapshotRecording, ...]) -> tuple[SnapshotRecording, ...]:
+    def _by_date(cls, recordings: tuple[MeasuredRecording, ...]) -> tuple[MeasuredRecording, ...]:
         undated = [i for i, recording in enumerate(recordings) if recording.date is None]
         if 0 < len(undated) < len(recordings):
             names = ", ".join(f'"{recordings[i].name}"' for i in undated)
@@ -473,6 +493,6 @@ class CompareConfig(SnapshotConfig):
             )
 
 
-def _dates(recordings: tuple[SnapshotRecording, ...]) -> tuple[Date, ...] | None:
+def _dates(recordings: tuple[MeasuredRecording, ...]) -> tuple[Date, ...] | None:
     dates = [recording.date for recording in recordings]
     return tuple(d for d in dates if d is not None) if None not in dates else None

@@ -295,13 +295,7 @@ def _file_or_files(schema: dict[str, Any]) -> None:
 
 
 class SnapshotRecording(Section):
-    """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's.
-
-    ``files``: the positions around the turn at which ramps of torque were made, one file each;
-    ``file`` is then the first of them. ``repaired`` marks the first one after a repair. ``bench``:
-    what is known to have been another value than the bench file's when it was made, a bench
-    parameter or ``"effect.parameter"``.
-    """
+    """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's."""
 
     model_config = ConfigDict(json_schema_extra=_file_or_files)
 

@@ -103,6 +103,7 @@ POSTERIOR = Group(
         *table("""
             curve_amplitude_rpm? (chain, draw) | rpm
                 | amplitude put through the gap curve: with its scatter over start angles
+            curve_scale? (chain, draw) | 1 | by which a known gap scales the curve
         """),
         replace(shared.DELTA, optional=True),
     ),
@@ -248,6 +249,7 @@ class AmplitudeMeasurer(CurveMeasurer):
                 curves,
                 [measured_ringing(fit) for fit in fits],
                 task.seeds.gap,
+                [entry.known_gap for entry in task.config.recordings],
                 allow_extrapolation=task.config.curve.allow_extrapolation,
                 level=task.config.interval.level,
             )

@@ -1,16 +1,22 @@
-"""From posteriors of the ringing to draws of δ."""
+"""From posteriors of the ringing to draws of δ.
+
+Where the gap of a snapshot is known otherwise, the curve only has to be right in its form: draws of
+every δ are scaled by the known gap over the curve's. What is wrong with the curve or with its bench
+by a factor then cancels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesbl.config.measurement import KnownGap
 from bayesbl.curve.gap_curve import CurveDraws, GapCurve, interpolate_rows
 from bayesbl.measurement.measurement import Reason, upper_bound
-from bayesbl.probabilities import chi2_isf
+from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.importance import effective_size, resampled
 
@@ -65,6 +71,8 @@ class Gap:
         What was put through the curve: A with its scatter over start angles, shape (chain, draw).
     rows
         By source of the curve's uncertainty, which of its draws, shape (chain, draw).
+    curve_scale
+        By which δ of the curve was multiplied, shape (chain, draw); ``None`` without a known gap.
     budget
         Share of the variance of ln δ by source; sums to 1.
     reasons
@@ -78,6 +86,7 @@ class Gap:
     outside: FloatArray
     amplitude_rpm: FloatArray
     rows: Mapping[str, NDArray[np.int64]]
+    curve_scale: FloatArray | None
     budget: dict[str, float]
     reasons: tuple[Reason, ...] = ()
     notes: tuple[Reason, ...] = ()
@@ -94,6 +103,7 @@ def gaps(
     curves: GapCurve | Sequence[GapCurve],
     snapshots: Sequence[MeasuredRinging],
     seed: np.random.SeedSequence,
+    known: Sequence[KnownGap | None] = (),
     *,
     allow_extrapolation: bool = False,
     level: float = 0.9,
@@ -112,12 +122,15 @@ def gaps(
     ----------
     curves
         One for all snapshots, or each one's own of one bench.
+    known
+        Of each snapshot, what else measured its gap; nothing for none of any.
     level
         Of the one-sided bound that a withheld answer gives.
     """
     if isinstance(curves, GapCurve):
         curves = [curves] * len(snapshots)
     shared_seed, pick_seed, *own_seeds = seed.spawn(2 + len(snapshots))
+    (known_seed,) = pick_seed.spawn(1)
     chains, count = snapshots[0].amplitude_rpm.shape
     rings = all(curve.ringing is not None for curve in curves)
     narrows = rings and all("bench" in curve.sources for curve in curves)
@@ -146,29 +159,40 @@ def gaps(
             notes = (Reason("few_curve_draws", {"effective": float(effective), "total": total}),)
     own = resampled(weights.reshape(chains, -1), count, np.random.default_rng(pick_seed))
     index = (own + weights.size // chains * np.arange(chains)[:, None]).ravel()
+    chosen = [draws.take(index) for draws in shared]
+    through = [candidates[index] for candidates in amplitudes]
+    by_curve = [own.gap(amplitude) for own, amplitude in zip(chosen, through, strict=True)]
+    calibration = Calibration.of(known, by_curve, np.random.default_rng(known_seed))
+    scale = np.ones(index.size) if calibration is None else calibration.scale
+    if calibration is not None:
+        notes += (Reason("curve_scaled", {"scale": float(np.median(scale))}),)
+        if not calibration.agrees:
+            notes += (Reason("known_gaps_disagree"),)
     result = []
-    for curve, draws, snapshot, candidates, contradiction in zip(
-        curves, shared, snapshots, amplitudes, against, strict=True
+    for curve, own_draws, amplitude, by_own, contradiction in zip(
+        curves, chosen, through, by_curve, against, strict=True
     ):
-        chosen, amplitude = draws.take(index), candidates[index]
-        delta = chosen.gap(amplitude).reshape(chains, count)
+        delta = (scale * by_own).reshape(chains, count)
         outside = curve.outside(amplitude).reshape(chains, count)
         reasons = [Reason(CONTRADICTED)] if contradiction else []
         if not allow_extrapolation:
-            reasons += _extrapolation(curve, outside, delta, level)
+            low, high = (float(np.median(scale)) * end for end in curve.gap_range_rad)
+            reasons += _extrapolation((low, high), outside, delta, level)
         result.append(
             Gap(
                 delta,
                 (index // copies).reshape(chains, count),
                 outside,
                 amplitude.reshape(chains, count),
-                {name: rows.reshape(chains, count) for name, rows in chosen.rows.items()},
-                _budget(chosen, snapshot.amplitude_rpm),
+                {name: rows.reshape(chains, count) for name, rows in own_draws.rows.items()},
+                None if calibration is None else scale.reshape(chains, count),
+                {},
                 tuple(reasons),
                 notes,
             )
         )
-    return result
+    budgets = _budgets(chosen, [s.amplitude_rpm for s in snapshots], calibration)
+    return [replace(gap, budget=budget) for gap, budget in zip(result, budgets, strict=True)]
 
 
 def _shared_draws(
@@ -234,13 +258,13 @@ def _log(values: FloatArray) -> FloatArray:
 
 
 def _extrapolation(
-    curve: GapCurve, outside: FloatArray, delta_rad: FloatArray, level: float
+    range_rad: tuple[float, float], outside: FloatArray, delta_rad: FloatArray, level: float
 ) -> list[Reason]:
     """Why an answer beyond the curve's range is withheld, with a bound in its place."""
     share = float(np.mean(outside != 0.0))
     if share < LARGEST_SHARE_OUTSIDE:
         return []
-    low, high = curve.gap_range_rad
+    low, high = range_rad
     above = bool(np.sum(outside > 0.0) >= np.sum(outside < 0.0))
     if above:
         bound = min(float(np.quantile(delta_rad, 1.0 - level)), high)
@@ -251,24 +275,105 @@ def _extrapolation(
     return [Reason("beyond_curve", values)]
 
 
-def _budget(chosen: CurveDraws, amplitude_rpm: FloatArray) -> dict[str, float]:
-    """Variance of ln δ with one source at work at a time, as shares of their sum."""
-    curve = chosen.curve
-    middle = float(np.median(amplitude_rpm))
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What known gaps say of the scale of a joint's curves.
+
+    Attributes
+    ----------
+    scale
+        Draws of it, shape (n,).
+    weights
+        Of each snapshot's ln δ by its curve in ln scale, shape (snapshots,); 0 where none is known.
+    known_variance
+        Of ln scale by the known gaps alone.
+    agrees
+        Whether the known gaps are on one curve.
+    """
+
+    scale: FloatArray
+    weights: FloatArray
+    known_variance: float
+    agrees: bool
+
+    @classmethod
+    def of(
+        cls,
+        known: Sequence[KnownGap | None],
+        by_curve: Sequence[FloatArray],
+        generator: np.random.Generator,
+    ) -> Calibration | None:
+        """``by_curve``: draws of each snapshot's δ, (n,) each; ``None`` if nothing is known."""
+        given = {k: gap for k, gap in enumerate(known) if gap is not None}
+        if not given:
+            return None
+        relative_sd = np.array([gap.sd_rad / gap.delta_rad for gap in given.values()])
+        share = relative_sd**-2.0 / np.sum(relative_sd**-2.0)
+        noise = relative_sd[:, None] * generator.standard_normal((len(given), by_curve[0].size))
+        centre = np.log([gap.delta_rad for gap in given.values()])
+        log_scales = centre[:, None] + noise - np.log([by_curve[k] for k in given])
+        weights = np.zeros(len(by_curve))
+        weights[list(given)] = share
+        log_scale = share @ log_scales
+        departures = log_scales - log_scale
+        limit = normal_isf(0.5 * FALSE_ALARM / len(given)) * departures.std(axis=1)
+        return cls(
+            np.exp(log_scale),
+            weights,
+            float(share**2 @ relative_sd**2),
+            len(given) == 1 or bool(np.all(np.abs(departures.mean(axis=1)) <= limit)),
+        )
+
+
+def _budgets(
+    chosen: Sequence[CurveDraws],
+    amplitudes_rpm: Sequence[FloatArray],
+    calibration: Calibration | None,
+) -> list[dict[str, float]]:
+    """Of each snapshot the variance of ln δ with one source at work at a time, as shares.
+
+    Of the ln δ of all curves that go into it: its own, and through its scale those of known gaps.
+    """
+    weights = np.zeros(len(chosen)) if calibration is None else calibration.weights
+    none = np.zeros(1)
+    alone = [_one_at_a_time(*each) for each in zip(chosen, amplitudes_rpm, strict=True)]
+    budgets: list[dict[str, float]] = []
+    for k, (own, (scatter, sources)) in enumerate(zip(chosen, alone, strict=True)):
+        if not sources:
+            budgets.append({})
+            continue
+        factors = -weights
+        factors[k] += 1.0
+        acting = [(f, a) for f, a in zip(factors, alone, strict=True) if f]
+        variances = {
+            name: _variance(sum((f * logs.get(name, none) for f, (_, logs) in acting), start=none))
+            for name in sources
+        }
+        if scatter > 0.0:
+            variances["start_angle"] = sum((f * sd) ** 2 for f, (sd, _) in acting)
+        if calibration is not None:
+            variances["known_gap"] = calibration.known_variance
+        order = ["noise", "start_angle", *own.rows, "known_gap"]
+        total = sum(variances.values())
+        budgets.append({n: variances[n] / total if total else 0.0 for n in order if n in variances})
+    return budgets
+
+
+def _one_at_a_time(
+    chosen: CurveDraws, amplitude_rpm: FloatArray
+) -> tuple[float, dict[str, FloatArray]]:
+    """Standard deviation of ln δ by the start angle, and draws of ln δ by each other source."""
+    curve, middle = chosen.curve, float(np.median(amplitude_rpm))
     if middle <= 0.0:
-        return {}
+        return 0.0, {}
     slope = float(curve.log_slope(np.array(middle)))
-    variances = {"noise": _log_variance(curve.gap(amplitude_rpm.ravel()))}
-    scatter = float(curve.start_angle_sd(np.array(middle)))
-    if scatter > 0.0:
-        variances["start_angle"] = (slope * scatter) ** 2
+    alone = {"noise": curve.gap(amplitude_rpm.ravel())}
     for name, rows in chosen.rows.items():
-        alone = chosen.only(name).gap(np.full(rows.size, middle))
-        variances[name] = _log_variance(alone)
-    total = sum(variances.values())
-    return {name: value / total if total else 0.0 for name, value in variances.items()}
+        alone[name] = chosen.only(name).gap(np.full(rows.size, middle))
+    scatter = slope * float(curve.start_angle_sd(np.array(middle)))
+    return scatter, {name: _log(delta_rad) for name, delta_rad in alone.items()}
 
 
-def _log_variance(delta_rad: FloatArray) -> float:
-    positive = delta_rad[delta_rad > 0.0]
-    return float(np.var(np.log(positive))) if positive.size else 0.0
+def _variance(log_gap: FloatArray) -> float:
+    finite = log_gap[np.isfinite(log_gap)]
+    return float(np.var(finite)) if finite.size else 0.0

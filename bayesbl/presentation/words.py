@@ -30,6 +30,7 @@ _SOURCES = {
     "lack_of_fit": "lack of fit of the curve",
     "laws_and_drift": "laws that the bench may lack, and drift between snapshots",
     "bench": "tolerances of the bench",
+    "known_gap": "the known gap that scales the curve",
     "repeated_ramps": "scatter of repeated ramps",
     "held_windup": "wind-up that friction holds",
     "positions_round_the_turn": "positions around the turn",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bayesbl.config.measurement import KnownGap
 from bayesbl.curve.gap_curve import GapCurve, published_curve
 from bayesbl.errors import CurveError
 from bayesbl.measurement.gap_by_curve import MeasuredRinging, gaps
@@ -159,6 +160,33 @@ def test_what_is_wrong_with_the_curve_is_shared_and_largely_cancels_in_the_chang
     assert tight.std() < 0.2 * loose.std()
     assert np.mean(tight > 0.0) > 0.99
     assert np.mean(loose > 0.0) < 0.9
+
+
+def test_a_known_gap_calibrates_a_curve_whose_scale_is_wrong() -> None:
+    # Twice too large a curve of 30 % unknown scale; 1 % of noise, the known gap to 2 %.
+    scale = 0.3 * np.random.default_rng(4).standard_normal(3000)
+    snapshots = [measured(40.0, 0.4, 1), measured(44.0, 0.44, 2)]
+    known = [KnownGap(delta_rad=4e-4, sd_rad=8e-6), None]
+    first, last = gaps(curve(sources={"bench": scale}), snapshots, seed(), known)
+    assert np.isclose(np.median(first.curve_scale), 0.5, rtol=0.05)
+    # Its own gap is what is known of it; the other has the noise of both ringings as well.
+    for gap, delta_rad, relative_sd in ((first, 4e-4, 0.02), (last, 4.4e-4, np.sqrt(6e-4))):
+        assert np.isclose(gap.delta_rad.mean(), delta_rad, rtol=0.003)
+        assert np.isclose(np.log(gap.delta_rad).std(), relative_sd, rtol=0.05)
+        assert gap.reasons == ()
+    assert set(first.budget) == {"noise", "bench", "known_gap"}
+    assert first.budget["known_gap"] > 0.999
+    assert np.isclose(last.budget["known_gap"], 2.0 / 3.0, rtol=0.05)
+    assert last.budget["bench"] < 1e-3, "what is wrong by a factor cancels"
+
+
+@pytest.mark.parametrize(("second_rad", "agrees"), [(4.4e-4, True), (6e-4, False)])
+def test_known_gaps_have_to_be_on_one_curve(second_rad: float, agrees: bool) -> None:
+    snapshots = [measured(40.0, 0.4, 1), measured(44.0, 0.44, 2)]
+    known = [KnownGap(delta_rad=4e-4, sd_rad=8e-6), KnownGap(delta_rad=second_rad, sd_rad=9e-6)]
+    for gap in gaps(curve(), snapshots, seed(), known):
+        codes = {reason.code for reason in gap.notes}
+        assert codes == ({"curve_scaled"} if agrees else {"curve_scaled", "known_gaps_disagree"})
 
 
 def test_start_angle_scatter_belongs_to_each_snapshot_alone() -> None:
