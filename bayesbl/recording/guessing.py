@@ -121,6 +121,9 @@ _STARTS_OF_TICKS = (11644473600.0, 62135596800.0)
 
 _SHORTEST_S, _LONGEST_S = 0.5, 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
+_SWITCHED = (MOTOR_SPEED, MOTOR_POSITION, MOTOR_CURRENT, MOTOR_TORQUE, LOAD_POSITION, _LOAD_TORQUE)
+"""Channels that are measured, so never yes or no: ``torque_enabled`` is no torque."""
+
 _SIDES_ALIKE = 2.5
 """Ratio of the largest torques each way, up to which they may be ramps to and fro."""
 
@@ -230,6 +233,11 @@ class _Named:
     def stamps(self) -> FloatArray | None:
         """Seconds since the first date, where it holds dates."""
         return self.table.timestamps(self.name)
+
+    @property
+    def is_flag(self) -> bool:
+        """Whether it says no more than yes and no."""
+        return bool(np.all(np.isin(self.values, (0.0, 1.0))))
 
     @property
     def increases(self) -> bool:
@@ -618,6 +626,8 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
             continue
         if channel != TIME and rank(column)[-1] and np.all(np.diff(column.values) == 1.0):
             continue  # it counts the samples: 0, 1, 2, …
+        if channel in _SWITCHED and column.name not in exact and column.is_flag:
+            continue
         chosen.setdefault(channel, column)
     return chosen
 

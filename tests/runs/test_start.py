@@ -119,6 +119,7 @@ def test_reference_and_load_are_not_taken_for_the_motor(measured, tmp_path):
         "load_speed": speed / 120.0,
         "load_angle_rad": measured.channels["motor_position_rad"] / 120.0,
         "speed": speed,
+        "torque_enabled": (np.arange(speed.size) > 50).astype(int),
         "comment": ["ok"] * speed.size,
     }
     path = write_csv(tmp_path / "joint.csv", values)
@@ -129,7 +130,7 @@ def test_reference_and_load_are_not_taken_for_the_motor(measured, tmp_path):
         "load_position_rad": "load_angle_rad",
         "reference_speed_rpm": "speed_ref",
     }
-    assert found.unused == ("load_speed", "comment")
+    assert found.unused == ("load_speed", "torque_enabled", "comment")
 
 
 def test_what_no_name_tells_is_left_to_fill_in(measured, tmp_path, capsys):
