@@ -27,7 +27,7 @@ from bayesbl.recording.channels import (
     did_you_mean,
     or_another_name,
 )
-from bayesbl.recording.repairs import GRID_TOLERANCE, deviation_from_grid, new_values, runs
+from bayesbl.recording.repairs import HOLE, new_values, runs
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.units import RPM_PER_RAD_PER_S, accepted_units, conversion_factor
 
@@ -83,7 +83,7 @@ def ready_for_fit(recording: Recording, gear_ratio: float | None = None) -> Reco
     recording = with_speed(recording)
     require_channels(recording, [MOTOR_SPEED])
     require_sampling_rate(recording)
-    require_uniform_sampling(recording)
+    require_no_holes(recording)
     require_alive(recording, (MOTOR_SPEED,))
     if not moves(recording):
         require_alive(recording, (MOTOR_POSITION,))
@@ -174,29 +174,22 @@ def require_sampling_rate(recording: Recording) -> None:
         )
 
 
-def require_uniform_sampling(recording: Recording) -> None:
-    """Every time stamp is nearest to its own point of an even grid.
+def require_no_holes(recording: Recording) -> None:
+    """No step between two samples is longer than :data:`HOLE` times the usual one.
 
-    The tolerance, 0.45 of a sampling period, lets time stamps pass that were rounded to up to
-    0.9 of a period (0.1 ms, or 1 ms at 800 Hz), and no recording that lost a sample.
+    Shorter ones need not be even: :func:`bayesbl.recording.repairs.even` takes them as they are.
     """
-    deviation, _ = deviation_from_grid(
-        recording.time_s, np.arange(recording.samples, dtype=np.float64)
-    )
-    worst = int(np.argmax(np.abs(deviation)))
-    if abs(deviation[worst]) <= GRID_TOLERANCE:
-        return
     steps = np.diff(recording.time_s)
-    longest = int(np.argmax(steps))
-    period = recording.sampling_period_s
+    longest, usual = int(np.argmax(steps)), float(np.median(steps))
+    if steps[longest] <= HOLE * usual:
+        return
     raise RecordingError(
-        "The samples are not evenly spaced in time.",
+        "Samples are missing, and the others are not evenly spaced in time.",
         file=recording.place,
-        where=f"time_s near {recording.time_s[worst]:.6g} s",
-        found=f"a time stamp {abs(deviation[worst]) * period:.3g} s off the even grid of "
-        f"{period:.6g} s; the longest step, {steps[longest]:.3g} s, follows "
-        f"{recording.time_s[longest]:.6g} s",
-        expected=f"at most {GRID_TOLERANCE * period:.3g} s off, and no lost sample",
+        where=f"time_s near {recording.time_s[longest]:.6g} s",
+        found=f"the longest step, {steps[longest]:.3g} s, follows {recording.time_s[longest]:.6g} "
+        f"s; the usual one is {usual:.3g} s",
+        expected=f"at most {HOLE * usual:.3g} s; use the part before or after",
     )
 
 

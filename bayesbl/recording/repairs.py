@@ -279,9 +279,11 @@ def even(recording: Recording, tolerance: float, harmless_s: float = 0.0) -> Rec
     channels = {
         name: CubicSpline(recording.time_s, row)(grid) for name, row in recording.channels.items()
     }
-    return replace(
-        recording, time_s=grid, channels=channels, excluded=widened(recording.excluded, 1)
-    )
+    lost = recording.excluded
+    if lost is not None:
+        # A clock that drifts is many samples from an even grid.
+        lost = np.interp(grid, recording.time_s, lost.astype(float)) > 0.0
+    return replace(recording, time_s=grid, channels=channels, excluded=widened(lost, 1))
 
 
 def widened(excluded: BoolArray | None, samples: int) -> BoolArray | None:

@@ -350,13 +350,13 @@ REFUSED: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         "0 of 8280 samples",
         "the same times",
     ),
-    "time jitters by a period": (
+    "time jitters by three periods": (
         lambda p: write_csv(
             p / "a.csv",
             changed(plain(), time_s=np.sort(jittered(plain(), 3.0)[TIME])),
         ),
         "time_s near",
-        "off the even grid",
+        "the longest step",
         "at most",
     ),
     "time runs backwards": (
