@@ -906,8 +906,15 @@ def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
 
 
 def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
-    """With a load that its weight moves; to begin with by points that fill the space evenly."""
-    differs = np.quantile(model.residual(model.cell(0, 0.0, noise)), (0.05, 0.95))
+    """With a load that its weight moves; to begin with by points that fill the space evenly.
+
+    Weight changes the flank at the same angle both ways, as a transmission error would: h is sought
+    up to all that both of them can hold.
+    """
+    design = model.design
+    plain = design.columns(np.zeros(design.load_rad.size))[:, : design.plain]
+    rest = design.load_rad - plain @ np.linalg.lstsq(plain, design.load_rad, rcond=None)[0]
+    differs = np.quantile(rest, (0.05, 0.95))
     low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
     low[0], high[0] = (bound + np.log(0.5 * float(np.ptp(differs))) for bound in (low[0], high[0]))
     tried = []
