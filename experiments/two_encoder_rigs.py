@@ -135,6 +135,10 @@ RIGS = MappingProxyType(
             3e-3, 160, "drift", 1.2, 250, "held", period_s=6, duration_s=60, motor_counts=2**13,
             load_counts=2**20,
         ),
+        "arm over its balance": Rig(
+            0.07, 50, "sine", 1.6, 100, "pendulum", period_s=1.8, duration_s=30, skew_s=3e-3,
+            has_torque=False, stated=None,
+        ),
         "wheel": Rig(
             0.03, 5, "sine", 12.0, 200, "light", period_s=8, duration_s=60, has_torque=False
         ),

@@ -202,11 +202,8 @@ def test_a_skew_of_3_ms_of_a_large_robot_is_no_play():
     assert np.quantile(found.draws["delta_rad"], 0.95) < 5e-5
 
 
-def test_a_load_that_its_weight_moves_shows_its_play():
-    generator = np.random.default_rng(3)
-    step, half = 5e-4, 2.5e-3
-    time = np.arange(0.0, 24.0, step)
-    motor = 0.4 * np.sin(np.pi * time) + 0.6 * np.sin(0.43 * np.pi * time)
+def weighed(motor, half, step, seed):
+    """A load that its weight moves between the flanks, its reading eccentric and noisy."""
     load, at, speed = [], motor[0] - half, 0.0
     for x, taken in zip(motor, np.gradient(motor, step), strict=True):
         pull = -40.0 * np.sin(at + 0.1)
@@ -217,12 +214,33 @@ def test_a_load_that_its_weight_moves_shows_its_play():
         if abs(at - x) >= half:
             at, speed = x + np.sign(at - x) * half, taken
         load.append(at)
-    read = np.array(load)[::8] + 3e-3 * np.sin(np.array(load)[::8])
-    read += 2e-5 * generator.standard_normal(read.size)
-    found = fitted(Channels(time[::8], RATIO * motor[::8], read))
+    read = np.array(load) + 3e-3 * np.sin(load)
+    return read + 2e-5 * np.random.default_rng(seed).standard_normal(read.size)
+
+
+def test_a_load_that_its_weight_moves_shows_its_play():
+    step, half = 5e-4, 2.5e-3
+    time = np.arange(0.0, 24.0, step)
+    motor = 0.4 * np.sin(np.pi * time) + 0.6 * np.sin(0.43 * np.pi * time)
+    read = weighed(motor, half, step, 3)
+    found = fitted(Channels(time[::8], RATIO * motor[::8], read[::8]))
     low, high = bounds(found.draws["delta_rad"], 0.99)
     assert low <= half <= high
     assert np.median(found.draws["delta_rad"]) == pytest.approx(half, rel=0.05)
+    assert found.probability_of_play > 0.95
+
+
+def test_a_load_over_its_balance_hides_no_play_in_ratio_and_transmission_error():
+    """Its flank is one of the angle, the same both ways but for the friction."""
+    step, half = 5e-4, 0.035
+    time = np.arange(0.0, 20.0, step)
+    motor = 1.6 * np.sin(2.0 * np.pi * 0.55 * time)
+    late = round(3e-3 / step)
+    read = weighed(motor, half, step, 5)[:-late]
+    found = fitted(Channels(time[late::20], RATIO * motor[late::20], read[::20]), None)
+    low, high = bounds(found.draws["delta_rad"], 0.99)
+    assert low <= half <= high < 1.3 * half
+    assert np.median(found.draws["gear_ratio"]) == pytest.approx(RATIO, rel=0.01)
     assert found.probability_of_play > 0.95
 
 
