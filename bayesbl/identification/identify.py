@@ -41,21 +41,14 @@ from bayesbl.matching.alignment import (
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
+from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
-from bayesbl.matching.signals import (
-    SimulatedSignals,
-    Unknown,
-    effect_unknowns,
-    gap_unknown,
-    reference_delay_unknown,
-    start_angle_unknown,
-    tolerance_unknowns,
-)
-from bayesbl.model_search.always_in import Beside, laws, marginalised, settled
+from bayesbl.matching.signals import SimulatedSignals, Unknown
+from bayesbl.model_search.always_in import Beside, laws, settled
 from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import LEAVES_MOST, NAMED_AT, SLACK
+from bayesbl.model_search.pipeline import AveragedFit, direct_unknowns
 from bayesbl.model_search.refit import (
     SCANNED_GAPS,
     Explanation,
@@ -108,14 +101,10 @@ class Problem:
     def unknowns(self) -> list[Unknown]:
         """Gaps, start angles, delays of motions, effects of the bench file, and parameters."""
         names = [seen.name for seen in self.used]
-        gap = gap_unknown(*self.gap_rad)
-        return [
-            *([gap] if self.shares_gap else (replace(gap, recording=name) for name in names)),
-            *(start_angle_unknown(name) for name in names),
-            *(reference_delay_unknown(r.name) for r in self.used if r.motion is not None),
-            *effect_unknowns(self.bench, names),
-            *(u for u in tolerance_unknowns(self.bench) if u.name in self.parameters),
-        ]
+        moving = [seen.name for seen in self.used if seen.motion is not None]
+        known = set(self.bench.tolerances) - set(self.parameters)
+        every = direct_unknowns(self.bench, names, self.gap_rad, moving, shares_gap=self.shares_gap)
+        return [unknown for unknown in every if unknown.name not in known]
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,9 +196,6 @@ def identify(
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
     posterior = sample_direct(match.final.fit, sampler, seed, drawing, simulating)
-    for_impacts, for_laws = seed.spawn(2)
-    # As wide as impacts that are not alike ask for, and laws that nothing shows.
-    posterior = marginalised(widened(posterior, for_impacts), rest.posterior, for_laws)
     return Identification(
         match.nominal,
         match.final,
@@ -217,7 +203,7 @@ def identify(
         match.missing,
         verdict=verdict,
         check=rest.check,
-        posterior=posterior,
+        posterior=AveragedFit(rest=rest).averaged(posterior, seed),
         allows_for_misfit=not agrees(rest.check) and rest.is_useful,
     )
 

@@ -16,9 +16,9 @@ from bayesbl.matching.observed import marginalising_motor_lines, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.measurement.model_check import bench_lacks
 from bayesbl.model_search.joint_change import find_changes
+from bayesbl.model_search.pipeline import direct_unknowns
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.sentences import sentence
 

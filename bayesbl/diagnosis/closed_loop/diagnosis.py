@@ -56,17 +56,11 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.model_search.always_in import laws, marginalised
+from bayesbl.model_search.always_in import laws
 from bayesbl.model_search.catalogue import candidates
-from bayesbl.model_search.closed_loop import (
-    FittedSet,
-    Naming,
-    averaged,
-    laws_of_shaft,
-    name_missing,
-    weighed,
-)
+from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, name_missing, weighed
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
+from bayesbl.model_search.pipeline import AveragedFit
 from bayesbl.model_search.refit import Explanation, with_own_noise
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.checks import moves, require_alive, require_channels
@@ -119,14 +113,13 @@ class Findings:
         """The fit of what is named."""
         return self.chosen.explanation
 
-    def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
-        """Draws around the fit of what is named, with misfit, noise in the loop, laws that nothing
-        shows, and all other sets."""
-        for_misfit, for_others = seed.spawn(2)
-        whole = marginalised(posterior, self.chosen.posterior, for_misfit)
-        if self.learned is not None:
-            return whole
-        return averaged(whole, self.naming.others, for_others, laws(self.final.fit.model.bench))
+    @property
+    def whole(self) -> AveragedFit:
+        """The fit of what is named, with misfit, noise in the loop, laws that nothing shows, and
+        all other sets; no other of a learned torque."""
+        others = () if self.learned else self.naming.others
+        among = laws(self.final.fit.model.bench)
+        return AveragedFit(rest=self.chosen, others=others, among=among)
 
 
 def search(
@@ -263,7 +256,7 @@ def diagnosis_of(
     if not withheld:
         seed = np.random.SeedSequence(0)
         around = sampled or sample_direct(final.fit, SamplerSettings(), seed, withheld=True)
-        whole = found.averaged(around, seed)
+        whole = found.whole.averaged(around, seed)
         after, doubts = _averaged_gap(whole), [*_doubts_in_words(found, whole)]
         if sampled is not None:
             posterior = sampled = whole
