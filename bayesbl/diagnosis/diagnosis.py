@@ -19,8 +19,8 @@ from bayesbl.diagnosis.disagreement import (
     DisagreementTableSummary,
     disagreement_table,
 )
-from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.model_search.residuals import Unexplained
 from bayesbl.recording.types import FloatArray
 
 CURVE_POINTS = 181

@@ -39,9 +39,9 @@ from bayesbl.diagnosis.disagreement import (
     Use,
     disagreement_table,
 )
-from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Term, search
+from bayesbl.model_search.residuals import Unexplained, What
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.units import unit_of

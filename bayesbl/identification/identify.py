@@ -45,7 +45,7 @@ from bayesbl.matching.posterior import DirectPosterior, sample_direct
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
 from bayesbl.matching.signals import SimulatedSignals, Unknown
 from bayesbl.model_search.always_in import Beside, laws, settled
-from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
+from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import LEAVES_MOST, NAMED_AT, SLACK
 from bayesbl.model_search.pipeline import AveragedFit, direct_unknowns
@@ -59,6 +59,7 @@ from bayesbl.model_search.refit import (
     with_noise,
     with_own_noise,
 )
+from bayesbl.model_search.residuals import motor_orders
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
@@ -275,7 +276,7 @@ def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
     fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, stage)
     nominal = Explanation((), fit)
     if problem.effects not in ("catalogue", ()):
-        nominal = _with_effects(nominal, problem, order_peaks(fit))
+        nominal = _with_effects(nominal, problem, motor_orders(fit))
     fit = believed(nominal.fit)
     if fit is nominal.fit and not is_explained(nominal.fit):
         fit = in_motion(fit) or fit

@@ -30,7 +30,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside
-from bayesbl.model_search.catalogue import Candidate, order_peaks
+from bayesbl.model_search.catalogue import Candidate
 from bayesbl.model_search.constants import (
     FORM_SHARE,
     HOPEFUL_SHARE,
@@ -61,6 +61,7 @@ from bayesbl.model_search.refit import (
     refit,
     with_own_noise,
 )
+from bayesbl.model_search.residuals import motor_orders
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
@@ -273,7 +274,7 @@ class SetSearch:
         self._progress = progress
         # One noise for all sets, as the recorder's is; and its simulation is dear.
         self._noise = noise_in_loop(nominal.fit)
-        self._candidates = {c.key: c for c in candidates(order_peaks(nominal.fit))}
+        self._candidates = {c.key: c for c in candidates(motor_orders(nominal.fit))}
         self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
         # As many hypotheses as there are at the start: those found later raise no odds.
@@ -417,7 +418,7 @@ class SetSearch:
     def _find_orders(self, own: FittedSet) -> None:
         """Orders that stood behind what is in the set."""
         if own.explanation.candidates and own.explanation.keys not in self._explored:
-            late = {c.key: c for c in self._catalogue(order_peaks(own.fit))}
+            late = {c.key: c for c in self._catalogue(motor_orders(own.fit))}
             self._candidates |= {k: c for k, c in late.items() if k not in self._candidates}
 
     def _reduced(self, own: FittedSet) -> Iterator[FittedSet]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -31,7 +31,6 @@ from bayesbl.diagnosis.closed_loop.prediction import (
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, NamedEffect, ParameterError, verdict_of
 from bayesbl.diagnosis.disagreement import ComparedPiece
-from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.task import (
     USES_OF,
     Comparison,
@@ -62,6 +61,7 @@ from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, n
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
 from bayesbl.model_search.pipeline import AveragedFit
 from bayesbl.model_search.refit import Explanation, with_own_noise
+from bayesbl.model_search.residuals import ResidualAnalysis, residuals_of
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.checks import moves, require_alive, require_channels
 from bayesbl.recording.types import (
@@ -167,18 +167,18 @@ def search(
         max_effects=max_effects,
         progress=progress,
     )
-    compared = cache(_compared)
     naming, learned = missing(nominal), None
-    before = compared(naming.nominal)
+    before = residuals_of(naming.nominal.fit)
     final = naming.final
-    after = compared(final)
+    after = residuals_of(final.fit)
     if naming.effects and after.remaining and after.closes(before) < 1.0 - UNEXPLAINED_SHARE:
         # It helps a little, as a parameter may where a line in time remains: no explanation.
         nearest, final = naming.final, naming.nominal
         naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
+        after = before
     # What does not repeat with the load, a line of the motor or in time, is in no band.
     if naming.repeats or (after.remaining and not laws_of_shaft(naming.final)):
-        beside = _with_learned(naming, final, compared, missing, motor_angle_known)
+        beside = _with_learned(naming, final, after, missing, motor_angle_known)
         if beside is not None:
             naming, learned = beside
             final = learned.explanation
@@ -187,7 +187,7 @@ def search(
         weighed(final, laws(final.fit.model.bench)),
         compared_pieces(naming.nominal, final, held_out),
         before,
-        compared(final),
+        after if learned is None else residuals_of(final.fit),
         learned,
     )
 
@@ -195,7 +195,7 @@ def search(
 def _with_learned(
     naming: Naming,
     final: Explanation,
-    compared: _Compared,
+    after: ResidualAnalysis,
     missing: Callable[[SimulatedFit], Naming],
     motor_angle_known: bool,
 ) -> tuple[Naming, Learned] | None:
@@ -204,8 +204,10 @@ def _with_learned(
     Where nothing explains, it is sought around the nearest explanation too: the gap of the nominal
     bench may be too far off.
     """
-    near = () if naming.nearest is None else (with_own_noise(naming.nearest),)
-    around = [(explanation, compared(explanation).remaining) for explanation in (final, *near)]
+    around = [(final, after.remaining)]
+    if naming.nearest is not None:
+        near = with_own_noise(naming.nearest)
+        around.append((near, residuals_of(near.fit).remaining))
     learned = learned_term(final, around, motor_angle_known)
     if learned is None:
         return None
@@ -216,18 +218,6 @@ def _with_learned(
             learned = replace(learned, explanation=beside.final)
             return replace(beside, nominal=naming.nominal), learned
     return replace(naming, final=learned.explanation), learned
-
-
-_Compared = Callable[[Explanation], ResidualAnalysis]
-
-
-def _compared(explanation: Explanation) -> ResidualAnalysis:
-    fit = explanation.fit
-    used = fit.model.recordings
-    own = [fit.model.signals(fit.point, i)[0] for i in range(len(used))]
-    # Bridged samples hold nothing that repeats.
-    seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
-    return analyse_residuals(seen, own)
 
 
 def diagnosis_of(

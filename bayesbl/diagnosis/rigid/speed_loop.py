@@ -37,7 +37,6 @@ from bayesbl.diagnosis.inference import (
     bounded_least_squares,
     compared_pieces,
 )
-from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, clearest, spectrum_of
 from bayesbl.diagnosis.task import (
@@ -54,6 +53,7 @@ from bayesbl.diagnosis.task import (
 )
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, MisfitBand, Term, search
+from bayesbl.model_search.residuals import Unexplained
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import is_one_speed, require_channels
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, BoolArray, ComplexArray, FloatArray
