@@ -19,12 +19,7 @@ from bayesbl.measurement.joint_check import (
     joint_check,
 )
 from bayesbl.model_search.always_in import CHANGED_TOGETHER
-from bayesbl.model_search.joint_change import (
-    FRICTION,
-    MOTOR_FRICTION,
-    ChangedParameter,
-    JointFindings,
-)
+from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
 from bayesbl.recording.types import FloatArray
 
 
@@ -85,8 +80,6 @@ def _alike(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[st
     """What the recordings cannot tell from what changed."""
     freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
     freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
-    if freed >= set(FRICTION[:2]):
-        freed |= {MOTOR_FRICTION, *FRICTION}
     return [name for name in found.could_be if name not in freed]
 
 

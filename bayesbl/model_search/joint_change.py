@@ -36,15 +36,6 @@ from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
-FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "friction_asymmetry")
-"""What cold grease changes at once; a recording at one speed and direction hardly tells it apart.
-
-The first two stand for it there. One of them alone would be found too large or too small, and the
-gap be wrong by what the rest of it does. Without the current a constant torque does not show.
-"""
-
-MOTOR_FRICTION = "motor_friction"
-
 OWN_EFFECT_SHARE = 0.3
 """Of what an effect of the bench is: usual size by which it is more or less."""
 
@@ -418,13 +409,8 @@ def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParam
     return ChangedParameter(name, one, float(values[1][0]), float(values[0][0]), sd)
 
 
-def _candidates(
-    fit: SimulatedFit, peaks: Sequence[float], *, one_by_one: bool = False
-) -> list[Candidate]:
-    """All that may differ from the bench, in all recordings together and in each alone.
-
-    ``one_by_one``: without what one cause changes together.
-    """
+def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
+    """All that may differ from the bench, in all recordings together and in each alone."""
     model = fit.model
     bench, recordings = model.bench, model.recordings
     # A parameter of zero changes by no factor: an axis without gravity keeps none.
@@ -443,31 +429,8 @@ def _candidates(
     if len(recordings) == 1:
         return everywhere
     own = {unknown.key for unknown in model.unknowns}
-    at_one_speed = every if one_by_one else _with_friction_together(every)
-    within = [
-        c.within(seen.name)
-        for seen in recordings
-        for c in (at_one_speed if seen.motion is None and len(seen.signals) > 1 else every)
-    ]
-    return [
-        *everywhere,
-        *(c for c in within if not own & c.unknown_keys),
-    ]
-
-
-def _with_friction_together(every: Sequence[Candidate]) -> list[Candidate]:
-    """The same, with one candidate for all that friction may do in one recording."""
-    parts = [c for name in FRICTION[:2] for c in every if c.name == name]
-    if len(parts) < 2:
-        return list(every)
-    together = Candidate(
-        MOTOR_FRICTION,
-        "parameter",
-        tuple(u for c in parts for u in c.unknowns),
-        np.concatenate([c.neutral for c in parts]),
-        usual=np.concatenate([c.usual for c in parts]),
-    )
-    return [*(c for c in every if c.name not in FRICTION), together]
+    within = [c.within(seen.name) for seen in recordings for c in every]
+    return [*everywhere, *(c for c in within if not own & c.unknown_keys)]
 
 
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
@@ -531,7 +494,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
     # That something was changed by people is only a small probability.
     marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
-    for candidate in _candidates(fit, [1.0], one_by_one=True):
+    for candidate in _candidates(fit, [1.0]):
         if candidate.recording != last or len(candidate.amplitudes) != 1:
             continue
         if marginalised & {u.name for u in candidate.unknowns}:
