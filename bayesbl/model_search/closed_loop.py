@@ -75,15 +75,6 @@ MOST_FITS = 16
 MOST_ROUNDS = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shape:
-    """A term's candidate, the coordinates it starts from, and the units of its columns, (k,)."""
-
-    candidate: Candidate
-    start: FloatArray
-    usual: FloatArray
-
-
 @dataclass(eq=False)
 class FittedSet:
     """A set of hypotheses at its fit.
@@ -386,7 +377,7 @@ class SetSearch:
         if rest.explains:
             return rest
         explanation = explanation.with_derivatives()
-        view, _ = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation, self._open(explanation))
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
@@ -447,7 +438,7 @@ class SetSearch:
         if is_known:
             self._explored.add(keys)
         explanation = base.explanation.with_derivatives()
-        view, shapes = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation, self._open(explanation))
         offset = base.log_evidence - base.posterior.log_evidence
         labels = {c.label for c in self._candidates.values()}
         posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
@@ -464,17 +455,13 @@ class SetSearch:
         ]
         tried: set[frozenset[tuple[str, float | None]]] = set()
         for terms in (*contend, *pairs[:1]):
-            added = [shapes[i] for i in terms]
-            whole = keys | {shape.candidate.key for shape in added}
+            added = [view.terms[i].source for i in terms]
+            whole = keys | {candidate.key for candidate, _ in added}
             if whole in self._sets or whole in tried or len(tried) >= CONTENDERS + len(terms) - 1:
                 continue
             tried.add(whole)
             sizes, shift = posterior.mean_of(terms)
-            starts, begin = [], 0
-            for shape in added:
-                own = sizes[begin : begin + shape.usual.size] * shape.usual
-                begin += shape.usual.size
-                starts.append((shape.candidate, promised(shape.candidate, shape.start, own)))
+            starts = [(c, promised(c, at, own)) for (c, at), own in zip(added, sizes, strict=True)]
             fitted = refit(explanation, starts, shift)
             if fitted is not None:
                 self._add(fitted, base)
@@ -513,12 +500,9 @@ class SetSearch:
         own.log_evidence += log_odds(self._probability) * len(explanation.candidates)
         return own
 
-    def _linearised(
-        self, explanation: Explanation, candidates: Sequence[Candidate]
-    ) -> tuple[Linearised, list[_Shape]]:
-        """The view at a fit, with candidates as terms, each with what they are."""
+    def _linearised(self, explanation: Explanation, candidates: Sequence[Candidate]) -> Linearised:
+        """The view at a fit: terms of candidates, each from one of its starts."""
         terms: list[Term] = []
-        shapes: list[_Shape] = []
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
         for candidate in candidates:
             starts = (candidate.neutral, *candidate.starts)
@@ -527,18 +511,19 @@ class SetSearch:
                 if not columns:
                     continue
                 usual = np.resize(candidate.usual[candidate.amplitudes], len(columns))
-                shapes.append(_Shape(candidate, start, usual))
                 terms.append(
                     Term(
                         candidate.label,
                         np.stack(columns, axis=1) * usual,
                         positive=candidate.is_positive and len(columns) == 1,
                         excludes=self._excluded(candidate),
+                        unit=usual,
+                        source=(candidate, start),
                     )
                 )
         looks = Counter(term.hypothesis for term in terms)
         terms = [replace(term, prior_weight=1.0 / looks[term.hypothesis]) for term in terms]
-        return linearised(explanation, terms, self._among, self._noise), shapes
+        return linearised(explanation, terms, self._among, self._noise)
 
     def _columns(
         self,

@@ -285,7 +285,8 @@ def _promise(
         return None
     one = variants[found[0]]
     sizes = np.zeros((len(owners), 2 * one.orders + 1))
-    sizes[:, one.free] = posterior.mean_of(found)[0].reshape(len(owners), -1)
+    ((mean,), _) = posterior.mean_of(found)
+    sizes[:, one.free] = mean.reshape(len(owners), -1)
     evidence = posterior.log_evidence + math.log(posterior.sets[found])
     return evidence, one, sizes * one.usual
 
