@@ -170,7 +170,7 @@ def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
     codes = chain([diagnostics.code], repeat("sampling"))
     failed = zip(codes, diagnostics.failures, strict=False)
     told = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
-    return [Reason.of_text(code, text) for code, text in told]
+    return [Reason(code, {"flaw": flaw.code, **flaw.values}) for code, flaw in told]
 
 
 def outcome_of(reasons: Iterable[Reason]) -> Outcome:

@@ -73,7 +73,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.sentences import tolerance_decides
+from bayesbl.sentences import flaws_in_words, tolerance_decides
 from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
@@ -483,7 +483,7 @@ def _counted_twice(bench: Bench, recordings: Sequence[Recording]) -> Iterator[st
 def _notes_on(posterior: DirectPosterior) -> Iterator[str]:
     if posterior.diagnostics.outcome == "withheld":
         yield "The posterior could not be sampled; intervals are of its normal approximation."
-    yield from posterior.diagnostics.reasons
+    yield from flaws_in_words(posterior.diagnostics.reasons)
 
 
 def _channels(task: Task) -> tuple[str, ...]:
