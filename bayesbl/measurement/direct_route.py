@@ -31,7 +31,13 @@ from bayesbl.matching.signals import GAP, REFERENCE_DELAY, SMALLEST_GAP_RAD, STA
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with
 from bayesbl.measurement.expected_width import expected_sds
-from bayesbl.measurement.joint_check import JointCheck
+from bayesbl.measurement.joint_check import (
+    CheckItem,
+    JointCheck,
+    blind_spot,
+    check_item,
+    joint_check,
+)
 from bayesbl.measurement.measurement import (
     Answer,
     ExpectedSd,
@@ -44,7 +50,6 @@ from bayesbl.measurement.measurement import (
     sampling_reasons,
     upper_bound,
 )
-from bayesbl.measurement.model_check import bench_lacks, check_of_comparison, check_of_snapshot
 from bayesbl.measurement.motion_verdict import (
     excluded_ends,
     motion_notes,
@@ -52,8 +57,13 @@ from bayesbl.measurement.motion_verdict import (
     unseen_gap,
 )
 from bayesbl.measurement.summary_types import PredictiveCheckEntry
-from bayesbl.model_search.always_in import directions, edge_variances, with_friction
-from bayesbl.model_search.joint_change import JointFindings
+from bayesbl.model_search.always_in import (
+    CHANGED_TOGETHER,
+    directions,
+    edge_variances,
+    with_friction,
+)
+from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.progress import StageProgress, of_stage
@@ -409,6 +419,89 @@ def _numbers(
             "compared_from_s": float(motion["compared_from_s"]),
         }
     return found
+
+
+# What is said of the joint: items, findings, blind spots.
+
+
+def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
+    """One recording against its bench."""
+    own = [c for c in found.changed if c.recording in (None, recording)]
+    allowed = [c for c in found.allowed if c.recording in (None, recording)]
+    return joint_check(
+        found.explained and not own,
+        [_check_item(c) for c in (*own, *allowed)],
+        found.could_be if own else (),
+    )
+
+
+def check_of_comparison(
+    found: JointFindings, change_rad: FloatArray, level: float, *, is_given: bool
+) -> JointCheck:
+    """The recordings against one another, with what none of them would show.
+
+    ``change_rad``: draws of the change of δ from the first to the last; ``is_given``: it is not
+    withheld.
+    """
+    between = found.between
+    findings = [{"code": "parameter_changed", **_change_values(c)} for c in between]
+    if between:
+        alike = {"code": "would_look_the_same", "names": _alike(found, between)}
+        given = {"code": "change_allows_for_it"}
+        findings[-1]["also"] = [alike] * bool(alike["names"]) + [given] * is_given
+    return joint_check(
+        found.explained and not between,
+        [_check_item(c) for c in between],
+        found.could_be if between else (),
+        findings,
+        [
+            blind_spot(
+                "parameter_unseen",
+                spot.error_rad,
+                name=spot.name,
+                size=spot.size,
+                expected=spot.expected,
+                unit=spot.unit,
+            )
+            for spot in found.blind_spots
+            if spot.error_rad > MATTERS * _width(change_rad, level)
+        ],
+    )
+
+
+def bench_lacks(found: JointFindings) -> dict[str, Any]:
+    """What no recording has as the bench has it, for its sentence; empty where all is as it has."""
+    changed = found.beyond_bench
+    if not changed:
+        return {}
+    return {"parameters": [_change_values(c) for c in changed], "alike": _alike(found, changed)}
+
+
+def _alike(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
+    """What the recordings cannot tell from what changed."""
+    freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
+    freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
+    return [name for name in found.could_be if name not in freed]
+
+
+def _check_item(changed: ChangedParameter) -> CheckItem:
+    z = (changed.estimate - changed.expected) / changed.sd if changed.sd > 0.0 else 0.0
+    return check_item(changed.name, changed.estimate, changed.expected, changed.unit, z)
+
+
+def _change_values(changed: ChangedParameter) -> dict[str, Any]:
+    return {
+        "name": changed.name,
+        "measured": changed.estimate,
+        "expected": changed.expected,
+        "unit": changed.unit,
+        "recording": changed.recording,
+    }
+
+
+def _width(draws_rad: FloatArray, level: float) -> float:
+    low, high = np.quantile(draws_rad, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return float(high - low)
 
 
 def prepare(config: SnapshotConfig) -> DirectMeasurer:

@@ -16,7 +16,7 @@ from bayesbl.matching.observed import marginalising_motor_lines, observed
 from bayesbl.matching.posterior import sample_direct
 from bayesbl.matching.predictive_check import is_explained
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.model_check import bench_lacks
+from bayesbl.measurement.direct_route import bench_lacks
 from bayesbl.model_search.joint_change import find_changes
 from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.sampling.chains import SamplerSettings
