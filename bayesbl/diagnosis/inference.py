@@ -634,8 +634,8 @@ class Inference:
     @cached_property
     def sure(self) -> tuple[tuple[str, ...], ...]:
         """Candidates that are there almost surely, alone or one of several, in catalogue order."""
-        sets = [*((label,) for label in self.posterior.named), *self.posterior.confounded]
-        return tuple(tuple(n for n in self.labels if n in members) for members in sets)
+        sure = self.posterior.sure
+        return tuple(tuple(n for n in self.labels if n in members) for members in sure)
 
     def lookalikes(self, label: str) -> Iterator[str]:
         """Candidates that differ from one by nothing in these recordings but nuisances."""

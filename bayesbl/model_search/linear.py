@@ -720,6 +720,11 @@ class ModelPosterior:
         sets = {terms: (self.labels(terms), p) for terms, p in self.sets.items()}
         return confounded(list(sets.values()), self.named)
 
+    @property
+    def sure(self) -> tuple[tuple[str, ...], ...]:
+        """Hypotheses that are there almost surely, each alone or one of several."""
+        return (*((label,) for label in self.named), *self.confounded)
+
     def mean_of(self, terms: tuple[int, ...]) -> tuple[list[FloatArray], FloatArray]:
         """Most probable sizes of each term of a set, in its unit, (k,), and the shift of u with
         them, (d,); at the scales of the most probable model, where the set has none."""

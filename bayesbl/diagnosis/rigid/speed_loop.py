@@ -627,9 +627,8 @@ class LoopSearch:
     @cached_property
     def sure(self) -> list[list[Hypothesis]]:
         """Hypotheses that are there almost surely, alone or one of several."""
-        sets = [*([label] for label in self.posterior.named), *self.posterior.confounded]
-        terms = self.posterior.linearised.terms
-        found = [[terms[self.posterior.likeliest(n)].source for n in own] for own in sets]
+        posterior, terms = self.posterior, self.posterior.linearised.terms
+        found = [[terms[posterior.likeliest(n)].source for n in own] for own in posterior.sure]
         apart = [[h for h in members if h.part != BOTH] for members in found]
         return [members for members in apart if members]
 
