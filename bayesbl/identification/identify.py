@@ -41,7 +41,7 @@ from bayesbl.matching.alignment import (
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.posterior import DirectPosterior, sample_direct
+from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
 from bayesbl.matching.signals import SimulatedSignals, Unknown
 from bayesbl.model_search.always_in import Beside, laws, settled
@@ -196,7 +196,6 @@ def identify(
     if match.missing:
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
-    posterior = sample_direct(match.final.fit, sampler, seed, drawing, simulating)
     return Identification(
         match.nominal,
         match.final,
@@ -204,7 +203,7 @@ def identify(
         match.missing,
         verdict=verdict,
         check=rest.check,
-        posterior=AveragedFit(rest=rest).averaged(posterior, seed),
+        posterior=AveragedFit(rest=rest).sampled(sampler, seed, drawing, simulating),
         allows_for_misfit=not agrees(rest.check) and rest.is_useful,
     )
 

@@ -25,7 +25,7 @@ from bayesbl.errors import RecordingError
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
 from bayesbl.matching.observed import Observed, observed
-from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct
+from bayesbl.matching.posterior import MATTERS, DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, standing_out
 from bayesbl.matching.signals import GAP, REFERENCE_DELAY, SMALLEST_GAP_RAD, START_ANGLE, Unknown
 from bayesbl.measurement import shared_groups as shared
@@ -309,9 +309,7 @@ def fit_directly(
     simulating = of_stage(progress, f"Simulating draws of {name}")
     allows = whole.allows_for_misfit
     withheld = not (whole.joint.explained or allows)
-    posterior = sample_direct(whole.rest.fit, sampler, seed, report, simulating, withheld=withheld)
-    if not withheld:
-        posterior = whole.averaged(posterior, seed)
+    posterior = whole.sampled(sampler, seed, report, simulating, withheld=withheld)
     return DirectMatch(posterior, whole.rest.check, whole.joint, allows)
 
 

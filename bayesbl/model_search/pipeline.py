@@ -26,7 +26,7 @@ import numpy as np
 from bayesbl.bench.bench import Bench
 from bayesbl.matching.alignment import believed, fit_aligned
 from bayesbl.matching.observed import Observed, marginalising_motor_lines
-from bayesbl.matching.posterior import DirectPosterior, widened
+from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
 from bayesbl.matching.signals import (
     Unknown,
     effect_unknowns,
@@ -53,7 +53,8 @@ from bayesbl.model_search.joint_change import (
     find_changes,
     with_part,
 )
-from bayesbl.progress import StageProgress, of_stage
+from bayesbl.progress import Progress, StageProgress, of_stage, silent
+from bayesbl.sampling.chains import SamplerSettings
 
 FRICTION = (
     "motor_viscous_friction",
@@ -126,6 +127,20 @@ class AveragedFit:
     rest: Beside | FittedSet
     others: Sequence[tuple[FittedSet, float]] = ()
     among: Sequence[Direction] = ()
+
+    def sampled(
+        self,
+        settings: SamplerSettings,
+        seed: np.random.SeedSequence,
+        drawing: Progress = silent,
+        simulating: Progress = silent,
+        *,
+        withheld: bool = False,
+    ) -> DirectPosterior:
+        """As :func:`sample_direct` draws of the fit, and averaged unless ``withheld``."""
+        fit = self.rest.fit
+        posterior = sample_direct(fit, settings, seed, drawing, simulating, withheld=withheld)
+        return posterior if withheld else self.averaged(posterior, seed)
 
     def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
         """Draws of the fit with impacts that differ, laws, drift, and all that the bench may
