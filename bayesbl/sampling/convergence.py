@@ -45,7 +45,7 @@ OTHER_ANSWER_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Flaw:
-    """What speaks against draws, for :mod:`bayesbl.sentences` to say.
+    """What speaks against draws, or an answer, for :mod:`bayesbl.sentences` to say.
 
     Attributes
     ----------
