@@ -7,11 +7,20 @@ reads a sentence back.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from string import Formatter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from bayesbl.errors import NoFlankChange
 from bayesbl.units import number
+
+if TYPE_CHECKING:
+    from bayesbl.sampling.convergence import Flaw
+
+FEW_WEIGH = (
+    "Only {effective:.0f} of {draws} draws carry the weight after full simulation ({needed:.0f} "
+    "are needed): "
+)
 
 UNLESS_REPAIRED = (
     "If the joint was repaired, mark the first recording after the repair (repaired = true). If "
@@ -69,6 +78,16 @@ def with_sentences(summary: Any) -> Any:
             whole["text"] = sentence(summary)
         return whole
     return [with_sentences(item) for item in summary] if isinstance(summary, list) else summary
+
+
+def of_flaw(flaw: str, **values: Any) -> str:
+    """What speaks against draws, or is to be known of them."""
+    return sentence({"code": flaw, **values})
+
+
+def flaws_in_words(flaws: Iterable[Flaw]) -> list[str]:
+    """A sentence for each."""
+    return [of_flaw(flaw.code, **flaw.values) for flaw in flaws]
 
 
 def beyond_curve(
@@ -546,6 +565,64 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "interval is somewhat too narrow. Measure later recordings with that bench."
     ),
     "tolerance_decides": tolerance_decides,
+    # Of draws.
+    "sampling": of_flaw,
+    "sampling_doubt": of_flaw,
+    NoFlankChange.code: of_flaw,
+    "ringing_weak": (
+        "The impact ringing is too weak: its amplitude is {deviations:.1f} standard deviations "
+        "above zero ({needed:.0f} are needed). Record more rotations, or with less noise. Where "
+        "the load stays on one tooth flank (a vertical axis, a balanced arm, a load to one side) "
+        f"no impact will show: take {NoFlankChange.MOTION}."
+    ),
+    "ensembles_disagree": lambda symbol, r_hat, needed: (
+        f"The ensembles disagree: R̂ of {symbol} is {math.nan if r_hat is None else r_hat:.3f} "
+        f"(below {needed} is needed); the posterior may have several modes or an ensemble may be "
+        "stuck."
+    ),
+    "ensembles_differ": "R̂ of {symbol} is {r_hat:.3f} (below {good} is good).",
+    "ensemble_stuck": (
+        "Ensemble {number} of {ensembles} is stuck: it accepted {share:.1%} of its proposals (at "
+        "least {needed:.0%} is needed)."
+    ),
+    "walker_stuck": "A walker never moved: it is stuck, and its ensemble cannot be trusted.",
+    "chain_short": (
+        "The chain is short: {steps} steps for an autocorrelation time of "
+        "{autocorrelation_steps:.0f} (more than {needed:.0f} times that is needed); raise "
+        "[posterior] max_steps."
+    ),
+    "few_effective": "Only {draws:.0f} effective draws of {symbol}.",
+    "bounds_moved": "The interval's bounds still moved at the last check.",
+    "draws_at_bound": (
+        "{share:.0%} of the draws of {symbol} lie at a bound of its range: the range, not the "
+        "recording, decides there."
+    ),
+    "other_optimum": (
+        "The posterior has several modes: another optimum, A = {amplitude_rpm:.3g} rpm, explains "
+        "the recording nearly as well (probability {share:.0%} against the chosen one). Record "
+        "more rotations, or use a curve swept for this bench, which can tell them apart."
+    ),
+    "other_shape": (
+        f"{FEW_WEIGH}the surrogate does not have the shape of the posterior. Narrow the bench's "
+        "tolerances, or find them from recordings (bayesbl identify)."
+    ),
+    "ticks_decide": (
+        f"{FEW_WEIGH}period or delay of the drive's controller are not known, and the signals "
+        "change with them from tick to tick. State period_s and delay_periods of sampled_control "
+        "under [[effects]] without sd, as the drive's manual has them; a dead time of bus or "
+        "torque filter adds to delay_periods."
+    ),
+    "simulations_failed": (
+        "{share:.0%} of the simulations near the optimum failed: the bench cannot run there."
+    ),
+    "at_edge": (
+        "The recordings put {name} at the {side} edge of its tolerance or beyond ({low:.4g} to "
+        "{high:.4g})."
+    ),
+    "gap_at_bound": (
+        "The posterior of δ lies at the {side} bound of its range ({low:.3g} to {high:.3g} rad): "
+        "the range, not the recording, decides. Widen [estimator] gap_rad, or correct the bench."
+    ),
     # Of a motion.
     "gap_unseen": gap_unseen,
     "start_unknown": (

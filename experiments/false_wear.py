@@ -36,9 +36,14 @@ from bayesbl.config.bench import load_bench
 from bayesbl.curve.gap_curve import GapCurve
 from bayesbl.matching.observed import observed
 from bayesbl.measurement.curves import read_curve
-from bayesbl.measurement.direct_route import NO_DRIFT, DirectMatch, direct_reasons, fit_directly
+from bayesbl.measurement.direct_route import (
+    NO_DRIFT,
+    DirectMatch,
+    check_of_comparison,
+    direct_reasons,
+    fit_directly,
+)
 from bayesbl.measurement.measurement import outcome_of
-from bayesbl.measurement.model_check import check_of_comparison
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.sampling.chains import SamplerSettings
 

@@ -26,7 +26,7 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import observed
 from bayesbl.matching.planning import GAPS_TRIED, PlannedMotion, Strokes, ranked_motions
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import direct_unknowns
+from bayesbl.model_search.pipeline import direct_unknowns
 
 RANGE_RAD = (1e-4, 1e-2)
 SAMPLING_HZ = 1000.0

@@ -39,9 +39,10 @@ from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.posterior import TAILS
 from bayesbl.matching.predictive_check import agrees
 from bayesbl.matching.signals import GAP, START_ANGLE, SimulatedSignals
-from bayesbl.measurement.direct_route import NO_DRIFT, direct_unknowns
+from bayesbl.measurement.direct_route import NO_DRIFT
 from bayesbl.model_search.always_in import beside, directions, settled
 from bayesbl.model_search.joint_change import find_changes
+from bayesbl.model_search.pipeline import direct_unknowns
 from bayesbl.probabilities import normal_isf
 from bayesbl.recording.types import FloatArray
 
@@ -149,7 +150,7 @@ def _answered(
     truth: Mapping[str, FloatArray],
     rng: np.random.Generator,
 ) -> dict[str, float]:
-    """One way to answer: what :func:`bayesbl.measurement.direct_route.fit_jointly` does."""
+    """One way to answer: what :func:`bayesbl.model_search.pipeline.fit_jointly` does."""
     unknowns = direct_unknowns(bench, SNAPSHOTS, GAP_RANGE_RAD)
     point = [
         joint.value(u.name) if u.recording is None else truth[u.name][SNAPSHOTS.index(u.recording)]

@@ -1,6 +1,6 @@
 """The answer of a diagnosis, whatever the method: verdict, named effects, model error.
 
-Every method of :mod:`bayesbl.diagnosis.methods` returns a :class:`Diagnosis`; what is stored,
+Every method of :data:`bayesbl.runs.diagnose.METHODS` returns a :class:`Diagnosis`; what is stored,
 summarised and drawn depends on what one holds, never on the method that made it.
 """
 
@@ -19,8 +19,8 @@ from bayesbl.diagnosis.disagreement import (
     DisagreementTableSummary,
     disagreement_table,
 )
-from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.matching.posterior import DirectPosterior
+from bayesbl.model_search.residuals import Unexplained
 from bayesbl.recording.types import FloatArray
 
 CURVE_POINTS = 181

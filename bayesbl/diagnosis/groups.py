@@ -33,6 +33,7 @@ from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import Interval, IntervalKind, interval
 from bayesbl.results.store import Head, head
 from bayesbl.results.variables import Group, Variable, columns, dataset, padded, table
+from bayesbl.sentences import flaws_in_words
 from bayesbl.units import unit_of
 
 
@@ -238,7 +239,7 @@ def sampling_summary(posterior: DirectPosterior) -> SamplingSummary:
         "ess_bulk": min(diagnostics.ess_bulk.values()),
         "effective_after_simulation": posterior.effective,
         "outcome": diagnostics.outcome,
-        "reasons": list(diagnostics.reasons),
+        "reasons": flaws_in_words(diagnostics.reasons),
     }
 
 

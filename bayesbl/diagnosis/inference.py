@@ -39,9 +39,9 @@ from bayesbl.diagnosis.disagreement import (
     Use,
     disagreement_table,
 )
-from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, LEARNED_SHARE, NAMED_AT
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, Term, search
+from bayesbl.model_search.residuals import Unexplained, What
 from bayesbl.progress import StageProgress
 from bayesbl.recording.types import BoolArray, FloatArray
 from bayesbl.units import unit_of
@@ -473,15 +473,6 @@ class View(Protocol):
         """Whether a name says something of the joint."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Placed:
-    """A term of the search: a look of a candidate; ``unit``: what one usual size is, (k,)."""
-
-    candidate: Candidate
-    look: Look
-    unit: FloatArray
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
     """Of the nuisances (d,); of terms, in the catalogue's units, and of groups, by their places
@@ -520,8 +511,7 @@ class Inference:
         pieces = [piece for piece in rows.pieces if piece.use == "used"]
         lengths = [piece.kept(piece.time_s).size for piece in pieces]
         self._ends = np.cumsum(lengths)[:-1]
-        self.terms: list[_Placed] = []
-        blocks: list[FloatArray] = []
+        terms: list[Term] = []
         for candidate in model.candidates:
             for look in candidate.looks:
                 block = model.columns(candidate, look)[used]
@@ -531,14 +521,24 @@ class Inference:
                     continue  # these recordings do not show it
                 usual = candidate.usual * self._level / np.where(size > 0.0, size, 1.0)
                 unit = np.where(size > 0.0, usual if look.size is None else look.size, 0.0)
-                self.terms.append(_Placed(candidate, look, unit))
-                blocks.append(block * unit)
+                terms.append(
+                    Term(
+                        candidate.label,
+                        block * unit,
+                        candidate.not_negative and unit.size == 1,
+                        prior_weight=look.weight,
+                        excludes=candidate.excludes,
+                        requires=candidate.requires,
+                        unit=unit,
+                        source=(candidate, look),
+                    )
+                )
         every = [np.zeros((rows.measured.size, 0)), *(d.columns for d in model.discrepancies)]
         self._discrepancy = np.hstack(every)[used]
         ends = np.cumsum([columns.shape[1] for columns in every]).tolist()
         self.groups = [slice(*pair) for pair in pairwise(ends)]
         if noises is None:
-            noises = self._noise_beside_everything(blocks)
+            noises = self._noise_beside_everything([term.columns for term in terms])
         self.noises = tuple(noises)
         shown = [piece.shown for piece in pieces]
         pairs = list(zip(noises, shown, strict=True))
@@ -550,7 +550,7 @@ class Inference:
         even = np.repeat([strongest[alike] for alike in shown], lengths)
         self.sizes = np.maximum(np.concatenate([noise.local for noise in noises]), even)
         self._burst = self.sizes / even
-        self._search(blocks)
+        self._search(terms)
 
     @cached_property
     def _rounding(self) -> float:
@@ -584,24 +584,20 @@ class Inference:
             variance = float(left @ left) / freedom
         return [ResidualNoise.of(part) for part in np.split(left, self._ends)]
 
-    def _search(self, blocks: list[FloatArray]) -> None:
+    def _search(self, terms: list[Term]) -> None:
         def counted(rows: FloatArray) -> FloatArray:
             return np.asarray((rows.T / self.sizes).T)
 
         jacobian, discrepancy = counted(self._nuisances), counted(self._discrepancy)
         residual, d = counted(self._target), jacobian.shape[1]
-        one_more = EXPECTED_HYPOTHESES / max(1, len({p.candidate.label for p in self.terms}))
+        one_more = EXPECTED_HYPOTHESES / max(1, len({term.hypothesis for term in terms}))
+        weights = [
+            term.prior_weight * (one_more if term.source[0].holds_another else 1.0)
+            for term in terms
+        ]
         terms = [
-            Term(
-                placed.candidate.label,
-                counted(block),
-                placed.candidate.not_negative and placed.unit.size == 1,
-                prior_weight=placed.look.weight
-                * (one_more if placed.candidate.holds_another else 1.0),
-                excludes=placed.candidate.excludes,
-                requires=placed.candidate.requires,
-            )
-            for placed, block in zip(self.terms, blocks, strict=True)
+            replace(term, columns=counted(term.columns), prior_weight=weight)
+            for term, weight in zip(terms, weights, strict=True)
         ]
         kinds = [d.kind for d in self.model.discrepancies]
         usual = DISCREPANCY_SHARE * self._level / self._shown_size
@@ -625,16 +621,21 @@ class Inference:
 
     # What is asked of it
 
+    @property
+    def terms(self) -> Sequence[Term]:
+        """Each of one look of a candidate: these two are its source."""
+        return self.posterior.linearised.terms
+
     @cached_property
     def labels(self) -> Mapping[str, Candidate]:
         """Candidates that show."""
-        return {placed.candidate.label: placed.candidate for placed in self.terms}
+        return {term.hypothesis: term.source[0] for term in self.terms}
 
     @cached_property
     def sure(self) -> tuple[tuple[str, ...], ...]:
         """Candidates that are there almost surely, alone or one of several, in catalogue order."""
-        sets = [*((label,) for label in self.posterior.named), *self.posterior.confounded]
-        return tuple(tuple(n for n in self.labels if n in members) for members in sets)
+        sure = self.posterior.sure
+        return tuple(tuple(n for n in self.labels if n in members) for members in sure)
 
     def lookalikes(self, label: str) -> Iterator[str]:
         """Candidates that differ from one by nothing in these recordings but nuisances."""
@@ -643,11 +644,11 @@ class Inference:
             0
         ]
         own: dict[str, list[FloatArray]] = {}
-        for placed, term in zip(self.terms, view.terms, strict=True):
+        for term in view.terms:
             if term.columns.shape[1] == 1:
                 apart = term.columns[:, 0] - basis @ (basis.T @ term.columns[:, 0])
                 apart = apart / max(float(np.linalg.norm(apart)), _TINY)
-                own.setdefault(placed.candidate.label, []).append(apart)
+                own.setdefault(term.hypothesis, []).append(apart)
         for other in own:
             pairs = ((a, b) for a in own.get(label, []) for b in own[other])
             if other != label and any(abs(float(a @ b)) > COLLINEAR for a, b in pairs):
@@ -657,19 +658,19 @@ class Inference:
         """Parameters of a candidate where it is there: linear ones and shapes, averaged."""
         candidate = self.labels[label]
         parts: dict[str, list[tuple[FloatArray, FloatArray, FloatArray]]] = {}
-        for k, placed in enumerate(self.terms):
-            if placed.candidate.label != label or k not in self.posterior.sizes:
+        for k, term in enumerate(self.terms):
+            if term.hypothesis != label or k not in self.posterior.sizes:
                 continue
             weight, mean, covariance = self.posterior.sizes[k]
-            mean = mean * placed.unit
-            covariance = covariance * np.outer(placed.unit, placed.unit)
+            mean = mean * term.unit
+            covariance = covariance * np.outer(term.unit, term.unit)
             own: dict[str, tuple[FloatArray, FloatArray]] = {}
             if candidate.is_wave:
                 own = _of_waves(candidate, mean, covariance)
             else:
                 for at, name in enumerate(candidate.parameters):
                     own[name] = (mean[:, at], covariance[:, at, at])
-            for name, shape in placed.look.shapes.items():
+            for name, shape in term.source[1].shapes.items():
                 own[name] = (np.full(weight.size, shape), np.zeros(weight.size))
             for name, (value, variance) in own.items():
                 parts.setdefault(name, []).append((weight, value, variance))
@@ -753,8 +754,8 @@ class Inference:
     def is_none(self, fitted: Coefficients, label: str) -> bool:
         """Whether a candidate whose sign is known would rather have the other one."""
         place = self.posterior.likeliest(label)
-        size, unit = fitted.sizes[place], self.terms[place].unit
-        return self.posterior.linearised.terms[place].positive and bool(size[0] <= NONE * unit[0])
+        term = self.terms[place]
+        return term.positive and bool(fitted.sizes[place] <= NONE * term.unit)
 
     def predicted(self, found: Coefficients) -> FloatArray:
         """Of every row, (N,); what belongs to a held-out recording alone is fitted on it."""
@@ -762,7 +763,7 @@ class Inference:
         total = model.base + model.jacobian @ found.nuisances
         waves: list[tuple[float, FloatArray]] = []
         for k, size in found.sizes.items():
-            candidate, look = self.terms[k].candidate, self.terms[k].look
+            candidate, look = self.terms[k].source
             total = total + model.columns(candidate, look) @ size
             if candidate.own_phase and size.any():
                 waves.append((float(np.hypot(*size.reshape(-1, 2).T).mean()), look.columns))
@@ -1001,8 +1002,8 @@ def _share(inference: Inference, label: str) -> float:
     linearised = inference.posterior.linearised
     total = np.zeros(linearised.residual.size)
     sizes = inference.posterior.sizes
-    for k, (placed, term) in enumerate(zip(inference.terms, linearised.terms, strict=True)):
-        if placed.candidate.label == label and k in sizes:
+    for k, term in enumerate(linearised.terms):
+        if term.hypothesis == label and k in sizes:
             total += term.columns @ (sizes[k][0] @ sizes[k][1])
     return float(total @ total)
 

@@ -52,6 +52,7 @@ from bayesbl.results.identified import IDENTIFIED
 from bayesbl.results.intervals import Interval, IntervalKind, interval
 from bayesbl.results.store import Head, head
 from bayesbl.results.variables import dataset
+from bayesbl.sentences import flaws_in_words
 from bayesbl.units import in_words
 
 
@@ -155,7 +156,8 @@ def identification_tree(
             "posterior": posterior_dataset(result.posterior),
         }
     )
-    doubts = [*misfit_in_words(result), *result.posterior.diagnostics.reasons]
+    doubts = flaws_in_words(result.posterior.diagnostics.reasons)
+    doubts = [*misfit_in_words(result), *doubts]
     outcome = "withheld" if reason else ("usable" if doubts else "converged")
     tree.attrs = {
         "kind": "identify",
@@ -344,12 +346,11 @@ def reason_of(result: Identification) -> str | None:
             f"{left_over(result.check)} Check the data sheet, or widen its tolerances."
         )
     if result.posterior.diagnostics.outcome == "withheld":
-        return " ".join(result.posterior.diagnostics.reasons)
+        return " ".join(flaws_in_words(result.posterior.diagnostics.reasons))
     # The bench is the answer: a value that its sheet excludes is none, whatever δ makes of it.
-    if contradicted := result.posterior.contradicted:
-        return " ".join(
-            [*contradicted, "Correct the data sheet, or widen this tolerance, and identify again."]
-        )
+    if contradicted := flaws_in_words(result.posterior.contradicted):
+        mend = "Correct the data sheet, or widen this tolerance, and identify again."
+        return " ".join([*contradicted, mend])
     return None
 
 

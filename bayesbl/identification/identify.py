@@ -41,21 +41,14 @@ from bayesbl.matching.alignment import (
 from bayesbl.matching.least_squares import fit_simulated, promised_within
 from bayesbl.matching.motions import noise_of
 from bayesbl.matching.observed import Observed
-from bayesbl.matching.posterior import DirectPosterior, sample_direct, widened
+from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, agrees, is_explained
-from bayesbl.matching.signals import (
-    SimulatedSignals,
-    Unknown,
-    effect_unknowns,
-    gap_unknown,
-    reference_delay_unknown,
-    start_angle_unknown,
-    tolerance_unknowns,
-)
-from bayesbl.model_search.always_in import Beside, laws, marginalised, settled
-from bayesbl.model_search.catalogue import Candidate, candidates, order_peaks
+from bayesbl.matching.signals import SimulatedSignals, Unknown
+from bayesbl.model_search.always_in import Beside, laws, settled
+from bayesbl.model_search.catalogue import Candidate, candidates
 from bayesbl.model_search.closed_loop import name_missing, weighed
 from bayesbl.model_search.constants import LEAVES_MOST, NAMED_AT, SLACK
+from bayesbl.model_search.pipeline import AveragedFit, direct_unknowns
 from bayesbl.model_search.refit import (
     SCANNED_GAPS,
     Explanation,
@@ -66,6 +59,7 @@ from bayesbl.model_search.refit import (
     with_noise,
     with_own_noise,
 )
+from bayesbl.model_search.residuals import motor_orders
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.types import FloatArray
 from bayesbl.sampling.chains import SamplerSettings
@@ -108,14 +102,10 @@ class Problem:
     def unknowns(self) -> list[Unknown]:
         """Gaps, start angles, delays of motions, effects of the bench file, and parameters."""
         names = [seen.name for seen in self.used]
-        gap = gap_unknown(*self.gap_rad)
-        return [
-            *([gap] if self.shares_gap else (replace(gap, recording=name) for name in names)),
-            *(start_angle_unknown(name) for name in names),
-            *(reference_delay_unknown(r.name) for r in self.used if r.motion is not None),
-            *effect_unknowns(self.bench, names),
-            *(u for u in tolerance_unknowns(self.bench) if u.name in self.parameters),
-        ]
+        moving = [seen.name for seen in self.used if seen.motion is not None]
+        known = set(self.bench.tolerances) - set(self.parameters)
+        every = direct_unknowns(self.bench, names, self.gap_rad, moving, shares_gap=self.shares_gap)
+        return [unknown for unknown in every if unknown.name not in known]
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,10 +196,6 @@ def identify(
     if match.missing:
         verdict = "missing_effect"
     drawing, simulating = (of_stage(progress, s) for s in ("Sampling", "Simulating draws"))
-    posterior = sample_direct(match.final.fit, sampler, seed, drawing, simulating)
-    for_impacts, for_laws = seed.spawn(2)
-    # As wide as impacts that are not alike ask for, and laws that nothing shows.
-    posterior = marginalised(widened(posterior, for_impacts), rest.posterior, for_laws)
     return Identification(
         match.nominal,
         match.final,
@@ -217,7 +203,7 @@ def identify(
         match.missing,
         verdict=verdict,
         check=rest.check,
-        posterior=posterior,
+        posterior=AveragedFit(rest=rest).sampled(sampler, seed, drawing, simulating),
         allows_for_misfit=not agrees(rest.check) and rest.is_useful,
     )
 
@@ -289,7 +275,7 @@ def _nominal(problem: Problem, progress: StageProgress | None) -> Explanation:
     fit = fit_aligned(problem.bench, problem.used, problem.unknowns, problem.workers, stage)
     nominal = Explanation((), fit)
     if problem.effects not in ("catalogue", ()):
-        nominal = _with_effects(nominal, problem, order_peaks(fit))
+        nominal = _with_effects(nominal, problem, motor_orders(fit))
     fit = believed(nominal.fit)
     if fit is nominal.fit and not is_explained(nominal.fit):
         fit = in_motion(fit) or fit

@@ -9,7 +9,7 @@ simulated and weighted. Where few draws carry the weight, the surrogate is fitte
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -33,7 +33,7 @@ from bayesbl.sampling.chains import (
     walk,
     walkers_needed,
 )
-from bayesbl.sampling.convergence import Diagnostics
+from bayesbl.sampling.convergence import Diagnostics, Flaw
 from bayesbl.sampling.importance import (
     effective_size,
     independent_draws,
@@ -54,16 +54,6 @@ FEWEST_EFFECTIVE = 100.0
 The share of the posterior between two quantiles of n draws has the standard deviation
 √(p (1 − p)/n), p its level.
 """
-OTHER_SHAPE = (
-    "the surrogate does not have the shape of the posterior. Narrow the bench's tolerances, or "
-    "find them from recordings (bayesbl identify)."
-)
-FROM_TICK_TO_TICK = (
-    "period or delay of the drive's controller are not known, and the signals change with them "
-    "from tick to tick. State period_s and delay_periods of sampled_control under [[effects]] "
-    "without sd, as the drive's manual has them; a dead time of bus or torque filter adds to "
-    "delay_periods."
-)
 AT_BOUND_SHARE = 0.01
 LARGEST_FAILED_SHARE = 0.01
 TAILS = (0.05, 0.95)
@@ -163,9 +153,9 @@ class DirectPosterior:
         return None
 
     @property
-    def contradicted(self) -> list[str]:
-        """A sentence for each value of which the recordings contradict what is stated of it."""
-        return [sentence for *_, sentence in _contradicted(self.fit.model, self.draws)]
+    def contradicted(self) -> list[Flaw]:
+        """Each value of which the recordings contradict what is stated of it."""
+        return [flaw for *_, flaw in _contradicted(self.fit.model, self.draws)]
 
     def contradicted_together(self) -> list[str]:
         """Names of the stated values that the recordings contradict together, the worst left out.
@@ -303,11 +293,11 @@ def sample_direct(
         if best.effective >= GOOD_SHARE * len(flat):
             break
     assert best is not None
-    why = OTHER_SHAPE
+    why = "other_shape"
     generator = np.random.default_rng(pick_seed)
     picked = resampled(best.log_weights, best.draws.shape[1], generator)
     if best.effective < FEWEST_EFFECTIVE and _ticks_decide(fit, generator):
-        why = FROM_TICK_TO_TICK
+        why = "ticks_decide"
     diagnostics = _judge(model, best.walked, best.draws, best.effective, best.failed, why)
     draws = np.take_along_axis(best.draws, picked[..., None], axis=1)
     return DirectPosterior(
@@ -544,37 +534,33 @@ def _judge(
     draws: FloatArray,
     effective: float,
     failed: float,
-    why: str = "",
+    why: str = "other_shape",
 ) -> Diagnostics:
     """The usual checks of sampling, and those special to this route, which withhold the answer.
 
-    ``why``: few draws carry the weight, with what to do about it.
+    ``why``: code of what is to be done where few draws carry the weight.
     """
     diagnostics = walked.judged({u.label: draws[..., i] for i, u in enumerate(model.unknowns)})
-    failures = [*_at_bound(model, draws)]
+    failures = _at_bound(model, draws)
     if effective < FEWEST_EFFECTIVE:
-        failures.append(
-            f"Only {effective:.0f} of {draws.shape[0] * draws.shape[1]} draws carry the weight "
-            f"after full simulation ({FEWEST_EFFECTIVE:.0f} are needed): {why}"
-        )
+        count = draws.shape[0] * draws.shape[1]
+        values = {"effective": effective, "draws": count, "needed": FEWEST_EFFECTIVE}
+        failures.append(Flaw(why, values))
     if failed > LARGEST_FAILED_SHARE:
-        failures.append(
-            f"{failed:.0%} of the simulations near the optimum failed: the bench cannot run there."
-        )
-    edges = (sentence for *_, sentence in _contradicted(model, draws))
+        failures.append(Flaw("simulations_failed", {"share": failed}))
     return replace(
         diagnostics,
         failures=(*failures, *diagnostics.failures),
-        doubts=(*diagnostics.doubts, *edges),
+        doubts=(*diagnostics.doubts, *(flaw for *_, flaw in _contradicted(model, draws))),
     )
 
 
 def _contradicted(
     model: SimulatedSignals, draws: FloatArray
-) -> Iterator[tuple[int, Side, float, str]]:
+) -> Iterator[tuple[int, Side, float, Flaw]]:
     """Each unknown of which the recordings contradict what is believed of it.
 
-    Index, side, how much further it would be without that, in its coordinate, and a sentence.
+    Index, side, how much further it would be without that, in its coordinate, and what it is.
 
     Of a normal prior with standard deviation s, the mean of the posterior is off its centre with a
     variance of s² − v, v that of the posterior; nothing is contradicted while that mean is within
@@ -607,19 +593,14 @@ def _contradicted(
                     below = side == "lower" and positive and not unknown.logarithmic
                     sides[side] = min(reach, low) if below else reach
         for side, reach in sides.items():
-            ends = unknown.value(np.array([low, high]))
-            yield (
-                i,
-                side,
-                reach,
-                f"The recordings put {unknown.label} at the {side} edge of its tolerance or beyond "
-                f"({ends[0]:.4g} to {ends[1]:.4g}).",
-            )
+            low_end, high_end = unknown.value(np.array([low, high])).tolist()
+            ends = {"low": low_end, "high": high_end}
+            yield i, side, reach, Flaw("at_edge", {"name": unknown.label, "side": side, **ends})
 
 
-def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Sequence[str]:
-    """A sentence for each gap whose posterior is cut by its prior's range."""
-    sentences = []
+def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
+    """Each gap whose posterior is cut by its prior's range."""
+    found = []
     for i, unknown in enumerate(model.unknowns):
         if unknown.name != GAP:
             continue
@@ -631,10 +612,6 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> Sequence[str]:
         ):
             # Where the range begins at no gap there is nothing below.
             if share > AT_BOUND_SHARE and not (side == "lower" and unknown.offset):
-                ends = unknown.value(np.array([unknown.low, unknown.high]))
-                sentences.append(
-                    f"The posterior of δ lies at the {side} bound of its range "
-                    f"({ends[0]:.3g} to {ends[1]:.3g} rad): the range, not the recording, decides. "
-                    "Widen [estimator] gap_rad, or correct the bench."
-                )
-    return sentences
+                low, high = unknown.value(np.array([unknown.low, unknown.high])).tolist()
+                found.append(Flaw("gap_at_bound", {"side": side, "low": low, "high": high}))
+    return found

@@ -22,28 +22,22 @@ from bayesbl.bench.parameters import declaration_of
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import Interval as IntervalConfig
 from bayesbl.errors import RecordingError
-from bayesbl.matching.alignment import believed, fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.motions import flank_changes
-from bayesbl.matching.observed import Observed, marginalising_motor_lines, observed
-from bayesbl.matching.posterior import MATTERS, DirectPosterior, sample_direct, widened
+from bayesbl.matching.observed import Observed, observed
+from bayesbl.matching.posterior import MATTERS, DirectPosterior
 from bayesbl.matching.predictive_check import RepeatingPower, standing_out
-from bayesbl.matching.signals import (
-    GAP,
-    REFERENCE_DELAY,
-    SMALLEST_GAP_RAD,
-    START_ANGLE,
-    Unknown,
-    effect_unknowns,
-    gap_unknown,
-    reference_delay_unknown,
-    start_angle_unknown,
-    tolerance_unknowns,
-)
+from bayesbl.matching.signals import GAP, REFERENCE_DELAY, SMALLEST_GAP_RAD, START_ANGLE, Unknown
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with
 from bayesbl.measurement.expected_width import expected_sds
-from bayesbl.measurement.joint_check import JointCheck
+from bayesbl.measurement.joint_check import (
+    CheckItem,
+    JointCheck,
+    blind_spot,
+    check_item,
+    joint_check,
+)
 from bayesbl.measurement.measurement import (
     Answer,
     ExpectedSd,
@@ -56,7 +50,6 @@ from bayesbl.measurement.measurement import (
     sampling_reasons,
     upper_bound,
 )
-from bayesbl.measurement.model_check import bench_lacks, check_of_comparison, check_of_snapshot
 from bayesbl.measurement.motion_verdict import (
     excluded_ends,
     motion_notes,
@@ -65,24 +58,13 @@ from bayesbl.measurement.motion_verdict import (
 )
 from bayesbl.measurement.summary_types import PredictiveCheckEntry
 from bayesbl.model_search.always_in import (
-    LEAST_LEFT,
-    Beside,
-    Direction,
-    beside,
+    CHANGED_TOGETHER,
     directions,
     edge_variances,
-    marginalised,
-    settled,
     with_friction,
 )
-from bayesbl.model_search.closed_loop import FittedSet, averaged
-from bayesbl.model_search.joint_change import (
-    JointFindings,
-    changed_beside,
-    elastic_parts,
-    find_changes,
-    with_part,
-)
+from bayesbl.model_search.joint_change import ChangedParameter, JointFindings
+from bayesbl.model_search.pipeline import direct_unknowns, fit_jointly
 from bayesbl.noise.outside_lines import without_outside_lines
 from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, require_alive
@@ -102,13 +84,6 @@ BOUNDED = ("gap_unseen",)
 
 EXPECTED_AT_RAD = (1e-4, 3e-4, 1e-3)
 """Gaps of a new reducer, a used one and a worn one."""
-
-FRICTION = (
-    "motor_viscous_friction",
-    "motor_coulomb_friction",
-    "load_viscous_friction",
-    "load_coulomb_friction",
-)
 
 NO_DRIFT: Mapping[str, float] = MappingProxyType({})
 
@@ -317,127 +292,6 @@ def require_unshaken(recording: Recording, bench: Bench) -> None:
         )
 
 
-def direct_unknowns(
-    bench: Bench,
-    names: Sequence[str],
-    gap_rad: tuple[float, float],
-    moving: Sequence[str] = (),
-) -> list[Unknown]:
-    """A gap and a start angle for each recording, and what is not known of their bench.
-
-    ``moving``: names of those that are of motions.
-    """
-    return [
-        *(replace(gap_unknown(*gap_rad), recording=name) for name in names),
-        *(start_angle_unknown(name) for name in names),
-        *(reference_delay_unknown(name) for name in moving),
-        *effect_unknowns(bench, names),
-        *tolerance_unknowns(bench),
-    ]
-
-
-def friction_drift(
-    unknowns: Sequence[Unknown], among: Sequence[Direction], later: Sequence[str]
-) -> list[Unknown]:
-    """What friction that is unknown anyway drifts by in later recordings, in proportion to it.
-
-    It moves the current's mean by many times its noise: a fit that has it the same in all turns to
-    a bench that never was, and nothing is linear there. A speed alone shows little of it.
-    """
-    sizes = {u.name: u.centre or u.sd for u in unknowns if u.name.partition("__")[0] in FRICTION}
-    return [
-        Unknown(
-            d.slot,
-            (LEAST_LEFT - 1.0) * sizes[d.slot],
-            sd=d.drift,
-            recording=name,
-            added=True,
-            reference=sizes[d.slot],
-        )
-        for name in later
-        for d in among
-        if d.slot in sizes and d.drift > 0.0
-    ]
-
-
-@dataclass(frozen=True, slots=True)
-class JointFit:
-    """All recordings of a joint fitted together.
-
-    Attributes
-    ----------
-    rest
-        The fit, and what stands beside it.
-    joint
-        Whether one joint, as its bench describes it, made the recordings.
-    others
-        Other sets of what the bench may lack, each with its probability.
-    """
-
-    rest: Beside
-    joint: JointFindings
-    others: Sequence[tuple[FittedSet, float]] = ()
-
-    @property
-    def allows_for_misfit(self) -> bool:
-        """Whether δ includes what a law that nothing names may do to it."""
-        return not self.joint.explained and self.rest.is_useful
-
-    def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
-        """Its draws with impacts that differ, laws, drift, and all that the bench may lack."""
-        scattering, drifting, others = seed.spawn(3)
-        whole = marginalised(widened(posterior, scattering), self.rest.posterior, drifting)
-        return averaged(whole, self.others, others) if self.others else whole
-
-
-def fit_jointly(
-    bench: Bench,
-    recordings: Sequence[Observed],
-    gap_rad: tuple[float, float],
-    drift: Mapping[str, float],
-    workers: int = 1,
-    progress: StageProgress | None = None,
-) -> JointFit:
-    """The optimum of all recordings together.
-
-    Friction, laws that bias the gap before they show, and what drifts between the recordings, are
-    always allowed for. What the bench lacks beside that, or changed in the joint, is freed where it
-    is named. ``drift``: relative standard deviations by name, in place of the defaults.
-    """
-    recordings = [marginalising_motor_lines(seen, bench) for seen in recordings]
-    bench = with_friction(bench, recordings)
-    moving = [r.name for r in recordings if r.motion is not None]
-    among = directions(bench, drift)
-    unknowns = direct_unknowns(bench, [r.name for r in recordings], gap_rad, moving)
-    with_current = [r.name for r in recordings[1:] if len(r.signals) > 1]
-    unknowns += friction_drift(unknowns, among, with_current)
-    name = " and ".join(r.name for r in recordings)
-    aligning = of_stage(progress, f"Fitting the bench to {name}")
-    nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
-    rest = settled(nominal, among)
-    if rest.explains:
-        sets = () if moving else elastic_parts(rest.fit, among)
-        for best, probability in sets[:1]:
-            if best.explanation.candidates:
-                part = with_part(nominal, best.explanation, probability)
-                wider = [*among, *part.directions]
-                own = settled(part.fit, wider)
-                if own.explains:
-                    return JointFit(own, changed_beside(own.fit, wider, part.added), sets[1:])
-        others = [(own, p) for own, p in sets if own.explanation.candidates]
-        return JointFit(rest, changed_beside(rest.fit, among), others)
-    seeking = of_stage(progress, f"Seeking changes in {name}")
-    naming, joint = find_changes(rest.fit, among=among, progress=seeking)
-    rest = naming.rest or beside(naming.final.fit, among)
-    if not rest.has_discrepancy:
-        # Lags that stood in for what is named need not stand in for anything any more.
-        free, known = settled(rest.fit, among), len(rest.fit.model.unknowns)
-        if all(u.recording is None for u in free.fit.model.unknowns[known:]):
-            rest = free
-    # Sets that explain too little to be named know less of the misfit than the bench does.
-    return JointFit(rest, joint, naming.others if naming.effects else ())
-
-
 def fit_directly(
     bench: Bench,
     recordings: Sequence[Observed],
@@ -455,9 +309,7 @@ def fit_directly(
     simulating = of_stage(progress, f"Simulating draws of {name}")
     allows = whole.allows_for_misfit
     withheld = not (whole.joint.explained or allows)
-    posterior = sample_direct(whole.rest.fit, sampler, seed, report, simulating, withheld=withheld)
-    if not withheld:
-        posterior = whole.averaged(posterior, seed)
+    posterior = whole.sampled(sampler, seed, report, simulating, withheld=withheld)
     return DirectMatch(posterior, whole.rest.check, whole.joint, allows)
 
 
@@ -565,6 +417,89 @@ def _numbers(
             "compared_from_s": float(motion["compared_from_s"]),
         }
     return found
+
+
+# What is said of the joint: items, findings, blind spots.
+
+
+def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
+    """One recording against its bench."""
+    own = [c for c in found.changed if c.recording in (None, recording)]
+    allowed = [c for c in found.allowed if c.recording in (None, recording)]
+    return joint_check(
+        found.explained and not own,
+        [_check_item(c) for c in (*own, *allowed)],
+        found.could_be if own else (),
+    )
+
+
+def check_of_comparison(
+    found: JointFindings, change_rad: FloatArray, level: float, *, is_given: bool
+) -> JointCheck:
+    """The recordings against one another, with what none of them would show.
+
+    ``change_rad``: draws of the change of δ from the first to the last; ``is_given``: it is not
+    withheld.
+    """
+    between = found.between
+    findings = [{"code": "parameter_changed", **_change_values(c)} for c in between]
+    if between:
+        alike = {"code": "would_look_the_same", "names": _alike(found, between)}
+        given = {"code": "change_allows_for_it"}
+        findings[-1]["also"] = [alike] * bool(alike["names"]) + [given] * is_given
+    return joint_check(
+        found.explained and not between,
+        [_check_item(c) for c in between],
+        found.could_be if between else (),
+        findings,
+        [
+            blind_spot(
+                "parameter_unseen",
+                spot.error_rad,
+                name=spot.name,
+                size=spot.size,
+                expected=spot.expected,
+                unit=spot.unit,
+            )
+            for spot in found.blind_spots
+            if spot.error_rad > MATTERS * _width(change_rad, level)
+        ],
+    )
+
+
+def bench_lacks(found: JointFindings) -> dict[str, Any]:
+    """What no recording has as the bench has it, for its sentence; empty where all is as it has."""
+    changed = found.beyond_bench
+    if not changed:
+        return {}
+    return {"parameters": [_change_values(c) for c in changed], "alike": _alike(found, changed)}
+
+
+def _alike(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
+    """What the recordings cannot tell from what changed."""
+    freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
+    freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
+    return [name for name in found.could_be if name not in freed]
+
+
+def _check_item(changed: ChangedParameter) -> CheckItem:
+    z = (changed.estimate - changed.expected) / changed.sd if changed.sd > 0.0 else 0.0
+    return check_item(changed.name, changed.estimate, changed.expected, changed.unit, z)
+
+
+def _change_values(changed: ChangedParameter) -> dict[str, Any]:
+    return {
+        "name": changed.name,
+        "measured": changed.estimate,
+        "expected": changed.expected,
+        "unit": changed.unit,
+        "recording": changed.recording,
+    }
+
+
+def _width(draws_rad: FloatArray, level: float) -> float:
+    low, high = np.quantile(draws_rad, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return float(high - low)
 
 
 def prepare(config: SnapshotConfig) -> DirectMeasurer:

@@ -26,7 +26,7 @@ from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.ringing.estimator import Estimator
 from bayesbl.ringing.symbols import DisturbanceModel
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.sampling.convergence import Diagnostics, Outcome
+from bayesbl.sampling.convergence import Diagnostics, Flaw, Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,19 +135,8 @@ All other codes are of notes.
 
 
 @dataclass(frozen=True, slots=True)
-class Reason:
-    """Why an answer is withheld or limited, for :mod:`bayesbl.sentences` to say.
-
-    Attributes
-    ----------
-    code
-        A key of :data:`bayesbl.sentences.SENTENCES`.
-    values
-        Numbers and names that its sentence needs.
-    """
-
-    code: str
-    values: Mapping[str, Any] = field(default_factory=dict)
+class Reason(Flaw):
+    """Why an answer is withheld or limited."""
 
     @classmethod
     def of_text(cls, code: str, text: str) -> Reason:
@@ -170,7 +159,7 @@ def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
     codes = chain([diagnostics.code], repeat("sampling"))
     failed = zip(codes, diagnostics.failures, strict=False)
     told = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
-    return [Reason.of_text(code, text) for code, text in told]
+    return [Reason(code, {"flaw": flaw.code, **flaw.values}) for code, flaw in told]
 
 
 def outcome_of(reasons: Iterable[Reason]) -> Outcome:

@@ -17,24 +17,14 @@ from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import PHASE, Effect, EffectParameter, Resonance, Role
 from bayesbl.bench.effects import EFFECTS, effect_named, parameters_on
 from bayesbl.bench.parameters import CORRECTABLE_PARAMETERS
-from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.signals import Unknown
-from bayesbl.probabilities import chi2_isf
 from bayesbl.recording.types import FloatArray
 
 Kind = Literal["effect", "parameter"]
 
 HARMONICS = (2.0, 3.0, 4.0)
 """Multiples of an order that may be its harmonics: an eccentricity has them, and a ripple."""
-
-LOWEST_ORDER = 0.45
-ORDER_FALSE_ALARM = 1e-3
-"""Of a line at any order, over all of them."""
-PADDING = 4
-MOST_PEAKS = 3
-SIDEBANDS = 2.5
-"""Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
 
 RESONANCE_SPACING = 1.35
 """Ratio of neighbouring frequencies of an elastic part, from which a fit finds the one between."""
@@ -196,49 +186,6 @@ class Candidate:
         )
 
 
-def order_peaks(fit: SimulatedFit) -> list[float]:
-    """The strongest lines of whitened residuals over motor revolutions, cycles in each.
-
-    Above the noise: one falsely in a thousand fits.
-    """
-    spectra = [_spectrum(fit, i) for i in range(len(fit.model.recordings))]
-    highest = max(order[-1] for order, _, _ in spectra)
-    step = min(order[1] - order[0] for order, _, _ in spectra)
-    grid = np.arange(LOWEST_ORDER, highest, step)
-    power, degrees = np.zeros(grid.size), np.zeros(grid.size)
-    for order, values, channels in spectra:
-        within = grid <= order[-1]
-        power[within] += np.interp(grid[within], order, values)
-        degrees[within] += 2.0 * channels
-
-    # Under noise alone twice the summed power is χ² with two degrees per recording and channel.
-    limit = 0.5 * chi2_isf(ORDER_FALSE_ALARM / grid.size, np.maximum(degrees, 1.0))
-    peaks: list[float] = []
-    excess = np.where(power > limit, power, 0.0)
-    while len(peaks) < MOST_PEAKS and excess.max() > 0.0:
-        k = int(np.argmax(excess))
-        peak, nearest = float(grid[k]), round(float(grid[k]))
-        if nearest and abs(peak - nearest) < SIDEBANDS / fit.model.bench.value("gear_ratio"):
-            peak = float(nearest)
-        peaks.append(peak)
-        excess[np.abs(grid - grid[k]) < 0.05] = 0.0
-    return peaks
-
-
-def _spectrum(fit: SimulatedFit, recording: int) -> tuple[FloatArray, FloatArray, int]:
-    """Orders, power summed over channels (mean 1 per channel for white noise), channels."""
-    model = fit.model
-    seen = model.recordings[recording]
-    rows = model.by_recording(fit.residual)[recording]
-    n = rows.shape[1]
-    window = np.hanning(n)
-    window /= np.sqrt(np.sum(window**2))
-    spectrum = np.abs(np.fft.rfft(rows * window, PADDING * n, axis=1)) ** 2
-    frequency = np.fft.rfftfreq(PADDING * n, 1.0 / seen.sampling_hz)
-    order = frequency / (abs(seen.reference_speed_rpm) / 60.0)
-    return np.asarray(order), np.asarray(spectrum.sum(axis=0)), len(seen.signals)
-
-
 def candidates(
     bench: Bench,
     recordings: Sequence[Observed],
@@ -256,8 +203,8 @@ def candidates(
     effects
         Names from the catalogue, or all of it.
     peaks
-        Motor orders that stand out of what a fit leaves: where the periodic effects start. Without
-        any they are no candidates.
+        Whole motor orders that stand out of what a fit leaves: where the periodic effects start.
+        Without any they are no candidates.
     declared
         Bench parameters that are unknown anyway, and so no candidates.
     """
@@ -373,12 +320,12 @@ def _periodic(
     peaks: Sequence[float],
     motor_angle_known: bool,
 ) -> list[Candidate]:
-    """One candidate per whole order seen: what turns with the motor repeats with it."""
+    """One candidate per order."""
     (amplitude,) = (p for p in parameters_on(bench, effect) if p.is_amplitude)
     owners: list[str | None] = [None] if motor_angle_known else [r.name for r in recordings]
     hypotheses = []
     for order in peaks:
-        if order != round(order) or (not effect.has_order and order != 1.0):
+        if not effect.has_order and order != 1.0:
             continue
         unknowns = [_unknown(effect, amplitude, 0.0, amplitude.high)]
         unknowns += [Unknown(f"{effect.name}__{PHASE}", recording=owner) for owner in owners]

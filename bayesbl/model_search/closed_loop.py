@@ -30,7 +30,7 @@ from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.matching.predictive_check import BANDS, is_explained
 from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.model_search.always_in import Beside, Direction, always_terms, beside
-from bayesbl.model_search.catalogue import Candidate, order_peaks
+from bayesbl.model_search.catalogue import Candidate
 from bayesbl.model_search.constants import (
     FORM_SHARE,
     HOPEFUL_SHARE,
@@ -61,6 +61,7 @@ from bayesbl.model_search.refit import (
     refit,
     with_own_noise,
 )
+from bayesbl.model_search.residuals import motor_orders
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
@@ -72,15 +73,6 @@ LOOP_COLUMNS = 10
 
 MOST_FITS = 16
 MOST_ROUNDS = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shape:
-    """A term's candidate, the coordinates it starts from, and the units of its columns, (k,)."""
-
-    candidate: Candidate
-    start: FloatArray
-    usual: FloatArray
 
 
 @dataclass(eq=False)
@@ -273,7 +265,7 @@ class SetSearch:
         self._progress = progress
         # One noise for all sets, as the recorder's is; and its simulation is dear.
         self._noise = noise_in_loop(nominal.fit)
-        self._candidates = {c.key: c for c in candidates(order_peaks(nominal.fit))}
+        self._candidates = {c.key: c for c in candidates(motor_orders(nominal.fit))}
         self._sets: dict[frozenset[tuple[str, float | None]], FittedSet] = {}
         self._explored: set[frozenset[tuple[str, float | None]]] = set()
         # As many hypotheses as there are at the start: those found later raise no odds.
@@ -385,7 +377,7 @@ class SetSearch:
         if rest.explains:
             return rest
         explanation = explanation.with_derivatives()
-        view, _ = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation, self._open(explanation))
         laws = [t.columns * math.sqrt(t.prior_weight) for t in view.terms if not t.always]
         columns = np.hstack([view.discrepancy, *laws])
         group = DiscrepancyGroup("laws", slice(0, columns.shape[1]))
@@ -417,7 +409,7 @@ class SetSearch:
     def _find_orders(self, own: FittedSet) -> None:
         """Orders that stood behind what is in the set."""
         if own.explanation.candidates and own.explanation.keys not in self._explored:
-            late = {c.key: c for c in self._catalogue(order_peaks(own.fit))}
+            late = {c.key: c for c in self._catalogue(motor_orders(own.fit))}
             self._candidates |= {k: c for k, c in late.items() if k not in self._candidates}
 
     def _reduced(self, own: FittedSet) -> Iterator[FittedSet]:
@@ -446,7 +438,7 @@ class SetSearch:
         if is_known:
             self._explored.add(keys)
         explanation = base.explanation.with_derivatives()
-        view, shapes = self._linearised(explanation, self._open(explanation))
+        view = self._linearised(explanation, self._open(explanation))
         offset = base.log_evidence - base.posterior.log_evidence
         labels = {c.label for c in self._candidates.values()}
         posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
@@ -463,17 +455,13 @@ class SetSearch:
         ]
         tried: set[frozenset[tuple[str, float | None]]] = set()
         for terms in (*contend, *pairs[:1]):
-            added = [shapes[i] for i in terms]
-            whole = keys | {shape.candidate.key for shape in added}
+            added = [view.terms[i].source for i in terms]
+            whole = keys | {candidate.key for candidate, _ in added}
             if whole in self._sets or whole in tried or len(tried) >= CONTENDERS + len(terms) - 1:
                 continue
             tried.add(whole)
             sizes, shift = posterior.mean_of(terms)
-            starts, begin = [], 0
-            for shape in added:
-                own = sizes[begin : begin + shape.usual.size] * shape.usual
-                begin += shape.usual.size
-                starts.append((shape.candidate, promised(shape.candidate, shape.start, own)))
+            starts = [(c, promised(c, at, own)) for (c, at), own in zip(added, sizes, strict=True)]
             fitted = refit(explanation, starts, shift)
             if fitted is not None:
                 self._add(fitted, base)
@@ -512,12 +500,9 @@ class SetSearch:
         own.log_evidence += log_odds(self._probability) * len(explanation.candidates)
         return own
 
-    def _linearised(
-        self, explanation: Explanation, candidates: Sequence[Candidate]
-    ) -> tuple[Linearised, list[_Shape]]:
-        """The view at a fit, with candidates as terms, each with what they are."""
+    def _linearised(self, explanation: Explanation, candidates: Sequence[Candidate]) -> Linearised:
+        """The view at a fit: terms of candidates, each from one of its starts."""
         terms: list[Term] = []
-        shapes: list[_Shape] = []
         simulated: dict[tuple[str, float | None], list[list[FloatArray]]] = {}
         for candidate in candidates:
             starts = (candidate.neutral, *candidate.starts)
@@ -526,18 +511,19 @@ class SetSearch:
                 if not columns:
                     continue
                 usual = np.resize(candidate.usual[candidate.amplitudes], len(columns))
-                shapes.append(_Shape(candidate, start, usual))
                 terms.append(
                     Term(
                         candidate.label,
                         np.stack(columns, axis=1) * usual,
                         positive=candidate.is_positive and len(columns) == 1,
                         excludes=self._excluded(candidate),
+                        unit=usual,
+                        source=(candidate, start),
                     )
                 )
         looks = Counter(term.hypothesis for term in terms)
         terms = [replace(term, prior_weight=1.0 / looks[term.hypothesis]) for term in terms]
-        return linearised(explanation, terms, self._among, self._noise), shapes
+        return linearised(explanation, terms, self._among, self._noise)
 
     def _columns(
         self,

@@ -36,15 +36,6 @@ from bayesbl.probabilities import chi2_isf, normal_isf
 from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
-FRICTION = ("motor_coulomb_friction", "motor_viscous_friction", "friction_asymmetry")
-"""What cold grease changes at once; a recording at one speed and direction hardly tells it apart.
-
-The first two stand for it there. One of them alone would be found too large or too small, and the
-gap be wrong by what the rest of it does. Without the current a constant torque does not show.
-"""
-
-MOTOR_FRICTION = "motor_friction"
-
 OWN_EFFECT_SHARE = 0.3
 """Of what an effect of the bench is: usual size by which it is more or less."""
 
@@ -315,7 +306,7 @@ def changed_beside(
         # A tolerance of the bench, or what the user lets drift, is flat.
         if direction is None or not math.isfinite(unknown.sd):
             continue
-        difference = _as_changed(fit, unknown)
+        difference = _against_known(fit, unknown)
         drifted = (
             unknown.added
             and abs(difference.estimate - difference.expected) <= BEYOND * direction.drift
@@ -332,11 +323,14 @@ def changed_beside(
     )
 
 
-def _as_changed(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
-    """An unknown of a fit against the first recording, or where all share it against the bench."""
+def _against_known(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
+    """An unknown against the first recording that has no value of its own of it, or where it has
+    one in all or all share it against the bench."""
     slot, where = unknown.name, unknown.recording
-    if unknown.added and where is not None:
-        return _against(fit, slot, where, fit.model.recordings[0].name)
+    own = {u.recording for u in fit.model.unknowns if u.name == slot}
+    other = next((r.name for r in fit.model.recordings if r.name not in own), None)
+    if where is not None and other is not None:
+        return _against(fit, slot, where, other)
     by_bench = float(fit.model.bench.vector()[0, Slot[slot]])
     return ChangedParameter(slot, where, by_bench, fit.value(slot, where), fit.sd(slot, where))
 
@@ -344,28 +338,23 @@ def _as_changed(fit: SimulatedFit, unknown: Unknown) -> ChangedParameter:
 def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
     """What each candidate in the explanation found, phases left out.
 
-    A parameter that differs in one recording is compared with what another one has. Of two
-    recordings whose values both lie within the bench's tolerance, the later one is what changed.
+    Of two recordings whose values both lie within the bench's tolerance, the later one is what
+    changed.
     """
     fit = final.fit
-    names = [seen.name for seen in fit.model.recordings]
+    first, *later = [seen.name for seen in fit.model.recordings]
+    freed = {unknown.key for unknown in fit.model.unknowns}
     for candidate in final.candidates:
-        where, places = candidate.recording, _stated_places(candidate)
-        slots = [candidate.unknowns[place].name for place in places]
-        others = [n for n in names if n != where and not _frees(final, slots, n)]
-        turned = (
-            len(names) == 2
-            and where == names[0]
-            and others == names[1:]
-            and all(_is_tolerated(fit, slot, fit.value(slot, where)) for slot in slots)
-        )
-        for place, slot in zip(places, slots, strict=True):
-            if where is not None and others:
-                one, other = (others[0], where) if turned else (where, others[0])
-                yield _against(fit, slot, one, other)
-            else:
-                believed, estimate = float(candidate.neutral[place]), fit.value(slot, where)
-                yield ChangedParameter(slot, where, believed, estimate, fit.sd(slot, where))
+        unknowns = [candidate.unknowns[place] for place in _stated_places(candidate)]
+        if (
+            len(later) == 1
+            and candidate.recording == first
+            and not freed & {(u.name, later[0]) for u in unknowns}
+            and all(_is_tolerated(fit, u.name, fit.value(u.name, first)) for u in unknowns)
+        ):
+            yield from (_against(fit, u.name, later[0], first) for u in unknowns)
+        else:
+            yield from (_against_known(fit, unknown) for unknown in unknowns)
 
 
 def _stated_places(candidate: Candidate) -> list[int]:
@@ -380,13 +369,6 @@ def _stated_places(candidate: Candidate) -> list[int]:
         if shape.starts or effect.resonance is not None
     }
     return places + [i for i, u in enumerate(candidate.unknowns) if u.name in stated]
-
-
-def _frees(final: Explanation, slots: Sequence[str], recording: str) -> bool:
-    """Whether any of these parameters has a value of its own in a recording."""
-    return any(
-        u.name in slots for c in final.candidates if c.recording == recording for u in c.unknowns
-    )
 
 
 def _is_tolerated(fit: SimulatedFit, name: str, value: float) -> bool:
@@ -418,13 +400,8 @@ def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParam
     return ChangedParameter(name, one, float(values[1][0]), float(values[0][0]), sd)
 
 
-def _candidates(
-    fit: SimulatedFit, peaks: Sequence[float], *, one_by_one: bool = False
-) -> list[Candidate]:
-    """All that may differ from the bench, in all recordings together and in each alone.
-
-    ``one_by_one``: without what one cause changes together.
-    """
+def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
+    """All that may differ from the bench, in all recordings together and in each alone."""
     model = fit.model
     bench, recordings = model.bench, model.recordings
     # A parameter of zero changes by no factor: an axis without gravity keeps none.
@@ -443,31 +420,8 @@ def _candidates(
     if len(recordings) == 1:
         return everywhere
     own = {unknown.key for unknown in model.unknowns}
-    at_one_speed = every if one_by_one else _with_friction_together(every)
-    within = [
-        c.within(seen.name)
-        for seen in recordings
-        for c in (at_one_speed if seen.motion is None and len(seen.signals) > 1 else every)
-    ]
-    return [
-        *everywhere,
-        *(c for c in within if not own & c.unknown_keys),
-    ]
-
-
-def _with_friction_together(every: Sequence[Candidate]) -> list[Candidate]:
-    """The same, with one candidate for all that friction may do in one recording."""
-    parts = [c for name in FRICTION[:2] for c in every if c.name == name]
-    if len(parts) < 2:
-        return list(every)
-    together = Candidate(
-        MOTOR_FRICTION,
-        "parameter",
-        tuple(u for c in parts for u in c.unknowns),
-        np.concatenate([c.neutral for c in parts]),
-        usual=np.concatenate([c.usual for c in parts]),
-    )
-    return [*(c for c in every if c.name not in FRICTION), together]
+    within = [c.within(seen.name) for seen in recordings for c in every]
+    return [*everywhere, *(c for c in within if not own & c.unknown_keys)]
 
 
 def _changed(bench: Bench, name: str, parameters: Sequence[str]) -> Candidate:
@@ -531,7 +485,7 @@ def blind_spots(fit: SimulatedFit, among: Sequence[Direction] = ()) -> list[Hidd
     # That something was changed by people is only a small probability.
     marginalised = {d.slot for d in among if d.usual > 0.0 or d.drift > 0.0}
     spots = []
-    for candidate in _candidates(fit, [1.0], one_by_one=True):
+    for candidate in _candidates(fit, [1.0]):
         if candidate.recording != last or len(candidate.amplitudes) != 1:
             continue
         if marginalised & {u.name for u in candidate.unknowns}:

@@ -24,6 +24,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.special import expit, log_ndtr
@@ -77,6 +78,8 @@ class Term:
     requires
         Labels of hypotheses without which it makes no sense (strong heredity; Chipman 1996, Can. J.
         Stat. 24, 17); those that are not among the terms are taken to hold.
+    unit, source
+        What one usual size of its amplitudes is, (k,), and what it is a term of, for whoever asks.
     """
 
     hypothesis: str
@@ -87,6 +90,8 @@ class Term:
     prior_weight: float = 1.0
     excludes: frozenset[str] = frozenset()
     requires: frozenset[str] = frozenset()
+    unit: FloatArray | float = 1.0
+    source: Any = None
 
     def __post_init__(self) -> None:
         if self.columns.ndim != 2 or (self.positive and self.columns.shape[1] != 1):
@@ -715,9 +720,14 @@ class ModelPosterior:
         sets = {terms: (self.labels(terms), p) for terms, p in self.sets.items()}
         return confounded(list(sets.values()), self.named)
 
-    def mean_of(self, terms: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-        """Most probable sizes of the columns of a set in their order, (k,), and the shift of u
-        with them, (d,); at the scales of the most probable model, where the set has none."""
+    @property
+    def sure(self) -> tuple[tuple[str, ...], ...]:
+        """Hypotheses that are there almost surely, each alone or one of several."""
+        return (*((label,) for label in self.named), *self.confounded)
+
+    def mean_of(self, terms: tuple[int, ...]) -> tuple[list[FloatArray], FloatArray]:
+        """Most probable sizes of each term of a set, in its unit, (k,), and the shift of u with
+        them, (d,); at the scales of the most probable model, where the set has none."""
         grams = self._grams
         own = (m._level for m in self.models if m.terms == terms)
         level = next(own, self.models[0]._level)
@@ -726,7 +736,9 @@ class ModelPosterior:
         right = grams.at(level)[1][columns]
         sizes = _within(right, precision, grams.is_positive[columns])
         centre = base.inverse @ (base.nuisance_pull - base.cross[:, columns] @ sizes)
-        return sizes[: columns.size - grams.bound_columns.size], centre[: grams.d]
+        own_terms = [self.linearised.terms[i] for i in terms]
+        parts = np.split(sizes, np.cumsum([term.columns.shape[1] for term in own_terms]))
+        return [p * t.unit for p, t in zip(parts, own_terms, strict=False)], centre[: grams.d]
 
     def single_gains(self) -> dict[int, float]:
         """ln of prior times evidence that each selected term adds alone, were there no misfit."""

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import cast
 
 import numpy as np
@@ -18,17 +19,12 @@ import xarray as xr
 from bayesbl.bench.bench import Bench
 from bayesbl.config.kinds import Compared, DiagnoseConfig, Method
 from bayesbl.config.loading import config_from_options
-from bayesbl.diagnosis.closed_loop.diagnosis import CHANNELS as CLOSED_LOOP
-from bayesbl.diagnosis.closed_loop.diagnosis import DEFAULT_GAP_RAD
+from bayesbl.diagnosis.closed_loop import diagnosis as closed_loop
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.groups import diagnosis_tree
 from bayesbl.diagnosis.groups import summarise_diagnosis as summarise
-from bayesbl.diagnosis.methods import METHODS
-from bayesbl.diagnosis.rigid.free_motion import CHANNELS as FREE_MOTION
-from bayesbl.diagnosis.rigid.inverse import CHANNELS as INVERSE
-from bayesbl.diagnosis.rigid.inverse import MOTION_ALONE
-from bayesbl.diagnosis.rigid.speed_loop import LOOP_PARAMETERS
-from bayesbl.diagnosis.task import INERTIAS, Task
+from bayesbl.diagnosis.rigid import free_motion, inverse, speed_loop
+from bayesbl.diagnosis.task import INERTIAS, Comparison, Task
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import ROUNDING, asked_speed
 from bayesbl.recording.channels import ColumnSpec
@@ -50,6 +46,22 @@ from bayesbl.runs.workflow import Options, Plan, settings_of
 __all__ = ["describe", "make", "summarise", "task_of"]
 
 FEWEST_SAMPLES = 200
+
+
+def _forward(task: Task) -> Comparison:
+    rigid = task.bench.drive == "rigid"
+    return speed_loop.comparison(task) if rigid else closed_loop.comparison(task)
+
+
+METHODS: Mapping[Method, Callable[[Task], Comparison]] = MappingProxyType(
+    {
+        "forward": _forward,
+        "inverse": inverse.comparison,
+        "free_motion": free_motion.comparison,
+    }
+)
+"""By their names in ``[comparison] method``. Each refuses bench, recordings or unknowns that do not
+suit it (``UserError``)."""
 
 
 def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTree:
@@ -252,17 +264,19 @@ def _method(
     driven = [recording for recording in recordings if moves(recording)]
     if driven:
         raise RecordingError(
-            MOTION_ALONE,
+            inverse.MOTION_ALONE,
             file=driven[0].place,
             found=", ".join(driven[0].channels),
-            expected="one of " + ", ".join(INVERSE),
+            expected="one of " + ", ".join(inverse.CHANNELS),
         )
     if _everywhere(recordings, (LOAD_POSITION,)):
         raise RecordingError(
             "Two encoders show what lies between motor and load, not what a rigid bench lacks.",
             file=recordings[0].place,
             found=", ".join(recordings[0].channels),
-            expected="one of " + ", ".join(INVERSE) + " beside the motion; or `bayesbl fit "
+            expected="one of "
+            + ", ".join(inverse.CHANNELS)
+            + " beside the motion; or `bayesbl fit "
             "RECORDING --route two_encoders`, which tells play, skew and transmission error",
         )
     return "free_motion", (
@@ -275,12 +289,12 @@ def _channels(
     bench: Bench, method: Method, recordings: Sequence[Recording]
 ) -> tuple[tuple[str, ...], str]:
     if method == "forward" and bench.drive == "two_mass":
-        found = _everywhere(recordings, CLOSED_LOOP)
+        found = _everywhere(recordings, closed_loop.CHANNELS)
         why = "all that the simulation gives and every recording holds"
-        return tuple(found or CLOSED_LOOP[:1]), why
+        return tuple(found or closed_loop.CHANNELS[:1]), why
     if method == "forward":
         return (MOTOR_SPEED,), "there is neither torque nor current"
-    possible = INVERSE if method == "inverse" else FREE_MOTION
+    possible = inverse.CHANNELS if method == "inverse" else free_motion.CHANNELS
     found = _everywhere(recordings, possible)[:1]
     why = "the first of " + ", ".join(possible) + " that every recording holds"
     return tuple(found or possible[:1]), why
@@ -290,9 +304,9 @@ def _unknowns(bench: Bench, method: Method, channels: Sequence[str]) -> Iterator
     toleranced = tuple(bench.tolerances)
     if bench.drive == "two_mass" and method == "forward":
         why = "half the play that joints have; wider for a worn one"
-        yield Choice(("unknowns", "gap_rad"), DEFAULT_GAP_RAD, why)
+        yield Choice(("unknowns", "gap_rad"), closed_loop.DEFAULT_GAP_RAD, why)
     elif method == "forward":
-        toleranced = tuple(name for name in toleranced if name in LOOP_PARAMETERS)
+        toleranced = tuple(name for name in toleranced if name in speed_loop.LOOP_PARAMETERS)
     else:
         # Only the sum of the inertias shows: the one that is known worse at the motor is free.
         ratio = bench.value("gear_ratio")

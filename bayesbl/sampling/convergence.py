@@ -1,11 +1,11 @@
-"""Whether the sampling can be trusted, in words."""
+"""Whether the sampling can be trusted, in codes and numbers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 from scipy import fft
@@ -44,6 +44,22 @@ OTHER_ANSWER_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
+class Flaw:
+    """What speaks against draws, or an answer, for :mod:`bayesbl.sentences` to say.
+
+    Attributes
+    ----------
+    code
+        A key of :data:`bayesbl.sentences.SENTENCES`.
+    values
+        Numbers and names that its sentence needs.
+    """
+
+    code: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class Contender:
     """Another optimum, which the sampler does not reach.
 
@@ -77,7 +93,7 @@ class Diagnostics:
     acceptance
         Mean accepted share of proposals per ensemble, shape (e,).
     failures, doubts
-        Why δ must not be used, and why it is to be used with care, in sentences.
+        Why δ must not be used, and why it is to be used with care.
     code
         Of the first failure, for programs.
     """
@@ -87,8 +103,8 @@ class Diagnostics:
     autocorrelation_steps: float
     steps: int
     acceptance: FloatArray
-    failures: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    failures: tuple[Flaw, ...] = ()
+    doubts: tuple[Flaw, ...] = ()
     code: str = "sampling"
 
     @property
@@ -97,7 +113,7 @@ class Diagnostics:
         return "withheld" if self.failures else "usable" if self.doubts else "converged"
 
     @property
-    def reasons(self) -> tuple[str, ...]:
+    def reasons(self) -> tuple[Flaw, ...]:
         """Why it is not simply converged, the gravest first."""
         return self.failures + self.doubts
 
@@ -159,61 +175,42 @@ def judge(
     other_answer
         The likeliest optimum with another amplitude, if there is one.
     """
-    doubts: list[str] = []
-    failures: list[str] = []
+    doubts: list[Flaw] = []
+    failures: list[Flaw] = []
     is_weak = signal_to_noise < WEAKEST_SIGNAL_TO_NOISE
     if is_weak:
-        failures.append(
-            f"The impact ringing is too weak: its amplitude is {signal_to_noise:.1f} standard "
-            f"deviations above zero ({WEAKEST_SIGNAL_TO_NOISE:.0f} are needed). Record more "
-            "rotations, or with less noise. Where the load stays on one tooth flank (a vertical "
-            f"axis, a balanced arm, a load to one side) no impact will show: take "
-            f"{NoFlankChange.MOTION}."
-        )
+        values = {"deviations": signal_to_noise, "needed": WEAKEST_SIGNAL_TO_NOISE}
+        failures.append(Flaw("ringing_weak", values))
     worst = max(r_hat, key=lambda n: r_hat[n])
+    told = {"symbol": worst, "r_hat": r_hat[worst]}
     if not r_hat[worst] < R_HAT_BAD:
-        failures.append(
-            f"The ensembles disagree: R̂ of {worst} is {r_hat[worst]:.3f} (below {R_HAT_BAD} "
-            "is needed); the posterior may have several modes or an ensemble may be stuck."
-        )
+        failures.append(Flaw("ensembles_disagree", told | {"needed": R_HAT_BAD}))
     elif r_hat[worst] > R_HAT_GOOD:
-        doubts.append(f"R̂ of {worst} is {r_hat[worst]:.3f} (below {R_HAT_GOOD} is good).")
+        doubts.append(Flaw("ensembles_differ", told | {"good": R_HAT_GOOD}))
     slowest = int(np.argmin(acceptance))
-    if acceptance[slowest] < STUCK_ACCEPTANCE:
-        failures.append(
-            f"Ensemble {slowest + 1} of {len(acceptance)} is stuck: it accepted "
-            f"{acceptance[slowest]:.1%} of its proposals (at least {STUCK_ACCEPTANCE:.0%} is "
-            "needed)."
-        )
+    if (share := float(acceptance[slowest])) < STUCK_ACCEPTANCE:
+        values = {"number": slowest + 1, "ensembles": len(acceptance), "share": share}
+        failures.append(Flaw("ensemble_stuck", values | {"needed": STUCK_ACCEPTANCE}))
     if not math.isfinite(autocorrelation_steps):
-        failures.append("A walker never moved: it is stuck, and its ensemble cannot be trusted.")
+        failures.append(Flaw("walker_stuck"))
     elif not steps > STEPS_PER_AUTOCORRELATION * autocorrelation_steps:
-        text = (
-            f"The chain is short: {steps} steps for an autocorrelation time of "
-            f"{autocorrelation_steps:.0f} (more than {STEPS_PER_AUTOCORRELATION:.0f} times that "
-            "is needed); raise [posterior] max_steps."
-        )
+        values = {"steps": steps, "autocorrelation_steps": autocorrelation_steps}
+        flaw = Flaw("chain_short", values | {"needed": STEPS_PER_AUTOCORRELATION})
         enough = steps > 0.4 * STEPS_PER_AUTOCORRELATION * autocorrelation_steps
-        (doubts if enough else failures).append(text)
+        (doubts if enough else failures).append(flaw)
     least = min(ess_bulk, key=lambda n: ess_bulk[n])
     if not ess_bulk[least] > FEWEST_EFFECTIVE:
-        doubts.append(f"Only {ess_bulk[least]:.0f} effective draws of {least}.")
+        doubts.append(Flaw("few_effective", {"symbol": least, "draws": ess_bulk[least]}))
     if not (bounds_stable or is_weak):
-        doubts.append("The interval's bounds still moved at the last check.")
+        doubts.append(Flaw("bounds_moved"))
     for name, share in at_bound.items():
         # A ringing that is hardly there may be anywhere: that follows from its weakness.
         if share > AT_BOUND_SHARE and not is_weak:
-            (failures if share > AT_BOUND_TOO_MUCH else doubts).append(
-                f"{share:.0%} of the draws of {name} lie at a bound of its range: "
-                "the range, not the recording, decides there."
-            )
+            flaw = Flaw("draws_at_bound", {"symbol": name, "share": share})
+            (failures if share > AT_BOUND_TOO_MUCH else doubts).append(flaw)
     if other_answer is not None and other_answer.share > OTHER_ANSWER_SHARE:
-        failures.append(
-            f"The posterior has several modes: another optimum, A = "
-            f"{other_answer.amplitude_rpm:.3g} rpm, explains the recording nearly as well "
-            f"(probability {other_answer.share:.0%} against the chosen one). Record more "
-            "rotations, or use a curve swept for this bench, which can tell them apart."
-        )
+        values = {"amplitude_rpm": other_answer.amplitude_rpm, "share": other_answer.share}
+        failures.append(Flaw("other_optimum", values))
     return Diagnostics(
         r_hat,
         ess_bulk,

@@ -14,10 +14,10 @@ from bayesbl.diagnosis.closed_loop.prediction import compared_channels
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import ComparedPiece, ResidualNoise, disagreement_table
 from bayesbl.diagnosis.groups import diagnosis_tree, summarise_diagnosis
-from bayesbl.diagnosis.methods import METHODS
 from bayesbl.diagnosis.rigid.motion import LowPass
 from bayesbl.matching.observed import Observed
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
+from bayesbl.runs.diagnose import METHODS
 
 LAG = 500
 ROTATIONS = 8

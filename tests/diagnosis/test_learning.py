@@ -18,12 +18,12 @@ from bayesbl.diagnosis.closed_loop.learned_in_loop import Series, aligned, learn
 from bayesbl.diagnosis.closed_loop.prediction import augmented_bench, predicted
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.inference import diagnose
-from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.inverse import InverseView
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
 from bayesbl.model_search.refit import Explanation
+from bayesbl.model_search.residuals import Unexplained
 from bayesbl.recording.types import MOTOR_TORQUE
 
 pytestmark = pytest.mark.long

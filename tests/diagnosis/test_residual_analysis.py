@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from bayesbl.diagnosis.groups import plain
-from bayesbl.diagnosis.residuals import Unexplained, analyse_residuals
 from bayesbl.errors import RecordingError
 from bayesbl.matching.observed import Observed
+from bayesbl.model_search.residuals import Unexplained, analyse_residuals
 from bayesbl.presentation.diagnosis import unexplained_phrase
 
 HZ = 500.0

@@ -23,9 +23,9 @@ from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import observed
 from bayesbl.matching.predictive_check import agrees, disagreements
 from bayesbl.matching.signals import GAP, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.model_search.catalogue import candidates
 from bayesbl.model_search.closed_loop import name_missing
+from bayesbl.model_search.pipeline import direct_unknowns
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import FloatArray
 

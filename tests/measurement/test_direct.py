@@ -36,8 +36,8 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.matching.surrogate import simulated_chi_square
-from bayesbl.measurement.direct_route import fit_jointly, friction_drift
 from bayesbl.model_search.always_in import directions
+from bayesbl.model_search.pipeline import fit_jointly, friction_drift
 from bayesbl.noise.channel_noise import ChannelNoise
 from bayesbl.noise.process import NoiseModel
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording

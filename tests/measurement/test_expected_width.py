@@ -15,10 +15,10 @@ from bayesbl.config.bench import reference_bench
 from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP
-from bayesbl.measurement.direct_route import direct_unknowns
 from bayesbl.measurement.expected_width import expected_sds
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.model_search.always_in import directions, settled, with_friction
+from bayesbl.model_search.pipeline import direct_unknowns
 
 BENCH, GAP_RAD = reference_bench(), 5e-4
 

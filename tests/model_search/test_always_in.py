@@ -19,7 +19,7 @@ from bayesbl.matching.alignment import fit_aligned
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed, observed
 from bayesbl.matching.signals import GAP, Unknown, gap_unknown, start_angle_unknown
-from bayesbl.measurement.direct_route import JointFit, direct_unknowns, fit_directly, fit_jointly
+from bayesbl.measurement.direct_route import fit_directly
 from bayesbl.model_search.always_in import (
     Direction,
     Label,
@@ -34,6 +34,7 @@ from bayesbl.model_search.always_in import (
 )
 from bayesbl.model_search.closed_loop import weighed
 from bayesbl.model_search.joint_change import elastic_parts, with_part
+from bayesbl.model_search.pipeline import JointFit, direct_unknowns, fit_jointly
 from bayesbl.model_search.refit import Explanation
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, Recording
 from bayesbl.sampling.chains import SamplerSettings

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -31,7 +31,6 @@ from bayesbl.diagnosis.closed_loop.prediction import (
 )
 from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, NamedEffect, ParameterError, verdict_of
 from bayesbl.diagnosis.disagreement import ComparedPiece
-from bayesbl.diagnosis.residuals import ResidualAnalysis, analyse_residuals
 from bayesbl.diagnosis.task import (
     USES_OF,
     Comparison,
@@ -56,18 +55,13 @@ from bayesbl.matching.signals import (
     start_angle_unknown,
     tolerance_unknowns,
 )
-from bayesbl.model_search.always_in import laws, marginalised
+from bayesbl.model_search.always_in import laws
 from bayesbl.model_search.catalogue import candidates
-from bayesbl.model_search.closed_loop import (
-    FittedSet,
-    Naming,
-    averaged,
-    laws_of_shaft,
-    name_missing,
-    weighed,
-)
+from bayesbl.model_search.closed_loop import FittedSet, Naming, laws_of_shaft, name_missing, weighed
 from bayesbl.model_search.constants import UNEXPLAINED_SHARE
+from bayesbl.model_search.pipeline import AveragedFit
 from bayesbl.model_search.refit import Explanation, with_own_noise
+from bayesbl.model_search.residuals import ResidualAnalysis, residuals_of
 from bayesbl.progress import Progress, StageProgress, of_stage, silent
 from bayesbl.recording.checks import moves, require_alive, require_channels
 from bayesbl.recording.types import (
@@ -79,7 +73,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.sampling.chains import SamplerSettings
-from bayesbl.sentences import tolerance_decides
+from bayesbl.sentences import flaws_in_words, tolerance_decides
 from bayesbl.units import in_words
 
 MOST_EFFECTS = 3
@@ -119,14 +113,13 @@ class Findings:
         """The fit of what is named."""
         return self.chosen.explanation
 
-    def averaged(self, posterior: DirectPosterior, seed: np.random.SeedSequence) -> DirectPosterior:
-        """Draws around the fit of what is named, with misfit, noise in the loop, laws that nothing
-        shows, and all other sets."""
-        for_misfit, for_others = seed.spawn(2)
-        whole = marginalised(posterior, self.chosen.posterior, for_misfit)
-        if self.learned is not None:
-            return whole
-        return averaged(whole, self.naming.others, for_others, laws(self.final.fit.model.bench))
+    @property
+    def whole(self) -> AveragedFit:
+        """The fit of what is named, with misfit, noise in the loop, laws that nothing shows, and
+        all other sets; no other of a learned torque."""
+        others = () if self.learned else self.naming.others
+        among = laws(self.final.fit.model.bench)
+        return AveragedFit(rest=self.chosen, others=others, among=among)
 
 
 def search(
@@ -174,18 +167,18 @@ def search(
         max_effects=max_effects,
         progress=progress,
     )
-    compared = cache(_compared)
     naming, learned = missing(nominal), None
-    before = compared(naming.nominal)
+    before = residuals_of(naming.nominal.fit)
     final = naming.final
-    after = compared(final)
+    after = residuals_of(final.fit)
     if naming.effects and after.remaining and after.closes(before) < 1.0 - UNEXPLAINED_SHARE:
         # It helps a little, as a parameter may where a line in time remains: no explanation.
         nearest, final = naming.final, naming.nominal
         naming = replace(naming, repeats=True, final=final, effects=(), nearest=nearest)
+        after = before
     # What does not repeat with the load, a line of the motor or in time, is in no band.
     if naming.repeats or (after.remaining and not laws_of_shaft(naming.final)):
-        beside = _with_learned(naming, final, compared, missing, motor_angle_known)
+        beside = _with_learned(naming, final, after, missing, motor_angle_known)
         if beside is not None:
             naming, learned = beside
             final = learned.explanation
@@ -194,7 +187,7 @@ def search(
         weighed(final, laws(final.fit.model.bench)),
         compared_pieces(naming.nominal, final, held_out),
         before,
-        compared(final),
+        after if learned is None else residuals_of(final.fit),
         learned,
     )
 
@@ -202,7 +195,7 @@ def search(
 def _with_learned(
     naming: Naming,
     final: Explanation,
-    compared: _Compared,
+    after: ResidualAnalysis,
     missing: Callable[[SimulatedFit], Naming],
     motor_angle_known: bool,
 ) -> tuple[Naming, Learned] | None:
@@ -211,8 +204,10 @@ def _with_learned(
     Where nothing explains, it is sought around the nearest explanation too: the gap of the nominal
     bench may be too far off.
     """
-    near = () if naming.nearest is None else (with_own_noise(naming.nearest),)
-    around = [(explanation, compared(explanation).remaining) for explanation in (final, *near)]
+    around = [(final, after.remaining)]
+    if naming.nearest is not None:
+        near = with_own_noise(naming.nearest)
+        around.append((near, residuals_of(near.fit).remaining))
     learned = learned_term(final, around, motor_angle_known)
     if learned is None:
         return None
@@ -223,18 +218,6 @@ def _with_learned(
             learned = replace(learned, explanation=beside.final)
             return replace(beside, nominal=naming.nominal), learned
     return replace(naming, final=learned.explanation), learned
-
-
-_Compared = Callable[[Explanation], ResidualAnalysis]
-
-
-def _compared(explanation: Explanation) -> ResidualAnalysis:
-    fit = explanation.fit
-    used = fit.model.recordings
-    own = [fit.model.signals(fit.point, i)[0] for i in range(len(used))]
-    # Bridged samples hold nothing that repeats.
-    seen = [replace(s, signals=m + s.left_by(m)) for s, m in zip(used, own, strict=True)]
-    return analyse_residuals(seen, own)
 
 
 def diagnosis_of(
@@ -263,7 +246,7 @@ def diagnosis_of(
     if not withheld:
         seed = np.random.SeedSequence(0)
         around = sampled or sample_direct(final.fit, SamplerSettings(), seed, withheld=True)
-        whole = found.averaged(around, seed)
+        whole = found.whole.averaged(around, seed)
         after, doubts = _averaged_gap(whole), [*_doubts_in_words(found, whole)]
         if sampled is not None:
             posterior = sampled = whole
@@ -500,7 +483,7 @@ def _counted_twice(bench: Bench, recordings: Sequence[Recording]) -> Iterator[st
 def _notes_on(posterior: DirectPosterior) -> Iterator[str]:
     if posterior.diagnostics.outcome == "withheld":
         yield "The posterior could not be sampled; intervals are of its normal approximation."
-    yield from posterior.diagnostics.reasons
+    yield from flaws_in_words(posterior.diagnostics.reasons)
 
 
 def _channels(task: Task) -> tuple[str, ...]:

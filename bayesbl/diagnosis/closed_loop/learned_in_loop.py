@@ -20,7 +20,6 @@ from bayesbl.bench.learned import ENCODER, LearnedTerm, Side, Variable, waves_ov
 from bayesbl.bench.steady import ringing_hz
 from bayesbl.diagnosis.closed_loop.prediction import learned_terms
 from bayesbl.diagnosis.diagnosis import CURVE_POINTS, LearnedAnswer
-from bayesbl.diagnosis.residuals import Unexplained, What
 from bayesbl.errors import SimulationError
 from bayesbl.matching.alignment import aligned_starts, with_shifts
 from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
@@ -30,6 +29,7 @@ from bayesbl.model_search.closed_loop import CONTENDERS, linearised, noise_in_lo
 from bayesbl.model_search.constants import EXPECTED_HYPOTHESES, NAMED_AT, UNEXPLAINED_SHARE
 from bayesbl.model_search.linear import Term, search
 from bayesbl.model_search.refit import Explanation, with_own_noise
+from bayesbl.model_search.residuals import Unexplained, What
 from bayesbl.recording.types import FloatArray
 from bayesbl.units import RPM_PER_RAD_PER_S
 
@@ -285,7 +285,8 @@ def _promise(
         return None
     one = variants[found[0]]
     sizes = np.zeros((len(owners), 2 * one.orders + 1))
-    sizes[:, one.free] = posterior.mean_of(found)[0].reshape(len(owners), -1)
+    ((mean,), _) = posterior.mean_of(found)
+    sizes[:, one.free] = mean.reshape(len(owners), -1)
     evidence = posterior.log_evidence + math.log(posterior.sets[found])
     return evidence, one, sizes * one.usual
 

@@ -599,9 +599,8 @@ class InverseView:
             mine = candidate.looks[0].shapes.get(shape) == line.values[0]
             if mine and inference.posterior.inclusion[label] > 0.5:
                 sd = inference.values(label)[shape].sd
-                return line.finer(
-                    inference.terms[inference.posterior.likeliest(label)].look.shapes[shape], sd
-                )
+                _, look = inference.terms[inference.posterior.likeliest(label)].source
+                return line.finer(look.shapes[shape], sd)
         return line
 
     def _values(self, name: str) -> tuple[float, ...]:

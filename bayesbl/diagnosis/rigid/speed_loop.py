@@ -37,7 +37,6 @@ from bayesbl.diagnosis.inference import (
     bounded_least_squares,
     compared_pieces,
 )
-from bayesbl.diagnosis.residuals import Unexplained
 from bayesbl.diagnosis.rigid.motion import WIDEST
 from bayesbl.diagnosis.rigid.orders import FEWEST_CYCLES, OrderedRest, Peak, clearest, spectrum_of
 from bayesbl.diagnosis.task import (
@@ -54,6 +53,7 @@ from bayesbl.diagnosis.task import (
 )
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.linear import DiscrepancyGroup, Linearised, MisfitBand, Term, search
+from bayesbl.model_search.residuals import Unexplained
 from bayesbl.progress import StageProgress
 from bayesbl.recording.checks import is_one_speed, require_channels
 from bayesbl.recording.types import MOTOR_POSITION, MOTOR_SPEED, BoolArray, ComplexArray, FloatArray
@@ -528,7 +528,6 @@ class LoopSearch:
     def __init__(self, fit: LoopFit, candidates: Sequence[str]) -> None:
         self.fit, self._candidates = fit, (*candidates, ANGLE_ERROR, BETWEEN)
         self._sd = fit.lines.sd(fit.expected)
-        self.hypotheses: list[Hypothesis] = []
         terms = [*self._of_lines(), *self._of_loop()]
         prediction = self._rows(fit.expected)
         ends = np.cumsum([0, *fit.lines.shown.sum(axis=0)]).tolist()
@@ -549,7 +548,7 @@ class LoopSearch:
             [DiscrepancyGroup("share of its law", slice(0, prediction.size), usual)],
             bands,
         )
-        laws = {h.label: LINE_LAW for h in self.hypotheses if h.place is not None}
+        laws = {t.hypothesis: LINE_LAW for t in terms if t.source.place is not None}
         most = len(fit.lines.orders) + MOST_BESIDE
         self.posterior = search(linearised, most, laws)
 
@@ -565,8 +564,7 @@ class LoopSearch:
     def _term(
         self, hypothesis: Hypothesis, column: FloatArray, positive: bool, **more: Any
     ) -> Term:
-        self.hypotheses.append(hypothesis)
-        return Term(hypothesis.label, column[:, None], positive, **more)
+        return Term(hypothesis.label, column[:, None], positive, source=hypothesis, **more)
 
     def _of_lines(self) -> Iterator[Term]:
         lines, laws = self.fit.lines, self.fit.laws(self.fit.without)
@@ -629,12 +627,10 @@ class LoopSearch:
     @cached_property
     def sure(self) -> list[list[Hypothesis]]:
         """Hypotheses that are there almost surely, alone or one of several."""
-        sets = [*([label] for label in self.posterior.named), *self.posterior.confounded]
-        every = {
-            h.label: self.hypotheses[self.posterior.likeliest(h.label)] for h in self.hypotheses
-        }
-        found = [[every[n] for n in own if every[n].part != BOTH] for own in sets]
-        return [members for members in found if members]
+        posterior, terms = self.posterior, self.posterior.linearised.terms
+        found = [[terms[posterior.likeliest(n)].source for n in own] for own in posterior.sure]
+        apart = [[h for h in members if h.part != BOTH] for members in found]
+        return [members for members in apart if members]
 
 
 def searched(
@@ -649,7 +645,7 @@ def searched(
         if labels in known or len(known) == ROUNDS:
             return found
         known.append(labels)
-        fit = found.fitted(found.hypotheses[k] for k in best)
+        fit = found.fitted(found.posterior.linearised.terms[k].source for k in best)
 
 
 CANDIDATES = (RIPPLE, ECCENTRICITY, *LOOP_EFFECTS)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -24,6 +24,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2, norm
 
 from bayesbl.errors import RecordingError
+from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import BANDS
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray
@@ -51,11 +52,16 @@ MAIN_SHARE = 0.8
 MOST_LINES = 6
 """Of a channel: what is beyond them is weaker, mostly side bands."""
 
+MOST_ORDERS = 3
+SIDEBANDS = 2.5
+"""Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
+
 What = Literal["load angle", "motor angle", "time", "angle or time", "offset", "drift"]
 Scale = Literal["time", "motor angle", "load angle"]
 TIME: Literal["time"] = "time"
 MOTOR: Literal["motor angle"] = "motor angle"
 LOAD: Literal["load angle"] = "load angle"
+TURNING: tuple[What, ...] = (MOTOR, "angle or time")
 BETWEEN_ORDERS: tuple[Scale, ...] = (TIME, MOTOR)
 """Scales on which a line is drawn that need not be a whole load order."""
 
@@ -274,6 +280,43 @@ def _power(values: FloatArray, position: FloatArray, cycles: float) -> float:
     return float(abs(values @ np.exp(-2j * np.pi * cycles / values.size * position)) ** 2)
 
 
+def residuals_of(fit: SimulatedFit) -> ResidualAnalysis:
+    """What a fit leaves of its steady rotations.
+
+    Not of those whose lines of the motor are marginalised, nor of motions.
+    """
+    model = fit.model
+    steady = [
+        i for i, r in enumerate(model.recordings) if r.motion is None and r.motor_lines is None
+    ]
+    own = [fit.simulated(i) for i in steady]
+    # Bridged samples hold nothing that repeats.
+    seen = [
+        replace(r, signals=made + r.left_by(made))
+        for r, made in zip((model.recordings[i] for i in steady), own, strict=True)
+    ]
+    return analyse_residuals(seen, own)
+
+
+def motor_orders(fit: SimulatedFit) -> list[float]:
+    """Whole orders of the motor that what a fit leaves repeats with, a few, the strongest first.
+
+    None of recordings that hardly hold two rotations.
+    """
+    near = SIDEBANDS / fit.model.bench.value("gear_ratio")
+    try:
+        remaining = residuals_of(fit).remaining
+    except RecordingError:
+        return []
+    powers: dict[float, float] = {}
+    for entry in remaining:
+        whole = float(round(entry.lowest_order)) if entry.dependence in TURNING else 0.0
+        if whole and abs(entry.lowest_order - whole) < near:
+            every = sum(e.amplitude**2 for e in remaining if e.channel == entry.channel)
+            powers[whole] = powers.get(whole, 0.0) + entry.amplitude**2 / every
+    return sorted(powers, key=lambda order: -powers[order])[:MOST_ORDERS]
+
+
 def analyse_residuals(
     recordings: Sequence[Observed],
     simulated: Sequence[FloatArray],
@@ -296,7 +339,7 @@ def analyse_residuals(
     RecordingError
         If a recording holds less than two load rotations.
     """
-    tests = sum(len(seen.signals) for seen in recordings)
+    tests = max(1, sum(len(seen.signals) for seen in recordings))
     remaining, power = list[Unexplained](), 0.0
     for channel in dict.fromkeys(name for seen in recordings for name in seen.channels):
         pairs = zip(recordings, simulated, strict=True)
