@@ -35,11 +35,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
+from scipy.special import beta as beta_function
 from scipy.special import logsumexp, ndtr, ndtri
-from scipy.stats import beta as beta_distribution
-from scipy.stats import norm, qmc
 
 from bayesbl.compiled import compiled
+from bayesbl.probabilities import normal_pdf
 from bayesbl.progress import Progress
 from bayesbl.recording.types import FloatArray
 from bayesbl.two_encoders.paths import (
@@ -907,6 +907,8 @@ def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
 
 def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     """With a load that its weight moves; to begin with by points that fill the space evenly."""
+    from scipy.stats import qmc
+
     differs = np.quantile(model.residual(model.cell(0, 0.0, noise)), (0.05, 0.95))
     low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
     low[0], high[0] = (bound + np.log(0.5 * float(np.ptp(differs))) for bound in (low[0], high[0]))
@@ -988,10 +990,10 @@ def _density_of_held(
     stops = STOPS * np.exp(STOPS_SPREAD * ndtri((np.arange(64) + 0.5) / 64.0))
     logs = np.linspace(np.log(1e-9), np.log(1e2), 600)
     winds = np.exp(logs)[:, None] / stops
-    likely = norm.pdf(seen, sides * winds, spread).mean(axis=(0, 2))
-    likely /= norm.pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
-    usual = norm.pdf(logs, np.log(HELD_RAD), HELD_SPREAD)
-    soft = norm.pdf(logs, np.log(SOFT_RAD), SOFT_SPREAD)
+    likely = normal_pdf(seen, sides * winds, spread).mean(axis=(0, 2))
+    likely /= normal_pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
+    usual = normal_pdf(logs, np.log(HELD_RAD), HELD_SPREAD)
+    soft = normal_pdf(logs, np.log(SOFT_RAD), SOFT_SPREAD)
     densities = usual, soft, likely
 
     def at(held: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -1019,7 +1021,8 @@ def _priors(
     usual, _, inertia = of_held(half[:, None] * PARTS)
     share = SOFT + (1.0 - SOFT) * gap**2 / (gap**2 + PRECISE_RAD**2)
     # Over the logits here.
-    soft = beta_distribution.pdf(PARTS, *SOFT_PART) * PARTS * (1.0 - PARTS)
+    first, second = SOFT_PART
+    soft = PARTS**first * (1.0 - PARTS) ** second / beta_function(first, second)
     of_gap = np.stack([(1.0 - share) * usual, share * soft])
     of_gap *= inertia * likely * ((gap > low) & (gap < high))
     of_gap *= (1.0 - NO_PLAY) / np.log(high / low) * (LOGITS[1] - LOGITS[0])
