@@ -34,11 +34,13 @@ def absent(*names: str) -> Iterator[None]:
 def bare(*, dask: bool = False) -> Iterator[None]:
     """What every run needs is imported without its extras; the block has no dask unless asked for.
 
-    xarray looks for dask as it is imported, at its first variable and for each file.
+    xarray looks for dask as it is imported, at its first variable and for each file. In the block
+    matplotlib has no axes in space.
     """
     # Loaded before, it would insist on the dask that it found.
     spared = () if dask or "xarray" in sys.modules else ("dask",)
-    with absent(*spared):
+    with absent("mpl_toolkits.mplot3d", *spared), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Unable to import Axes3D")
         with _never_collected():
             with absent("pyarrow"):
                 import xarray  # noqa: F401  # imports pandas

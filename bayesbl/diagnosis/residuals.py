@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize_scalar
@@ -328,6 +327,8 @@ def _residual(seen: Observed, simulated: FloatArray, channel: str) -> _Residual:
     time = np.arange(n, dtype=float)
     turned = time
     if MOTOR_SPEED in seen.channels:
+        from scipy.integrate import cumulative_trapezoid
+
         turning = np.abs(simulated[seen.channels.index(MOTOR_SPEED), :n]) / 60.0
         turned = cumulative_trapezoid(turning, dx=n / seen.sampling_hz / turns, initial=0.0)
     lengths: dict[Scale, float] = {TIME: n / seen.sampling_hz, MOTOR: turns, LOAD: turns}
