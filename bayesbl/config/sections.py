@@ -232,7 +232,9 @@ Tolerance = Annotated[float | None, BeforeValidator(_not_percent)]
 class Section(BaseModel):
     """A table of the configuration: no unknown key, no silent conversion, no change later."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
+    )
 
     def require_sound(self) -> None:
         """Refuse values that do not go together."""

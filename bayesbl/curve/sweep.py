@@ -471,31 +471,29 @@ def _bench_source(
     nominal: SweepRow, values: FloatArray, departures: FloatArray, knots_rpm: FloatArray
 ) -> tuple[FloatArray, Ringing]:
     """Departures at given gaps turned into departures at given amplitudes."""
-    log_gap, centre = np.log(nominal.gap_rad), values.mean(axis=1)
-    at_knots = np.log(knots_rpm)
-    nominal_gap = _interpolate(at_knots, centre[:, 0], log_gap)
-    nominal_ringing = [_interpolate(at_knots, centre[:, 0], centre[:, k]) for k in (1, 2)]
-    shape = (len(departures), knots_rpm.size)
-    gap, ringing = np.empty(shape), [np.empty(shape), np.empty(shape)]
+    centre = values.mean(axis=1)
+    log_gap, at_knots = np.log(nominal.gap_rad)[:, None], np.log(knots_rpm)
+    at_nominal = _interpolate(at_knots, centre[:, 0], np.hstack([log_gap, centre[:, 1:]]))
+    _, frequency, decay = at_nominal.T
+    gap, by_frequency, by_decay = away = np.empty((3, len(departures), knots_rpm.size))
     for i, departure in enumerate(departures):
         moved = centre + departure
         order = np.maximum.accumulate(moved[:, 0] + 1e-9 * np.arange(len(moved)))
-        gap[i] = _interpolate(at_knots, order, log_gap) - nominal_gap
-        for k in (0, 1):
-            ringing[k][i] = _interpolate(at_knots, order, moved[:, k + 1]) - nominal_ringing[k]
-    frequency, decay = nominal_ringing
+        found = _interpolate(at_knots, order, np.hstack([log_gap, moved[:, 1:]]))
+        away[:, i] = (found - at_nominal).T
     scatter = _scatter(nominal, values, knots_rpm)
-    return gap, Ringing(frequency, decay, ringing[0], ringing[1], scatter)
+    return gap, Ringing(frequency, decay, by_frequency, by_decay, scatter)
 
 
 def _interpolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
-    """Linear interpolation, continued with the slope over the outer tenth at either end."""
-    inside = np.interp(x, known, values)
+    """Linear, of columns (n, k) at (m,), continued with the slope over the outer tenth."""
+    above = np.clip(np.searchsorted(known, x), 1, known.size - 1)
     outer = max(1, known.size // 10)
-    low = (values[outer] - values[0]) / (known[outer] - known[0])
-    high = (values[-1] - values[-1 - outer]) / (known[-1] - known[-1 - outer])
-    inside = np.where(x < known[0], values[0] + low * (x - known[0]), inside)
-    return np.where(x > known[-1], values[-1] + high * (x - known[-1]), inside)
+    first = np.where(x < known[0], 0, np.where(x > known[-1], known.size - 1 - outer, above - 1))
+    last = np.where(x < known[0], outer, np.where(x > known[-1], known.size - 1, above))
+    slope = (values[last] - values[first]) / (known[last] - known[first])[:, None]
+    base = np.where(x > known[-1], last, first)
+    return np.asarray(values[base] + slope * (x - known[base])[:, None])
 
 
 def _scatter(nominal: SweepRow, values: FloatArray, knots_rpm: FloatArray) -> FloatArray:

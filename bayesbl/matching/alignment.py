@@ -19,7 +19,7 @@ from bayesbl.bench.bench import Bench
 from bayesbl.bench.kernel import CURRENT, SPEED
 from bayesbl.bench.simulation import simulate_channels
 from bayesbl.errors import RecordingError
-from bayesbl.matching.least_squares import SimulatedFit, fit_simulated, with_model
+from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.motions import motion_starts, noise_of, remembered_start, start_angles
 from bayesbl.matching.observed import (
     Observed,
@@ -90,8 +90,7 @@ def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
     for _ in range(NOISE_ROUNDS):
         model = replace(model, noise=remaining_noise(best))
         best = fit_simulated(model, best.point, best.steps)
-    best = best.without_derivatives()
-    return with_model(best, model)
+    return best.with_derivatives()
 
 
 def _forgetful(fit: SimulatedFit, index: int) -> Observed:

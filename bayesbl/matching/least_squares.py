@@ -262,13 +262,6 @@ def fit_at(model: SimulatedSignals, point: FloatArray) -> SimulatedFit:
     return _fit(model, point, residual, jacobian.T @ jacobian, steps, jacobian)
 
 
-def with_model(fit: SimulatedFit, model: SimulatedSignals) -> SimulatedFit:
-    """The same point with residuals and derivatives of another model, say with new noise."""
-    residual = model.whitened(fit.point)[0]
-    jacobian, _ = _jacobian(model, fit.point, fit.steps)
-    return _fit(model, fit.point, residual, jacobian.T @ jacobian, fit.steps, jacobian)
-
-
 def derivatives(model: SimulatedSignals, point: FloatArray, steps: FloatArray) -> FloatArray:
     """Of the whitened signals by the coordinates at a point, shape (N, d)."""
     return _jacobian(model, point, steps)[0]

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
+from numpy.typing import NDArray
 
+from bayesbl.compiled import compiled
 from bayesbl.recording.types import BoolArray, FloatArray
 
 MOST_SHARE = 0.01
@@ -45,38 +46,56 @@ class MotorLines:
     kept: BoolArray
 
     @cached_property
-    def hats(self) -> sp.csr_array:
-        """H, shape (n, b); without columns where the samples are too few."""
+    def count(self) -> int:
+        """Number of hats b; none where the samples are too few."""
         count = min(int(MOST_SHARE * self.kept.sum()), MOST_HATS)
-        if count < FEWEST_HATS:
-            return sp.csr_array((self.turns.size, 0))
-        place = self.turns % 1.0 * count
-        before = np.floor(place).astype(int)
+        return count if count >= FEWEST_HATS else 0
+
+    @cached_property
+    def place(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+        """The hat before each sample, and what the sample has of it and of the next, (n,) each."""
+        place = self.turns % 1.0 * self.count
+        before = np.floor(place).astype(np.int64)
         share = place - before
-        rows = np.arange(self.turns.size)
-        return sp.csr_array(
-            (
-                np.concatenate([1.0 - share, share]) * np.tile(self.kept, 2),
-                (np.tile(rows, 2), np.concatenate([before, before + 1]) % count),
-            ),
-            shape=(self.turns.size, count),
-        )
+        return before % self.count, (1.0 - share) * self.kept, share * self.kept
 
     @cached_property
     def inverse(self) -> FloatArray:
         """(HᵀH)⁺, shape (b, b)."""
-        gram = (self.hats.T @ self.hats).toarray()
+        before, own, next_ = self.place
+        gram = np.zeros((self.count, self.count))
+        hat = np.arange(self.count)
+        after = (hat + 1) % self.count
+        gram[hat, hat] = np.bincount(before, own**2, self.count)
+        gram[after, after] += np.bincount(before, next_**2, self.count)
+        gram[hat, after] = gram[after, hat] = np.bincount(before, own * next_, self.count)
         return np.asarray(np.linalg.pinv(gram, rcond=SMALLEST, hermitian=True))
 
-    def taken_from(self, rows: FloatArray) -> FloatArray:
-        """Rows of the recording's last samples without what turns with the motor, shape (…, m)."""
-        if not self.hats.shape[1]:
-            return rows
+    def take_from(self, rows: FloatArray) -> None:
+        """Remove from rows of the recording's last samples, (…, m), what turns with the motor."""
+        if not self.count:
+            return
         first = self.kept.size - rows.shape[-1]
-        left = np.zeros((*rows.shape[:-1], self.kept.size))
-        left[..., first:] = rows
         # The hats add up to one, so this takes the constant too.
-        weights, across = self.inverse - 1.0 / self.kept[first:].sum(), self.hats.T
-        for row in left.reshape(-1, self.kept.size):
-            row -= self.hats @ (weights @ (across @ row))
-        return left[..., first:]
+        weights = self.inverse - 1.0 / self.kept[first:].sum()
+        before, own, next_ = (values[first:] for values in self.place)
+        for index in np.ndindex(rows.shape[:-1]):
+            _take(rows[index], before, own, next_, weights)
+
+
+@compiled(nogil=True, fastmath={"reassoc", "contract"})
+def _take(row, before, own, after, weights):  # type: ignore[no-untyped-def]
+    """row − H W Hᵀ row, in place, (m,)."""
+    count = len(weights)
+    across = np.zeros(count + 1)
+    for i in range(row.size):
+        across[before[i]] += own[i] * row[i]
+        across[before[i] + 1] += after[i] * row[i]
+    across[0] += across[count]
+    size = np.zeros(count + 1)
+    for j in range(count):
+        for k in range(count):
+            size[j] += weights[j, k] * across[k]
+    size[count] = size[0]
+    for i in range(row.size):
+        row[i] -= own[i] * size[before[i]] + after[i] * size[before[i] + 1]

@@ -190,7 +190,9 @@ class Observed:
         left = self.signals - simulated
         if self.excluded is not None:
             left[:, self.excluded] = 0.0
-        return left if self.motor_lines is None else self.motor_lines.taken_from(left)
+        if self.motor_lines is not None:
+            self.motor_lines.take_from(left)
+        return left
 
     @property
     def motor_start_rad(self) -> float | None:

@@ -122,11 +122,11 @@ def regress(
             progress(made, len(points) * len(model.recordings))
         # C = A⁺B, of which only CCᵀ is needed: small matrices all the way.
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
-        gram = inverse @ (right @ right.T) @ inverse
         channels = len(model.recordings[i].signals)
         rotation = np.tile(model.rotations(i), channels)
-        own_rows = (inverse @ right[:, rotation == r] for r in range(rotation[-1] + 1))
-        by_rotation = np.stack([rows @ rows.T for rows in own_rows])
+        own_rows = (right[:, rotation == r] for r in range(rotation[-1] + 1))
+        by_rotation = inverse @ np.stack([rows @ rows.T for rows in own_rows]) @ inverse
+        gram = by_rotation.sum(axis=0)
         reach = max(REACH * float(np.linalg.norm(u, axis=1).max()), LEAST_REACH)
         parts.append(_Part(index, centre[index], inverse_root, gram, by_rotation, reach))
     return chi_square, Surrogate(tuple(parts))

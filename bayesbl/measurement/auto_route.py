@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.errors import BenchError, CurveError, RecordingError, UserError
@@ -201,6 +200,8 @@ def _of_both_encoders(recording: Recording) -> Recording:
     """Samples that are no repairs; a motor's position that is missing is its speed, integrated."""
     channels, notes = dict(recording.channels), recording.notes
     if MOTOR_POSITION not in channels:
+        from scipy.integrate import cumulative_trapezoid
+
         speed = recording.motor_speed_rpm / RPM_PER_RAD_PER_S
         channels[MOTOR_POSITION] = cumulative_trapezoid(speed, recording.time_s, initial=0.0)
         notes = (*notes, "The motor's position is its speed, integrated.")

@@ -94,6 +94,7 @@ def beside_bench(
     scatter = measured - measured.mean(axis=1, keepdims=True)
     speed_rpm = float(point.recording.motor_speed_rpm.mean())
     count, simulated = measured.shape[2], []
+    waves = _waves(count)
     for gap in delta_rad:
         drawn = bench.draw(rng).with_parameters(reference_speed_rpm=speed_rpm)
         made = drawn.simulate_many(
@@ -104,7 +105,7 @@ def beside_bench(
         )[0, 1:, :count]
         rotation = math.copysign(1.0, speed_rpm) * made[: len(measured), None] + scatter
         gains = {gain.name: gain.value for gain in controller_gains(rotation, period_s)}
-        simulated.append(gains | _values(rotation))
+        simulated.append(gains | _values(rotation, waves))
     items = []
     for feature in features(measured, period_s):
         values = [each[feature.name] for each in simulated if feature.name in each]
@@ -129,10 +130,11 @@ def features(folded: FloatArray, period_s: float) -> list[Feature]:
     """
     gains = controller_gains(folded, period_s)
     generator = np.random.default_rng(SEED)
-    drawn = [_values(_resampled(folded, generator)) for _ in range(RESAMPLES)]
+    waves = _waves(folded.shape[2])
+    drawn = [_values(_resampled(folded, generator), waves) for _ in range(RESAMPLES)]
     return gains + [
         Feature(name, _unit(name), value, float(np.std([d[name] for d in drawn], ddof=1)))
-        for name, value in _values(folded).items()
+        for name, value in _values(folded, waves).items()
     ]
 
 
@@ -200,12 +202,17 @@ def folded_signal(signal: FloatArray, samples_per_rotation: float) -> FloatArray
     return np.asarray(folded.reshape(rotations, count))
 
 
-def _values(folded: FloatArray) -> dict[str, float]:
+def _waves(count: int) -> FloatArray:
+    """Cosines and sines over a rotation that give amplitudes, (count, 2, harmonic)."""
+    angle = 2.0 * np.pi * np.outer(np.arange(count), HARMONICS) / count
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1) * (2.0 / count)
+
+
+def _values(folded: FloatArray, waves: FloatArray) -> dict[str, float]:
     """By name: the mean current, and amplitudes at multiples of the load's rotation."""
-    _, rotations, count = folded.shape
-    waves = np.exp(-2j * np.pi * np.outer(np.arange(count), HARMONICS) / count)
-    terms = folded @ waves * (2.0 / count)
-    power = np.abs(terms.sum(axis=1)) ** 2 - np.sum(np.abs(terms) ** 2, axis=1)
+    rotations = folded.shape[1]
+    terms = np.tensordot(folded, waves, 1)
+    power = np.sum(terms.sum(axis=1) ** 2 - np.sum(terms**2, axis=1), axis=1)
     sizes = np.sqrt(np.maximum(power / (rotations * (rotations - 1)), 0.0))
     found = {} if len(folded) == 1 else {MEAN_CURRENT: float(folded[1].mean())}
     for name, own in zip(("speed", "current"), sizes.tolist(), strict=False):

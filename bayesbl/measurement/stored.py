@@ -267,7 +267,7 @@ class Snapshot:
     Attributes
     ----------
     groups
-        Of the route, as of :func:`groups_of_snapshot`.
+        Of the route, as of :func:`groups_of_snapshot`, made when they are asked for.
     summary
         Its part of the summary; sentences are not in it.
     """
@@ -317,18 +317,30 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot
     route = route or tree.attrs["route"]
     names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
     return [
-        Snapshot(name, groups_of_snapshot(tree.children[route], name), part["routes"][route])
+        Snapshot(name, _Groups(tree.children[route], name), part["routes"][route])
         for name, part in zip(names, summary.get("snapshots", [summary]), strict=True)
     ]
 
 
+class _Groups(dict[str, xr.Dataset]):
+    def __init__(self, route: xr.DataTree, name: str) -> None:
+        super().__init__()
+        self._route, self._name = route, name
+
+    def __missing__(self, group: str) -> xr.Dataset:
+        self[group] = own = _of_snapshot(self._route.children[group], self._name)
+        return own
+
+
 def groups_of_snapshot(route: xr.DataTree, name: str) -> dict[str, xr.Dataset]:
     """Groups of one recording, without the dimension ``snapshot`` and others' greater lengths."""
-    groups = {group: node.to_dataset() for group, node in route.children.items()}
-    for group, data in groups.items():
-        if STACKED in data.dims:
-            own = data.sel({STACKED: name}, drop=True)
-            for dim in set(own.dims) - {"chain", "draw"}:
-                own = own.dropna(dim, how="all")
-            groups[group] = own
-    return groups
+    return {group: _of_snapshot(node, name) for group, node in route.children.items()}
+
+
+def _of_snapshot(group: xr.DataTree, name: str) -> xr.Dataset:
+    data = group.to_dataset()
+    if STACKED in data.dims:
+        data = data.sel({STACKED: name}, drop=True)
+        for dim in set(data.dims) - {"chain", "draw"}:
+            data = data.dropna(dim, how="all")
+    return data

@@ -919,9 +919,8 @@ def _truncated(
         x = np.maximum(np.broadcast_to(middle, (n, bounded.size)), 0.0).copy()
         for _ in range(GIBBS_SWEEPS if bounded.size > 1 else 1):
             for i in range(bounded.size):
-                others = [j for j in range(bounded.size) if j != i]
                 sd = 1.0 / math.sqrt(own[i, i])
-                centre = middle[i] - (x[:, others] - middle[others]) @ own[others, i] / own[i, i]
+                centre = x[:, i] - (x @ own[i] - middle @ own[i]) / own[i, i]
                 z = normal_between(-centre / sd, np.full(n, np.inf), generator.uniform(size=n))
                 x[:, i] = np.maximum(centre + sd * z, 0.0)
                 if absent[bounded[i]] > 0.0:

@@ -16,6 +16,7 @@ from bayesbl.matching.least_squares import SimulatedFit, fit_simulated
 from bayesbl.matching.signals import SimulatedSignals
 from bayesbl.model_search.catalogue import Candidate
 from bayesbl.noise.channel_noise import ChannelNoise
+from bayesbl.processes import in_threads
 from bayesbl.recording.types import FloatArray
 
 SCANNED_GAPS = 10
@@ -184,15 +185,15 @@ def columns_of(fit: SimulatedFit, candidate: Candidate) -> list[list[FloatArray]
         [
             column
             for amplitude, phase in itertools.product(candidate.amplitudes, phases)
-            for column in _columns(model, fit.point, candidate, start, amplitude, phase)
+            for column in _columns(fit, model, candidate, start, amplitude, phase)
         ]
         for start in (candidate.neutral, *candidate.starts)
     ]
 
 
 def _columns(
+    fit: SimulatedFit,
     model: SimulatedSignals,
-    point: FloatArray,
     candidate: Candidate,
     start: FloatArray,
     amplitude: int,
@@ -200,7 +201,7 @@ def _columns(
 ) -> list[FloatArray]:
     """Change of the whitened signals by one amplitude; of a phase, one for each that has its own.
 
-    ``point``: without the candidate, whose unknowns are the model's last.
+    ``model``: with the candidate, whose unknowns are its last.
     """
     own = start.copy()
     own[candidate.amplitudes] = candidate.neutral[candidate.amplitudes]
@@ -212,18 +213,28 @@ def _columns(
         unknown, at = candidate.unknowns[amplitude], float(own[amplitude])
         amount = max(1e-3 * (unknown.high - unknown.low), unknown.low - at)
         amount = amount if at + amount <= unknown.high else -amount
-    moved = np.tile(np.concatenate([point, own]), (2, 1))
-    moved[1, point.size + amplitude] += amount
-    z = model.whitened(moved)
-    change = (z[0] - z[1]) / amount
-    if not np.all(np.isfinite(change)):
-        return []
-    if phase is None:
-        return [change]
+    here = np.concatenate([fit.point, own])
+    moved = here.copy()
+    moved[fit.point.size + amplitude] += amount
+    # An effect that was put into the bench does nothing yet.
+    is_fit = model.bench is not fit.model.bench
     owners = [
         k for k, seen in enumerate(model.recordings) if candidate.recording in (None, seen.name)
     ]
-    return [model.only_in(owner, change) for owner in owners]
+    change = np.zeros(model.size)
+
+    def fill(k: int) -> None:
+        part = model.by_recording(change)[k].reshape(-1)
+        part[:] = model.by_recording(fit.residual)[k].reshape(-1)
+        if not is_fit:
+            part[:] = model.whitened_of(here, k)[0]
+        part -= model.whitened_of(moved, k)[0]
+
+    in_threads(fill, owners, model.workers)
+    change /= amount
+    if not np.all(np.isfinite(change)):
+        return []
+    return [change] if phase is None else [model.only_in(owner, change) for owner in owners]
 
 
 def promised(candidate: Candidate, start: FloatArray, sizes: FloatArray) -> FloatArray:

@@ -22,7 +22,6 @@ DEPENDENCIES = (
     "scipy",
     "cma",
     "emcee",
-    "arviz-stats",
     "xarray",
     "netCDF4",
     "numba",

@@ -19,6 +19,8 @@ from typing import Any, BinaryIO, TypedDict
 import numpy as np
 import xarray as xr
 from pydantic_core import to_json
+from xarray.backends import NetCDF4DataStore
+from xarray.conventions import encode_dataset_coordinates
 
 from bayesbl.config.sections import RESULT_FILE
 from bayesbl.errors import ResultError
@@ -72,12 +74,39 @@ def write_tree(tree: xr.DataTree, path: str | Path) -> None:
     marked.attrs = {**tree.attrs, RESULT_MARK: FORMAT_VERSION}
     with replacing(path) as temporary:
         try:
-            marked.to_netcdf(temporary, engine="netcdf4")
+            _write_netcdf(marked, temporary)
         except RuntimeError as error:
             # netCDF4 does not say what the system said.
             message = f"result.nc cannot be written; is the disk full? ({error})"
             raise OSError(errno.EIO, message) from error
         seal(temporary)
+
+
+class _Later(list[tuple[Any, Any]]):
+    """Values and their places in a file, until the places of all are made."""
+
+    def add(self, values: object, place: object) -> None:
+        """As a store of xarray asks a writer to."""
+        self.append((values, place))
+
+
+def _write_netcdf(tree: xr.DataTree, path: Path) -> None:
+    """As ``tree.to_netcdf`` writes it, in a third of the time.
+
+    A definition after values makes NetCDF go over all that is defined once more.
+    """
+    import netCDF4
+
+    later = _Later()
+    with netCDF4.Dataset(path, "w") as file:
+        for node in tree.subtree:
+            is_root = node is tree
+            group = file if is_root else file.createGroup(node.path)
+            variables, attributes = encode_dataset_coordinates(node.to_dataset(inherit=is_root))
+            store: Any = NetCDF4DataStore
+            store(group).store(variables, attributes, writer=later)
+        for values, place in later:
+            place[...] = values
 
 
 def read_tree(path: str | Path) -> xr.DataTree:
