@@ -1,11 +1,10 @@
 """Libraries without the extras that they import where these happen to be installed.
 
-pandas imports pyarrow, xarray dask, cma matplotlib, emcee h5py and both ``scipy.stats``: together
-more than a second and 110 MB, of which a command uses nothing, or only later and by itself. They
-ask whether an extra is there as they are imported, and remember the answer for the life of the
-process. So only a process of ours may do this, a command or its worker, before it has other
-threads: whoever imports bayesbl into a program of their own finds pandas and xarray as they know
-them.
+pandas imports pyarrow, xarray dask, cma matplotlib and emcee h5py: together most of a second and
+110 MB, of which a command uses nothing, or only later and by itself. They ask whether an extra is
+there as they are imported, and remember the answer for the life of the process. So only a process
+of ours may do this, a command or its worker, before it has other threads: whoever imports bayesbl
+into a program of their own finds pandas and xarray as they know them.
 """
 
 from __future__ import annotations
@@ -34,21 +33,18 @@ def absent(*names: str) -> Iterator[None]:
 def bare(*, dask: bool = False) -> Iterator[None]:
     """What every run needs is imported without its extras; the block has no dask unless asked for.
 
-    xarray looks for dask as it is imported, at its first variable and for each file. In the block
-    matplotlib has no axes in space.
+    xarray looks for dask as it is imported, at its first variable and for each file.
     """
     # Loaded before, it would insist on the dask that it found.
     spared = () if dask or "xarray" in sys.modules else ("dask",)
-    with absent("mpl_toolkits.mplot3d", *spared), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Unable to import Axes3D")
+    with absent(*spared):
         with _never_collected():
             with absent("pyarrow"):
                 import xarray  # noqa: F401  # imports pandas
-            # cma has its own rank correlation, and of emcee no move needs a density of kernels.
-            with absent("matplotlib", "scipy.stats"), warnings.catch_warnings():
+            with absent("matplotlib"), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "Could not import matplotlib")
                 import cma  # noqa: F401
-            with absent("h5py", "scipy.stats"):
+            with absent("h5py"):
                 import emcee  # noqa: F401
             import numba  # noqa: F401
         yield

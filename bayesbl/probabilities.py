@@ -6,8 +6,6 @@ its import takes a quarter of a second of every command.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
@@ -21,11 +19,6 @@ def normal_sf(z: float) -> float:
 def normal_isf(probability: float) -> float:
     """The z that Z exceeds with this probability."""
     return float(-special.ndtri(probability))
-
-
-def normal_pdf(value: np.ndarray, mean: float | np.ndarray, sd: float | np.ndarray) -> np.ndarray:
-    """Density of a normal distribution."""
-    return np.asarray(np.exp(-0.5 * ((value - mean) / sd) ** 2) / (math.sqrt(2.0 * math.pi) * sd))
 
 
 def chi2_sf(value: ArrayLike, freedom: ArrayLike) -> np.ndarray:

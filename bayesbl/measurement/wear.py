@@ -467,10 +467,10 @@ def _fit(
 
 def _tempered(problem: _Problem, generator: np.random.Generator) -> FloatArray:
     """Standard normal numbers of equally likely laws and scatters, by tempering the likelihood."""
-    # A Latin hypercube: each number evenly over its distribution.
-    places = generator.permuted(np.tile(np.arange(PARTICLES), (NORMALS + 1, 1)), axis=1)
-    uniform = (places + generator.uniform(size=places.shape)) / PARTICLES
-    normal = ndtri(np.clip(uniform, 1e-9, 1.0 - 1e-9))
+    from scipy.stats import qmc
+
+    uniform = qmc.Sobol(NORMALS + 1, rng=generator).random(PARTICLES)
+    normal = ndtri(np.clip(uniform.T, 1e-9, 1.0 - 1e-9))
     likely, done = problem.log_likelihood(normal), 0.0
     while done < 1.0:
         step = _step(likely, 1.0 - done)

@@ -46,6 +46,7 @@ from bayesbl.matching.signals import GAP, SimulatedSignals, Unknown
 from bayesbl.model_search.constants import FORM_SHARE
 from bayesbl.model_search.linear import Linearised, ModelPosterior, Term, search
 from bayesbl.probabilities import chi2_isf, normal_isf
+from bayesbl.progress import Progress, silent
 from bayesbl.recording.types import FloatArray
 
 SEEN_STEP = 4.0
@@ -677,7 +678,7 @@ def with_neutral(bench: Bench, among: Sequence[Direction]) -> Bench:
     return bench.with_effects(*bench.effects, *added) if added else bench
 
 
-def settled(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
+def settled(fit: SimulatedFit, among: Sequence[Direction], progress: Progress = silent) -> Beside:
     """The fit with what data put far away among its unknowns, and what stands beside that.
 
     One after another: what is far for a lack of another is so no more when that is there.
@@ -686,7 +687,8 @@ def settled(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     takes the gaps along.
     """
     nominal = rest = beside(fit, among)
-    for _ in range(MOST_ROUNDS):
+    for made in range(MOST_ROUNDS):
+        progress(made, MOST_ROUNDS)
         nearer = _nearer(rest, among)
         if nearer is None:
             break

@@ -190,14 +190,15 @@ def fit_jointly(
     name = " and ".join(r.name for r in recordings)
     aligning = of_stage(progress, f"Fitting the bench to {name}")
     nominal = believed(fit_aligned(bench, recordings, unknowns, workers, aligning))
-    rest = settled(nominal, among)
+    allowing = of_stage(progress, f"Allowing for what the bench lacks in {name}")
+    rest = settled(nominal, among, allowing)
     if rest.explains:
         sets = () if moving else elastic_parts(rest.fit, among)
         for best, probability in sets[:1]:
             if best.explanation.candidates:
                 part = with_part(nominal, best.explanation, probability)
                 wider = [*among, *part.directions]
-                own = settled(part.fit, wider)
+                own = settled(part.fit, wider, allowing)
                 if own.explains:
                     joint = changed_beside(own.fit, wider, part.added)
                     return JointFit(rest=own, others=sets[1:], joint=joint)
@@ -208,7 +209,7 @@ def fit_jointly(
     rest = naming.rest or beside(naming.final.fit, among)
     if not rest.has_discrepancy:
         # Lags that stood in for what is named need not stand in for anything any more.
-        free, known = settled(rest.fit, among), len(rest.fit.model.unknowns)
+        free, known = settled(rest.fit, among, allowing), len(rest.fit.model.unknowns)
         if all(u.recording is None for u in free.fit.model.unknowns[known:]):
             rest = free
     # Sets that explain too little to be named know less of the misfit than the bench does.

@@ -20,12 +20,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize_scalar
+from scipy.stats import chi2, norm
 
 from bayesbl.errors import RecordingError
 from bayesbl.matching.least_squares import SimulatedFit
 from bayesbl.matching.observed import Observed
 from bayesbl.matching.predictive_check import BANDS
-from bayesbl.probabilities import chi2_sf, normal_sf
 from bayesbl.recording.types import MOTOR_SPEED, FloatArray
 from bayesbl.units import unit_of
 
@@ -256,7 +256,7 @@ class _Residual:
         bands = []
         for highest in BANDS[1:]:
             band = ratio[1 : highest + 1]
-            bands.append((float(chi2_sf(2.0 * band.sum(), 2 * band.size)), highest))
+            bands.append((float(chi2.sf(2.0 * band.sum(), 2 * band.size)), highest))
         probability, highest = min(bands)
         significant = np.flatnonzero(ratio > math.log(ratio.size / chance))
         highest = max(highest, int(significant.max(initial=0)))
@@ -461,7 +461,7 @@ def _numbers(channel: str, own: Sequence[_Residual], tests: int) -> Iterator[Une
         sure = {
             one.recording: value
             for one, (value, error) in zip(own, found, strict=True)
-            if 2.0 * normal_sf(abs(value) / error) * tests <= SURE
+            if 2.0 * float(norm.sf(abs(value) / error)) * tests <= SURE
         }
         if sure:
             largest = max(sure.values(), key=abs)

@@ -22,6 +22,7 @@ DEPENDENCIES = (
     "scipy",
     "cma",
     "emcee",
+    "arviz-stats",
     "xarray",
     "netCDF4",
     "numba",

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy import fft
-from scipy.special import ndtri
 
 from bayesbl.errors import NoFlankChange
 from bayesbl.recording.types import FloatArray
@@ -123,56 +122,13 @@ def rank_r_hat_and_ess(
     draws: Mapping[str, FloatArray],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Rank-normalised split R̂ and bulk ESS (Vehtari et al. 2021) of draws (chain, draw) by name."""
+    from arviz_stats.base import array_stats
+
     # Draws that are all alike have no R̂: it is not a number then, which is told as a sentence.
     with np.errstate(invalid="ignore"):
-        return {n: _r_hat(x) for n, x in draws.items()}, {n: _ess(x) for n, x in draws.items()}
-
-
-def _halves(draws: FloatArray) -> FloatArray:
-    """Half chains as chains, (chain, draw) to (2 chain, draw // 2)."""
-    half = draws.shape[1] // 2
-    return np.vstack((draws[:, :half], draws[:, -half:]))
-
-
-def _normal_scores(draws: FloatArray) -> FloatArray:
-    """Standard normal values of the draws' ranks, that of draws alike their mean."""
-    _, place, count = np.unique(draws, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(count) - 0.5 * (count - 1))[place].reshape(draws.shape)
-    return np.asarray(ndtri((rank - 0.375) / (draws.size + 0.25)))
-
-
-def _r_hat(draws: FloatArray) -> float:
-    """The larger one of those of the place and of the spread."""
-    if len(draws) < 2 or draws.shape[1] < 4 or np.isnan(draws).any():
-        return math.nan
-    halves = _halves(draws)
-    found = []
-    for values in (halves, np.abs(halves - np.median(halves))):
-        scores = _normal_scores(values)
-        between, within = scores.mean(axis=1).var(ddof=1), scores.var(axis=1, ddof=1).mean()
-        found.append(math.sqrt(between / within + 1.0 - 1.0 / scores.shape[1]))
-    return max(found)
-
-
-def _ess(draws: FloatArray) -> float:
-    """By Geyer's initial monotone sequence of pairs of autocorrelations, over all chains."""
-    if draws.shape[1] < 4 or np.isnan(draws).any():
-        return math.nan
-    scores = _normal_scores(_halves(draws))
-    if np.ptp(scores) == 0.0:
-        return float(scores.size)
-    count = scores.shape[1]
-    away = scores - scores.mean(axis=1, keepdims=True)
-    spectrum = np.abs(fft.rfft(away, fft.next_fast_len(2 * count, real=True))) ** 2
-    covariance = fft.irfft(spectrum.mean(axis=0))[:count] / count
-    total = covariance[0] + scores.mean(axis=1).var(ddof=1)
-    correlation = 1.0 - (covariance[0] * count / (count - 1.0) - covariance) / total
-    correlation[0] = 1.0
-    pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1)[: max((count - 1) // 2, 1)]
-    end = int(np.argmax(pairs <= 0.0)) if np.any(pairs <= 0.0) else len(pairs) - 1
-    summed = np.minimum.accumulate(pairs[:end]).sum()
-    time = 2.0 * summed - 1.0 + max(correlation[2 * end], 0.0)
-    return float(scores.size / max(time, 1.0 / math.log10(scores.size)))
+        r_hat = {n: float(array_stats.rhat(x, method="rank")) for n, x in draws.items()}
+        ess = {n: float(array_stats.ess(x, method="bulk")) for n, x in draws.items()}
+    return r_hat, ess
 
 
 def integrated_time(chain: FloatArray) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -21,8 +20,6 @@ PROPOSED = 8000
 ADAPTATIONS = 4
 LARGEST_TAIL = 0.7
 """Pareto k̂ up to which so many weights are enough (Vehtari et al. 2024)."""
-FEWEST_FOR_ROOT, FEWEST_IN_TAIL = 225, 5
-"""Weights from which on their tail are three square roots of them, not a fifth; and in a tail."""
 LEAST_SHARE = 0.25
 """Kish's effective share of the draws from which on they are not drawn again."""
 FEWEST = 3.0
@@ -61,6 +58,8 @@ def independent_draws(
     -------
     Shape (count, d); ``None`` where no proposal is near enough, as for a density of another shape.
     """
+    from arviz_stats.base import array_stats
+
     for _ in range(ADAPTATIONS):
         points, log_proposal = normal_in_box(peak, covariance, box, proposed, generator)
         density = target(points)
@@ -68,7 +67,8 @@ def independent_draws(
         if effective_size(log_weights) < FEWEST * peak.size:
             return None
         possible = np.isfinite(log_weights)
-        log_weights[possible], tail = smoothed_weights(log_weights[possible])
+        # ArviZ weighs by the inverse of a likelihood.
+        log_weights[possible], tail = array_stats.psislw(-log_weights[possible])
         share = effective_size(log_weights) / proposed
         if tail < LARGEST_TAIL and share > LEAST_SHARE:
             return points[resampled(log_weights[None], count, generator)[0]], share
@@ -77,42 +77,6 @@ def independent_draws(
         except np.linalg.LinAlgError:  # nothing that varies is left in some direction
             return None
     return None
-
-
-def smoothed_weights(log_weights: FloatArray) -> tuple[FloatArray, float]:
-    """Pareto-smoothed log weights, (m,), and k̂, the shape of their tail (Vehtari et al. 2024).
-
-    Infinite k̂ where the tail is too short to have a shape.
-    """
-    count = log_weights.size
-    longest = int(3.0 * math.sqrt(count) if count > FEWEST_FOR_ROOT else 0.2 * count)
-    log_weights = log_weights - log_weights.max()
-    order = np.argsort(log_weights)
-    tail, cutoff = order[-longest:], math.exp(log_weights[order[-longest - 1]])
-    beyond = np.exp(log_weights[tail]) - cutoff
-    if longest < FEWEST_IN_TAIL or not beyond[0] > 0.0:
-        return log_weights, math.inf
-    shape, scale = _pareto(beyond)
-    share = np.log1p(-(np.arange(longest) + 0.5) / longest)
-    log_weights[tail] = np.log(cutoff + scale * np.expm1(-shape * share) / shape)
-    return np.minimum(log_weights, 0.0), shape
-
-
-def _pareto(values: FloatArray) -> tuple[float, float]:
-    """Shape and scale of a generalised Pareto distribution from ascending values (m,).
-
-    Zhang and Stephens (2009), the shape with ten values' weight of a prior at one half.
-    """
-    count = values.size
-    grid = 30 + math.isqrt(count)
-    rates = 1.0 - np.sqrt(grid / (np.arange(grid) + 0.5))
-    rates = rates / (3.0 * values[int(0.25 * count + 0.5) - 1]) + 1.0 / values[-1]
-    shapes = np.log1p(-rates[:, None] * values).mean(axis=1)
-    profile = count * (np.log(-rates / shapes) - shapes - 1.0)
-    weights = np.exp(profile - profile.max())
-    rate = float(rates @ weights / weights.sum())
-    shape = float(np.log1p(-rate * values).mean())
-    return (count * shape + 5.0) / (count + 10.0), -shape / rate
 
 
 def _quadratic(

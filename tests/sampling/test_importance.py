@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-import pytest
-from arviz_stats.base import array_stats
 from scipy.stats import kstest, truncnorm
 
 from bayesbl.recording.types import FloatArray
-from bayesbl.sampling.importance import independent_draws, smoothed_weights
+from bayesbl.sampling.importance import independent_draws
 
 DRAWS = 2000
 FALSE_ALARM = 1e-3
@@ -56,20 +52,3 @@ def test_two_modes_far_apart_are_left_to_another_sampler() -> None:
 
     generator = np.random.default_rng(7)
     assert independent_draws(density, np.zeros(1), np.eye(1), box, DRAWS, generator) is None
-
-
-@pytest.mark.parametrize("count", [30, 225, 226, 8000])
-@pytest.mark.parametrize("sd", [0.3, 4.0])
-def test_weights_are_smoothed_as_by_arviz(count, sd):
-    log_weights = np.random.default_rng(3).normal(0.0, sd, count)
-    expected, tail = array_stats.psislw(-log_weights)
-    smoothed, shape = smoothed_weights(log_weights)
-    assert shape == pytest.approx(float(tail), rel=1e-10)
-    np.testing.assert_allclose(smoothed - smoothed[0], expected - expected[0], atol=1e-10)
-
-
-def test_weights_without_a_tail_have_no_shape_of_it():
-    weights, shape = smoothed_weights(np.zeros(100))
-    assert math.isinf(shape)
-    assert not weights.any()
-    assert math.isinf(smoothed_weights(np.arange(9.0))[1])

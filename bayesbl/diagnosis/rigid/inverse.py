@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.stats import norm
 
 from bayesbl.bench.bench import Bench, BenchEffect, EffectParameterValue
 from bayesbl.bench.effect_declaration import ORDER, PHASE, RigidLaw, direction
@@ -81,7 +82,6 @@ from bayesbl.diagnosis.task import (
 from bayesbl.errors import ConfigError, RecordingError
 from bayesbl.model_search.constants import NAMED_AT
 from bayesbl.noise.rotation_noise import HIGHEST_ORDER
-from bayesbl.probabilities import normal_isf
 from bayesbl.recording.repairs import widened
 from bayesbl.recording.types import (
     MOTOR_CURRENT,
@@ -730,7 +730,7 @@ class InverseView:
         if label == SKEW:
             time = self.parts[0].motion.time_s
             (skew,) = inference.values(label).values()
-            surely = abs(skew.value) - normal_isf(1.0 - NAMED_AT) * skew.sd
+            surely = abs(skew.value) - float(norm.ppf(NAMED_AT)) * skew.sd
             return surely > 0.5 * float(time[1] - time[0])
         whole = self._grid(label) if label in self.laws else ()
         scanned = self.laws[label].scanned if whole else None

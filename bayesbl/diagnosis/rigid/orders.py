@@ -11,6 +11,7 @@ from scipy import fft
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize_scalar
 from scipy.special import gammaln, logsumexp
+from scipy.stats import chi2
 
 from bayesbl.recording.types import BoolArray, ComplexArray, FloatArray
 
@@ -181,7 +182,7 @@ def spectrum_of(
         level[enough] = median_filter(np.abs(found[enough]) ** 2, around)
         waves[owner] += np.where(enough, found, 0.0)
         least = 0.0 if coloured else white
-        powers[owner] += np.where(enough, np.maximum(level / (2.0 * math.log(2.0)), least), 0.0)
+        powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), least), 0.0)
     scores = np.zeros(orders.size)
     for owner, wave in waves.items():
         scores += np.abs(wave) ** 2 / np.where(powers[owner] > 0.0, powers[owner], np.inf)

@@ -11,7 +11,6 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
-from scipy.ndimage import gaussian_filter1d
 
 from bayesbl.measurement.stored import Snapshot, routes_of, stored_answers, summary_of
 from bayesbl.measurement.wear import DAYS_PER_YEAR, LONGEST_YEARS, WEAR, Laws, used_dates
@@ -136,15 +135,12 @@ def _change_rows(tree: xr.DataTree) -> list[_Row]:
 
 def density(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Places and heights of a density, at the edges too; draws of a withheld gap may be alike."""
+    from arviz_stats.base import array_stats
+
     if np.ptp(draws) == 0.0:
         return draws[:1], np.ones(1)
-    counts, edges = np.histogram(draws, 512)
-    width = edges[1] - edges[0]
-    # Silverman's rule.
-    spread = min(draws.std(), float(np.subtract(*np.quantile(draws, (0.75, 0.25)))) / 1.34)
-    wide = 0.9 * spread * draws.size**-0.2 / width
-    smooth = gaussian_filter1d(counts / (draws.size * width), wide, mode="constant")
-    return 0.5 * (edges[1:] + edges[:-1]), smooth
+    across, heights, _ = array_stats.kde(draws, bw="silverman", bound_correction=False)
+    return across, heights
 
 
 def _draw_rows(
