@@ -71,7 +71,7 @@ class MotorLines:
         gram[hat, after] = gram[after, hat] = np.bincount(before, own * next_, self.count)
         return np.asarray(np.linalg.pinv(gram, rcond=SMALLEST, hermitian=True))
 
-    def take_from(self, rows: FloatArray) -> None:
+    def project_out(self, rows: FloatArray) -> None:
         """Remove from rows of the recording's last samples, (…, m), what turns with the motor."""
         if not self.count:
             return
@@ -80,11 +80,11 @@ class MotorLines:
         weights = self.inverse - 1.0 / self.kept[first:].sum()
         before, own, next_ = (values[first:] for values in self.place)
         for index in np.ndindex(rows.shape[:-1]):
-            _take(rows[index], before, own, next_, weights)
+            _project_out(rows[index], before, own, next_, weights)
 
 
 @compiled(nogil=True, fastmath={"reassoc", "contract"})
-def _take(row, before, own, after, weights):  # type: ignore[no-untyped-def]
+def _project_out(row, before, own, after, weights):  # type: ignore[no-untyped-def]
     """row − H W Hᵀ row, in place, (m,)."""
     count = len(weights)
     across = np.zeros(count + 1)

@@ -191,7 +191,7 @@ class Observed:
         if self.excluded is not None:
             left[:, self.excluded] = 0.0
         if self.motor_lines is not None:
-            self.motor_lines.take_from(left)
+            self.motor_lines.project_out(left)
         return left
 
     @property

@@ -507,7 +507,7 @@ class SimulatedSignals:
         if seen.excluded is not None:
             white[..., ~self._counts(recording)] = 0.0
         if seen.motor_lines is not None:
-            seen.motor_lines.take_from(white)
+            seen.motor_lines.project_out(white)
 
     def log_prior(self, points: FloatArray) -> FloatArray:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""

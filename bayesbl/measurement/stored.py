@@ -7,7 +7,7 @@ draws that answer at its root, and the whole summary as the attribute ``summary`
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -322,14 +322,21 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot
     ]
 
 
-class _Groups(dict[str, xr.Dataset]):
+class _Groups(Mapping[str, xr.Dataset]):
     def __init__(self, route: xr.DataTree, name: str) -> None:
-        super().__init__()
         self._route, self._name = route, name
+        self._read: dict[str, xr.Dataset] = {}
 
-    def __missing__(self, group: str) -> xr.Dataset:
-        self[group] = own = _of_snapshot(self._route.children[group], self._name)
-        return own
+    def __getitem__(self, group: str) -> xr.Dataset:
+        if group not in self._read:
+            self._read[group] = _of_snapshot(self._route.children[group], self._name)
+        return self._read[group]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._route.children)
+
+    def __len__(self) -> int:
+        return len(self._route.children)
 
 
 def groups_of_snapshot(route: xr.DataTree, name: str) -> dict[str, xr.Dataset]:

@@ -52,6 +52,9 @@ MOST_LINES = 6
 """Of a channel: what is beyond them is weaker, mostly side bands."""
 
 MOST_ORDERS = 3
+"""Of the motor, that are tried as ripples at once. It limits time only: others are looked for in
+what the best set leaves."""
+
 SIDEBANDS = 2.5
 """Load orders to either side of a whole motor order that belong to it: load torque modulates it."""
 

@@ -184,7 +184,7 @@ def require_no_holes(recording: Recording) -> None:
     if steps[longest] <= HOLE * usual:
         return
     raise RecordingError(
-        "Samples are missing, and the others are not evenly spaced in time.",
+        "Samples are missing.",
         file=recording.place,
         where=f"time_s near {recording.time_s[longest]:.6g} s",
         found=f"the longest step, {steps[longest]:.3g} s, follows {recording.time_s[longest]:.6g} "

@@ -908,21 +908,24 @@ def _coasting(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
 def _with_weight(model: Model, noise: Noise, best: Cell) -> tuple[Noise, Cell]:
     """With a load that its weight moves; to begin with by points that fill the space evenly.
 
-    Weight changes the flank at the same angle both ways, as a transmission error would: h is sought
-    up to all that both of them can hold.
+    Weight changes the flank at the same angle both ways, as a transmission error would. So h is
+    sought about what the error leaves, and about all that it may hold.
     """
     design = model.design
     plain = design.columns(np.zeros(design.load_rad.size))[:, : design.plain]
-    rest = design.load_rad - plain @ np.linalg.lstsq(plain, design.load_rad, rcond=None)[0]
-    differs = np.quantile(rest, (0.05, 0.95))
-    low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
-    low[0], high[0] = (bound + np.log(0.5 * float(np.ptp(differs))) for bound in (low[0], high[0]))
-    tried = []
-    for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
-        half, rubbed, weight = low + np.array(shares) * (high - low)
-        pull = np.exp(weight + 2j * np.pi * turn)
-        tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
-    return _placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED)
+    held = design.load_rad - plain @ np.linalg.lstsq(plain, design.load_rad, rcond=None)[0]
+    fits = [(noise, best)]
+    for rest in (model.residual(model.cell(0, 0.0, noise)), held):
+        low, high = (np.log([HALF[i], RUBBED[i], WEIGHT[i]]) for i in (0, 1))
+        about = np.log(0.5 * float(np.ptp(np.quantile(rest, (0.05, 0.95)))))
+        low[0], high[0] = low[0] + about, high[0] + about
+        tried = []
+        for *shares, turn in qmc.Sobol(4, scramble=False).random(TRIED):
+            half, rubbed, weight = low + np.array(shares) * (high - low)
+            pull = np.exp(weight + 2j * np.pi * turn)
+            tried.append(np.array([half, rubbed + weight, pull.real, pull.imag]))
+        fits.append(_placed(model, noise, best, tried, 0.2 * (1.0 - STAYS) / TRIED))
+    return max(fits, key=lambda fit: fit[1].log_evidence)
 
 
 def _refined(

@@ -24,7 +24,7 @@ def motor_turns(turns: float = 600.0) -> np.ndarray:
 
 def rest(lines: MotorLines, rows: np.ndarray) -> np.ndarray:
     left = rows.copy()
-    lines.take_from(left)
+    lines.project_out(left)
     return left
 
 

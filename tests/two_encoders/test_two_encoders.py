@@ -202,7 +202,7 @@ def test_a_skew_of_3_ms_of_a_large_robot_is_no_play():
     assert np.quantile(found.draws["delta_rad"], 0.95) < 5e-5
 
 
-def weighed(motor, half, step, seed):
+def weighed(motor, half, step, seed, eccentric=3e-3, phase=0.0):
     """A load that its weight moves between the flanks, its reading eccentric and noisy."""
     load, at, speed = [], motor[0] - half, 0.0
     for x, taken in zip(motor, np.gradient(motor, step), strict=True):
@@ -214,7 +214,7 @@ def weighed(motor, half, step, seed):
         if abs(at - x) >= half:
             at, speed = x + np.sign(at - x) * half, taken
         load.append(at)
-    read = np.array(load) + 3e-3 * np.sin(load)
+    read = np.array(load) + eccentric * np.sin(np.array(load) + phase)
     return read + 2e-5 * np.random.default_rng(seed).standard_normal(read.size)
 
 
@@ -228,6 +228,17 @@ def test_a_load_that_its_weight_moves_shows_its_play():
     assert low <= half <= high
     assert np.median(found.draws["delta_rad"]) == pytest.approx(half, rel=0.05)
     assert found.probability_of_play > 0.95
+
+
+def test_a_small_play_of_a_load_with_weight_shows_behind_a_large_eccentricity():
+    step, half = 5e-4, 1e-3
+    time = np.arange(0.0, 24.0, step)
+    motor = 0.4 * np.sin(np.pi * time) + 0.6 * np.sin(0.43 * np.pi * time)
+    read = weighed(motor, half, step, 3, eccentric=15e-3, phase=0.7)
+    found = fitted(Channels(time[::8], RATIO * motor[::8], read[::8]), None)
+    delta = found.draws["delta_rad"]
+    assert np.quantile(delta, 0.99) >= half
+    assert np.median(delta) == pytest.approx(half, rel=0.05)
 
 
 def test_a_load_over_its_balance_hides_no_play_in_ratio_and_transmission_error():
