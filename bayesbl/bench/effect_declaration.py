@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import ComplexArray, FloatArray
 from bayesbl.units import unit_of
-
-if TYPE_CHECKING:
-    from bayesbl.bench.bench import Bench
 
 Enters = Literal["motor", "load", "shaft", "loop", "measurement"]
 Dependence = Literal[
@@ -162,7 +159,23 @@ class RigidMotion:
 
 
 Parameters = Mapping[str, float]
-Law = Callable[[RigidMotion, "Bench", Parameters], FloatArray]
+
+
+class BenchValues(Protocol):
+    """What an effect asks of the bench that it is in."""
+
+    @property
+    def drive(self) -> str:
+        """``"two_mass"`` or ``"rigid"``."""
+
+    def value(self, name: str) -> float:
+        """Of a parameter of the bench, in its unit."""
+
+    def transmitted_torque(self, motion: RigidMotion) -> FloatArray:
+        """Torque that the gear passes on, at the motor, N m, shape (n,)."""
+
+
+Law = Callable[[RigidMotion, BenchValues, Parameters], FloatArray]
 """A signal of shape (n,) from the motion, the bench and the effect's parameters."""
 
 

@@ -10,19 +10,15 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesbl.bench.effect_declaration import ORDER, Effect, EffectParameter
+from bayesbl.bench.effect_declaration import ORDER, BenchValues, Effect, EffectParameter
 from bayesbl.bench.kernel import OVER_LOAD_ANGLE, OVER_MOTOR_ANGLE, OVER_SPEED, OVER_TIME, Slot
 from bayesbl.declared import declared
 from bayesbl.errors import BenchError
 from bayesbl.recording.channels import did_you_mean
 from bayesbl.recording.types import FloatArray
-
-if TYPE_CHECKING:
-    from bayesbl.bench.bench import Bench
 
 EFFECTS: tuple[Effect, ...] = tuple(
     sorted(declared(sys.modules[__name__], Effect), key=lambda effect: effect.place)
@@ -154,12 +150,12 @@ _POWERS = {
 """Of torque and speed in each unit."""
 
 
-def parameters_on(bench: Bench, effect: Effect) -> tuple[EffectParameter, ...]:
+def parameters_on(bench: BenchValues, effect: Effect) -> tuple[EffectParameter, ...]:
     """An effect's parameters with the ranges, the grid and the usual sizes of a joint."""
     return tuple(p.scaled(search_scale(bench, effect, p)) for p in effect.parameters)
 
 
-def search_scale(bench: Bench, effect: Effect, parameter: EffectParameter) -> float:
+def search_scale(bench: BenchValues, effect: Effect, parameter: EffectParameter) -> float:
     """By what the range and the grid of a catalogue's parameter are multiplied on a bench, a pure
     number: 1 on the reference bench.
 

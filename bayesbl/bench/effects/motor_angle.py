@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from bayesbl.bench.effect_declaration import (
     PHASE,
+    BenchValues,
     Effect,
     Parameters,
     RigidLaw,
@@ -17,9 +16,6 @@ from bayesbl.bench.effect_declaration import (
     phase,
 )
 from bayesbl.recording.types import FloatArray
-
-if TYPE_CHECKING:
-    from bayesbl.bench.bench import Bench
 
 # Felt only while the teeth touch. It repeats with the load only if the gear ratio times n is whole.
 GEAR_TRANSMISSION_ERROR = Effect(
@@ -46,7 +42,7 @@ GEAR_TRANSMISSION_ERROR = Effect(
 )
 
 
-def torque_nm(motion: RigidMotion, bench: Bench, given: Parameters) -> FloatArray:
+def torque_nm(motion: RigidMotion, bench: BenchValues, given: Parameters) -> FloatArray:
     """What is taken for acceleration and is not: the encoder's sway, differentiated as the rest."""
     ratio = bench.value("gear_ratio")
     inertia = bench.value("motor_inertia_kg_m2") + bench.value("load_inertia_kg_m2") / ratio**2
