@@ -68,7 +68,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def _takes(function: Callable[..., Any]) -> dict[str, Takes]:
-    found = {}
+    takes = {}
     for name, parameter in inspect.signature(function).parameters.items():
         annotation = parameter.annotation
         if isinstance(annotation, str):
@@ -79,8 +79,8 @@ def _takes(function: Callable[..., Any]) -> dict[str, Takes]:
         for part in (annotation, *get_args(annotation)):
             for item in get_args(part):
                 if isinstance(item, Takes):
-                    found[name] = item
-    return found
+                    takes[name] = item
+    return takes
 
 
 def _converted(function: Callable[..., Any], name: str, takes: Takes, value: Any) -> Any:

@@ -58,8 +58,8 @@ class UserError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions that cross process boundaries are rebuilt from args and would lose keywords.
-        told = {key: getattr(self, key) for key in ("file", "where", "found", "expected")}
-        return partial(type(self), self.problem, **told), ()
+        details = {key: getattr(self, key) for key in ("file", "where", "found", "expected")}
+        return partial(type(self), self.problem, **details), ()
 
     def _message(self) -> str:
         place = ", ".join(part for part in (self.file, self.where) if part)

@@ -112,8 +112,8 @@ def fit(
         If the recording or the configuration cannot be used.
     """
     given = locals()
-    found: FitResult = _run_options("fit", [given.pop("recording")], **given)
-    return found
+    result: FitResult = _run_options("fit", [given.pop("recording")], **given)
+    return result
 
 
 @checked
@@ -161,8 +161,8 @@ def compare(
     """
     given = locals()
     recordings = [given.pop("first"), *given.pop("later")]
-    found: ComparisonResult = _run_options("compare", recordings, **given)
-    return found
+    result: ComparisonResult = _run_options("compare", recordings, **given)
+    return result
 
 
 @checked
@@ -197,8 +197,8 @@ def identify(
     given = locals()
     if effects not in (None, "catalogue"):
         given["effects"] = list(effects or ())
-    found: IdentificationResult = _run_options("identify", given.pop("recordings"), **given)
-    return found
+    result: IdentificationResult = _run_options("identify", given.pop("recordings"), **given)
+    return result
 
 
 @checked
@@ -224,14 +224,16 @@ def diagnose(
     from bayesbl.runs.diagnose import diagnosis_of
 
     given: dict[str, Any] = {"level": level, "seed": seed, "workers": workers}
-    found: DiagnosisResult
+    result: DiagnosisResult
     if not recordings:
-        found = _run_options("diagnose", (), config=config, bench=bench, progress=progress, **given)
-        return found
+        result = _run_options(
+            "diagnose", (), config=config, bench=bench, progress=progress, **given
+        )
+        return result
     with _files(recordings, bench) as (files, of_bench), _shown(progress) as tell:
         loaded, _ = diagnosis_of(files, config, bench=of_bench, **given)
-        found = _made(loaded, tell)
-    return found
+        result = _made(loaded, tell)
+    return result
 
 
 @checked
@@ -247,8 +249,8 @@ def sweep(
     UserError
         If configuration or bench cannot be used, or the curve is not monotone.
     """
-    found: SweepResult = _run_options("sweep", (), **locals())
-    return found
+    result: SweepResult = _run_options("sweep", (), **locals())
+    return result
 
 
 @checked

@@ -352,14 +352,14 @@ def ramps_held(
 
 def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float) -> str:
     """The joint is preloaded."""
-    seen = (
+    evidence = (
         "No flank lifts at any of these torques, so the preload is unknown."
         if lifts_nm is None
         else f"Both flanks carry it up to about {lifts_nm:.2g} N m, where one lifts."
     )
     return (
         "These ramps show no play: the joint is stiffer around zero torque than beyond (its "
-        f"compliance is {relative_compliance:.2g} of that), like a preloaded joint. {seen} The "
+        f"compliance is {relative_compliance:.2g} of that), like a preloaded joint. {evidence} The "
         f"loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, as friction holds the "
         "compliance; δ is at most half of that."
     )

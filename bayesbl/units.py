@@ -234,11 +234,11 @@ def spelled(unit: str) -> str:
     elif held:
         power, number = held["power"], (held["plain"] or "").replace(",", ".")
         size, rest = 10.0 ** int(power) if power else float(number), held["unit"]
-    found = _quantity(rest)
-    if found is None or size == 0.0:
+    quantity = _quantity(rest)
+    if quantity is None or size == 0.0:
         return text
-    units = _FACTORS[found[0]]
-    multiples = [(f"{size * found[1] / factor:.12g}", name) for name, factor in units.items()]
+    units = _FACTORS[quantity[0]]
+    multiples = [(f"{size * quantity[1] / factor:.12g}", name) for name, factor in units.items()]
     number, name = min(multiples, key=lambda pair: (pair[0] != "1", len(pair[0])))
     return name if number == "1" else f"{number} {name}"
 

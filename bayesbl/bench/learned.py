@@ -159,14 +159,16 @@ class LearnedTerm:
     def fitted(self, values: Mapping[str, float], sds: Mapping[str, float]) -> LearnedTerm:
         """With these values and standard deviations, by slot; what is not there stays."""
         n, names = self.orders, self.names
-        found = [values.get(name, c) for name, c in zip(names, self.coefficients, strict=True)]
+        coefficients = [
+            values.get(name, c) for name, c in zip(names, self.coefficients, strict=True)
+        ]
         before = self.sd or (0.0,) * len(names)
         return replace(
             self,
             period=values.get(self.period_slot, self.period),
-            constant=self.constant if self.is_of_encoder else found[0],
-            cosine=tuple(found[-2 * n : -n]),
-            sine=tuple(found[-n:]),
+            constant=self.constant if self.is_of_encoder else coefficients[0],
+            cosine=tuple(coefficients[-2 * n : -n]),
+            sine=tuple(coefficients[-n:]),
             sd=tuple(sds.get(name, sd) for name, sd in zip(names, before, strict=True)),
         )
 

@@ -312,13 +312,13 @@ def _corners_restored(
         between = 0 < n < len(kept) - 2 and kept[n + 1] == i + 1
         if between and i - kept[n - 1] >= 2 and kept[n + 2] - i >= 3:
             h = float(time[i + 1] - time[i])
-            left = float(speed[i] - speed[i - 1]) / h
+            slope_before = float(speed[i] - speed[i - 1]) / h
             right = float(speed[i + 2] - speed[i + 1]) / h
             rise = float(speed[i + 1] - speed[i]) - right * h
-            at = rise / (left - right) if left != right else -1.0
+            at = rise / (slope_before - right) if slope_before != right else -1.0
             if 0.0 <= at <= h:
                 knots[-1] += at
-                values[-1] += left * at
+                values[-1] += slope_before * at
                 n += 1
         n += 1
     return np.array(knots), np.array(values)

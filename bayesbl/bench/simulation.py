@@ -165,7 +165,7 @@ def simulate_channels(
     def run(row: int) -> int:
         if math.isnan(settling[row]):
             return kernel.DIVERGED
-        found: int = kernel.simulate(
+        status: int = kernel.simulate(
             matrix[row],
             settling[row],
             1.0 / sampling_hz,
@@ -174,7 +174,7 @@ def simulate_channels(
             out[row],
             states[row],
         )[0]
-        return found
+        return status
 
     _run_rows(run, matrix, out, workers, failures)
     return out
@@ -209,7 +209,7 @@ def simulate_motions(
     moments = _even_s(out, sampling_hz)
 
     def run(row: int) -> int:
-        found: int = kernel.simulate_motion(
+        status: int = kernel.simulate_motion(
             matrix[row],
             motion.pieces,
             1.0 / sampling_hz,
@@ -218,7 +218,7 @@ def simulate_motions(
             start_flank,
             out[row],
         )[0]
-        return found
+        return status
 
     _run_rows(run, matrix, out, workers, failures)
     return out
@@ -344,6 +344,8 @@ def _failure(matrix: FloatArray, row: int, status: int) -> SimulationError:
         "reference speed": (Slot.reference_speed_rpm, "rpm"),
         "current limit": (Slot.current_limit_a, "A"),
     }
-    found = ", ".join(f"{name} {values[slot]:g} {unit}" for name, (slot, unit) in shown.items())
+    listed_values = ", ".join(
+        f"{name} {values[slot]:g} {unit}" for name, (slot, unit) in shown.items()
+    )
     number = f"Simulation {row + 1} of {matrix.shape[0]}: " if matrix.shape[0] > 1 else ""
-    return SimulationError(f"{number}{_REASONS[status]}.", found=found)
+    return SimulationError(f"{number}{_REASONS[status]}.", found=listed_values)

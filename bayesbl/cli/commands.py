@@ -329,9 +329,9 @@ def watch_command(
             raise ConfigError(
                 "Credentials are for a broker.", where="--credentials", expected="--publish URL too"
             )
-        found = load_run(config, kind="fleet")
-        assert isinstance(found, FleetConfig)
-        output = found.run.output
+        plant_config = load_run(config, kind="fleet")
+        assert isinstance(plant_config, FleetConfig)
+        output = plant_config.run.output
         asked = Watched(
             folder,
             given["out"] or output.with_name(output.name + _WATCHED),
@@ -344,7 +344,7 @@ def watch_command(
         table = asked.output / RECORDINGS_FILE
         _log(f"Watching {folder}; each recording becomes a row of {table}.")
         with _ended_by_signals():
-            watch(found, asked, _log, _tell)
+            watch(plant_config, asked, _log, _tell)
 
 
 @_takes("credentials once")

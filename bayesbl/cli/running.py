@@ -81,7 +81,7 @@ def print_json(summary: Mapping[str, Any]) -> None:
     from bayesbl.presentation.terminal import STEERING
     from bayesbl.results.store import json_text
 
-    text = STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", json_text(summary))
+    text = STEERING.sub(lambda match: f"\\u{ord(match[0]):04x}", json_text(summary))
     typer.echo(text.encode(), nl=False)
 
 

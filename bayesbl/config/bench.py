@@ -513,11 +513,11 @@ class BenchFile(Section):
             if entry.unit is not None and name in CONVERSIONS
         }
         printed = {name: entry.value for name, entry in self.parameters.items()}
-        found = {name: value for name, value in printed.items() if name not in units}
+        values = {name: value for name, value in printed.items() if name not in units}
         try:
             for name in filter(units.__contains__, CONVERSIONS):  # in the order of their needs
-                found[name] = CONVERSIONS[name][units[name]](printed[name], found)
-            return found
+                values[name] = CONVERSIONS[name][units[name]](printed[name], values)
+            return values
         except KeyError as missing:
             raise BenchError(
                 "A unit is converted with another parameter, which is missing.",

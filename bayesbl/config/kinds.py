@@ -264,14 +264,14 @@ class FleetConfig(RecordedConfig):
     wear: WearOverDates = Field(default_factory=WearOverDates)
 
     def require_sound(self) -> None:
-        for found, what, at in (
+        for value, what, at in (
             (self.curve.source, "A curve", ("curve", "source")),
             (self.wear.in_service_since, "in_service_since", ("wear", "in_service_since")),
         ):
-            if found is not None:
+            if value is not None:
                 refuse(
                     f"{what} belongs to a joint, not to a fleet.",
-                    found=found,
+                    found=value,
                     expected=f"a column {at[-1].replace('source', 'curve')} of the inventory",
                     at=at,
                 )

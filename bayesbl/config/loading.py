@@ -67,7 +67,7 @@ def problems_of(
 ) -> list[ConfigError]:
     """The problems that pydantic found in tables of this model, in the order of ``text``."""
     lines = line_numbers(text)
-    found = []
+    problems = []
     for item in _items_of(error):
         location = _location_of(item)
         where, line = _origin_of(location, origins), 0
@@ -76,11 +76,11 @@ def problems_of(
             line = next(filter(None, known), 0)
             where = _field_name(model, location)
             where = f"line {line}, {where}".removesuffix(", ") if line else where
-        told = _problem(item, model, location)
+        details = _problem(item, model, location)
         if where and where.startswith("--") and item["type"] == "extra_forbidden":
-            told = {"problem": "This option is not for this kind of run."}
-        found.append((line, ConfigError(where=where or None, **told)))
-    return [problem for _, problem in sorted(found, key=lambda pair: pair[0])]
+            details = {"problem": "This option is not for this kind of run."}
+        problems.append((line, ConfigError(where=where or None, **details)))
+    return [problem for _, problem in sorted(problems, key=lambda pair: pair[0])]
 
 
 def _origin_of(location: Location, origins: Mapping[Location, str]) -> str | None:
@@ -166,8 +166,8 @@ def _problem(item: Mapping[str, Any], model: type[BaseModel], location: Location
         case "missing":
             return {"problem": "A required key is missing.", "expected": f'"{location[-1]}"'}
         case "refused":
-            found = context.get("found")
-            shown = _shown(item["input"]) if found is None else str(found)
+            actual = context.get("found")
+            shown = _shown(item["input"]) if actual is None else str(actual)
             problem = str(item["msg"])
             return {"problem": problem, "found": shown, "expected": context.get("expected")}
         case kind:
@@ -289,8 +289,8 @@ class _Document:
         """
         if self.kind not in FILES or self.kind in wanted:
             return self
-        expected = " or ".join(map(_told, wanted))
-        raise self._wrong_kind("This file is of another kind.", _told(self.kind), expected)
+        expected = " or ".join(map(_in_words, wanted))
+        raise self._wrong_kind("This file is of another kind.", _in_words(self.kind), expected)
 
     def validated(self, model: type[_Model]) -> _Model:
         """As a configuration.
@@ -317,17 +317,17 @@ class _Document:
         """
         if self.kind in KINDS:
             return self.validated(KINDS[self.kind])
-        problem, found = "The kind of run is missing.", "nothing"
+        problem, actual = "The kind of run is missing.", "nothing"
         if "kind" in self.tables:
             problem = "There is no such kind of run." + did_you_mean(self.kind, RUNNABLE)
-            found = repr(self.tables["kind"])
+            actual = repr(self.tables["kind"])
         expected = "one of " + ", ".join(f'"{name}"' for name in RUNNABLE)
-        raise self._wrong_kind(problem, found, expected)
+        raise self._wrong_kind(problem, actual, expected)
 
-    def _wrong_kind(self, problem: str, found: str, expected: str) -> ConfigError:
+    def _wrong_kind(self, problem: str, actual: str, expected: str) -> ConfigError:
         line = line_numbers(self.text).get(("kind",))
         where = "kind" if line is None else f"line {line}, kind"
-        return ConfigError(problem, file=self.file, where=where, found=found, expected=expected)
+        return ConfigError(problem, file=self.file, where=where, found=actual, expected=expected)
 
 
 def load_file(path: Path, model: type[_Model]) -> _Model:
@@ -339,11 +339,11 @@ def load_file(path: Path, model: type[_Model]) -> _Model:
         Naming file and field: no such file, not TOML, another kind, or what the model refuses.
     """
     (kind,) = get_args(model.model_fields["kind"].annotation)
-    document = _Document.read(path, f"a file of kind {_told(kind)} in TOML")
+    document = _Document.read(path, f"a file of kind {_in_words(kind)} in TOML")
     return document.of_kind([kind]).validated(model)
 
 
-def _told(kind: str) -> str:
+def _in_words(kind: str) -> str:
     return f'"{kind}" ({FILES[kind]})'
 
 

@@ -78,11 +78,11 @@ class Limit(Section):
 
     def require_sound(self) -> None:
         if (self.unit == "mm") != (self.at_m is not None):
-            found = "no radius" if self.at_m is None else f"a radius with {self.unit}"
-            refuse("A limit in mm, and no other, has a radius.", found=found, expected=EXAMPLES)
+            actual = "no radius" if self.at_m is None else f"a radius with {self.unit}"
+            refuse("A limit in mm, and no other, has a radius.", found=actual, expected=EXAMPLES)
         if (self.of == "lost_motion") != (self.at_torque_share is not None):
-            found = "no torque" if self.at_torque_share is None else f"a torque with {self.of}"
-            refuse("Lost motion, and nothing else, has a torque.", found=found, expected=EXAMPLES)
+            actual = "no torque" if self.at_torque_share is None else f"a torque with {self.of}"
+            refuse("Lost motion, and nothing else, has a torque.", found=actual, expected=EXAMPLES)
 
     def __str__(self) -> str:
         radius = "" if self.at_m is None else f" at {self.at_m!r} m"

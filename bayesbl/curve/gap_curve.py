@@ -297,8 +297,8 @@ def likeliest_branch(curve: GapCurve, estimator: Estimator, point: PointEstimate
         weighed.append((_log_prior(curve, ringing, other) - deficit, other))
     evidence, best = max(weighed, key=lambda pair: pair[0])
     contenders = tuple(
-        Contender(other.optimum.symbols[AMPLITUDE], found - evidence)
-        for found, other in weighed
+        Contender(other.optimum.symbols[AMPLITUDE], other_evidence - evidence)
+        for other_evidence, other in weighed
         if other is not best
     )
     if best is point:
@@ -323,8 +323,8 @@ def _log_prior(curve: GapCurve, ringing: Ringing, point: PointEstimate) -> float
         [np.interp(x, log_knots, ringing.log_frequency), np.interp(x, log_knots, ringing.log_decay)]
     )
     # A fixed frequency or decay carries no information and has no variance.
-    told = np.diag(covariance)[1:] > 0.0
-    difference = (centre[1:] - expected)[told]
-    total = total[np.ix_(told, told)]
+    informative = np.diag(covariance)[1:] > 0.0
+    difference = (centre[1:] - expected)[informative]
+    total = total[np.ix_(informative, informative)]
     distance = difference @ np.linalg.solve(total, difference)
     return float(-0.5 * (distance + np.linalg.slogdet(total)[1]))

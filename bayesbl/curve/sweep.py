@@ -215,14 +215,14 @@ def _row(
     searched: FloatArray,
 ) -> SweepRow:
     """The row of optima (g, s, d)."""
-    found = [
+    solutions = [
         objective.solve(point[None])
         for of_gap, points in zip(objectives, searched, strict=True)
         for objective, point in zip(of_gap, points, strict=True)
     ]
     shape = start_angle_rad.shape
-    amplitude = np.abs([solution.coefficients[0, -1] for solution in found])
-    squares = np.array([solution.sum_of_squares[0] for solution in found])
+    amplitude = np.abs([solution.coefficients[0, -1] for solution in solutions])
+    squares = np.array([solution.sum_of_squares[0] for solution in solutions])
     rmse = np.sqrt(squares / objectives[0][0].samples_used)
     return SweepRow(
         gap_rad,
@@ -313,12 +313,14 @@ def virtual_departures(swept: SweptDraws, generator: np.random.Generator) -> Flo
     flat = swept.departures.reshape(draws, -1)
     solution = np.linalg.lstsq(design, flat, rcond=None)[0]
     freedom = max(draws - design.shape[1], 1)
-    left = (flat - design @ solution) * np.sqrt(draws / freedom)
+    residual = (flat - design @ solution) * np.sqrt(draws / freedom)
     if swept.root is None:
         virtual = generator.uniform(-1.0, 1.0, size=(count, parameters))
     else:
         virtual = generator.standard_normal((count, parameters)) @ swept.root.T
-    described = _terms(virtual, squares) @ solution + left[generator.integers(draws, size=count)]
+    described = (
+        _terms(virtual, squares) @ solution + residual[generator.integers(draws, size=count)]
+    )
     return np.asarray(described.reshape(count, *swept.departures.shape[1:]))
 
 
@@ -479,8 +481,8 @@ def _bench_source(
     for i, departure in enumerate(departures):
         moved = centre + departure
         order = np.maximum.accumulate(moved[:, 0] + 1e-9 * np.arange(len(moved)))
-        found = _interpolate(at_knots, order, np.hstack([log_gap, moved[:, 1:]]))
-        away[:, i] = (found - at_nominal).T
+        interpolated = _interpolate(at_knots, order, np.hstack([log_gap, moved[:, 1:]]))
+        away[:, i] = (interpolated - at_nominal).T
     scatter = _scatter(nominal, values, knots_rpm)
     return gap, Ringing(frequency, decay, by_frequency, by_decay, scatter)
 

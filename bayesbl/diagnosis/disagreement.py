@@ -127,7 +127,7 @@ class ComparedPiece:
         Shape (n,), the channel's unit; NaN where nothing was.
     before, after
         Predicted without and with what was named, as ``measured``.
-    left
+    residual
         What is compared of measured less these, (2, n).
     noise_floor, noise_floor_from
         RMS of what does not follow from the recording's own past, and which past: the load rotation
@@ -141,7 +141,7 @@ class ComparedPiece:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
-    left: FloatArray
+    residual: FloatArray
     noise_floor: float
     noise_floor_from: FloorFrom
 
@@ -156,7 +156,7 @@ class ComparedPiece:
         before: FloatArray,
         after: FloatArray,
         *,
-        left: FloatArray | None = None,
+        residual: FloatArray | None = None,
         rotation: int | None = None,
         white: FloatArray | None = None,
     ) -> ComparedPiece:
@@ -164,7 +164,7 @@ class ComparedPiece:
 
         Parameters
         ----------
-        left
+        residual
             As the attribute, where samples are left out.
         rotation
             Samples in a load rotation, of a recording that holds whole ones; ``None`` elsewhere.
@@ -172,17 +172,17 @@ class ComparedPiece:
             Autocovariance, in samples, of white noise behind the filter that both sides passed.
         """
         signals = time_s, measured, before, after
-        left = measured - np.stack([before, after]) if left is None else left
+        residual = measured - np.stack([before, after]) if residual is None else residual
         if rotation is not None:
-            difference = left[1, rotation:] - left[1, :-rotation]
+            difference = residual[1, rotation:] - residual[1, :-rotation]
             floor = math.sqrt(0.5 * float(np.mean(difference**2)))
-            return cls(recording, channel, use, *signals, left, floor, "rotation")
-        noise = ResidualNoise.of(left[1])
+            return cls(recording, channel, use, *signals, residual, floor, "rotation")
+        noise = ResidualNoise.of(residual[1])
         floor = noise.innovation
         if white is not None:
             variance, _ = levinson(white, min(noise.coefficients.size, white.size - 1))[-1]
             floor = min(noise.sd, floor * math.sqrt(float(white[0]) / variance))
-        return cls(recording, channel, use, *signals, left, floor, "samples")
+        return cls(recording, channel, use, *signals, residual, floor, "samples")
 
 
 def disagreement_table(pieces: Sequence[ComparedPiece]) -> DisagreementTableSummary:
@@ -205,12 +205,13 @@ def disagreement_table(pieces: Sequence[ComparedPiece]) -> DisagreementTableSumm
 
 def _disagreement(parts: Sequence[tuple[ComparedPiece, float]], unit: str) -> DisagreementSummary:
     """Of some pieces together, each multiplied by its factor."""
-    size = sum(piece.left.shape[1] for piece, _ in parts)
+    size = sum(piece.residual.shape[1] for piece, _ in parts)
     before, after = (
-        sum(_squares(factor * piece.left[k]) for piece, factor in parts) / size for k in range(2)
+        sum(_squares(factor * piece.residual[k]) for piece, factor in parts) / size
+        for k in range(2)
     )
-    floor = sum(p.left.shape[1] * (factor * p.noise_floor) ** 2 for p, factor in parts) / size
-    independent = sum(piece.left.shape[1] / _inflation(piece.left[1]) for piece, _ in parts)
+    floor = sum(p.residual.shape[1] * (factor * p.noise_floor) ** 2 for p, factor in parts) / size
+    independent = sum(piece.residual.shape[1] / _inflation(piece.residual[1]) for piece, _ in parts)
     excess = before - floor
     # Of a mean square of noise, taken twice, and of its product with the misfit.
     error = math.sqrt((4.0 * floor**2 + 4.0 * max(excess, 0.0) * floor) / independent)

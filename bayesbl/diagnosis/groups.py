@@ -153,43 +153,43 @@ def summarise_diagnosis(tree: xr.DataTree) -> DiagnosisSummary:
     return {"kind": "diagnose", **head(tree), **answer}
 
 
-def answer_of(found: Diagnosis, level: float, kind: IntervalKind) -> Answer:
+def answer_of(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> Answer:
     """The answer with credible intervals of this level and kind."""
 
     def of(value: object) -> Any:
         return plain(value, lambda estimate: interval_of(estimate, level, kind))
 
     answer: Answer = {
-        "verdict": found.verdict,
-        "effects": of(found.effects),
-        "parameter_errors": of(found.parameter_errors),
-        "bench_parameters": of(found.bench_parameters),
-        "remaining": of(found.remaining),
-        "disagreement": found.disagreement,
-        "delta_rad_before": of(found.delta_before),
-        "delta_rad_after": of(found.delta_after),
-        "suggested_recording": of(found.suggestion),
+        "verdict": diagnosis.verdict,
+        "effects": of(diagnosis.effects),
+        "parameter_errors": of(diagnosis.parameter_errors),
+        "bench_parameters": of(diagnosis.bench_parameters),
+        "remaining": of(diagnosis.remaining),
+        "disagreement": diagnosis.disagreement,
+        "delta_rad_before": of(diagnosis.delta_before),
+        "delta_rad_after": of(diagnosis.delta_after),
+        "suggested_recording": of(diagnosis.suggestion),
     }
-    if found.gap_withheld:
-        answer["gap_withheld"] = found.gap_withheld
-    if found.augmented_bench is not None:
+    if diagnosis.gap_withheld:
+        answer["gap_withheld"] = diagnosis.gap_withheld
+    if diagnosis.augmented_bench is not None:
         answer["augmented_bench"] = AUGMENTED_BENCH
-    if found.learned is not None:
-        told = _learned(found.learned)
-        if found.learned.term.is_of_encoder:
-            told["amplitude_rad"] = found.learned.amplitude
-            answer["encoder_error"] = told
+    if diagnosis.learned is not None:
+        learned = _learned(diagnosis.learned)
+        if diagnosis.learned.term.is_of_encoder:
+            learned["amplitude_rad"] = diagnosis.learned.amplitude
+            answer["encoder_error"] = learned
         else:
-            told["amplitude_nm"] = found.learned.amplitude
-            answer["learned_torque"] = told
-    if found.posterior is not None:
-        answer["diagnostics"] = sampling_summary(found.posterior)
+            learned["amplitude_nm"] = diagnosis.learned.amplitude
+            answer["learned_torque"] = learned
+    if diagnosis.posterior is not None:
+        answer["diagnostics"] = sampling_summary(diagnosis.posterior)
     return answer
 
 
-def _learned(told: LearnedAnswer) -> Any:
+def _learned(learned: LearnedAnswer) -> Any:
     """The keys of :class:`LearnedSummary` but the amplitude."""
-    return _dependence(told.term) | {"alike": [_dependence(other) for other in told.alike]}
+    return _dependence(learned.term) | {"alike": [_dependence(other) for other in learned.alike]}
 
 
 def _dependence(term: LearnedTerm) -> Any:
@@ -293,7 +293,7 @@ LEARNED = {
 """By the name of what was learned."""
 
 
-def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
+def diagnosis_tree(diagnosis: Diagnosis, level: float, kind: IntervalKind) -> xr.DataTree:
     """The whole result, without its origin.
 
     Parameters
@@ -302,27 +302,27 @@ def diagnosis_tree(found: Diagnosis, level: float, kind: IntervalKind) -> xr.Dat
         Of the credible intervals.
     """
     groups = {}
-    if found.signals:
-        groups["signals"] = signals_dataset(found.signals)
-    if found.posterior is not None:
-        groups["posterior"] = posterior_dataset(found.posterior)
-    if found.learned is not None:
-        curve, group = found.learned, LEARNED[found.learned.term.block]
+    if diagnosis.signals:
+        groups["signals"] = signals_dataset(diagnosis.signals)
+    if diagnosis.posterior is not None:
+        groups["posterior"] = posterior_dataset(diagnosis.posterior)
+    if diagnosis.learned is not None:
+        curve, group = diagnosis.learned, LEARNED[diagnosis.learned.term.block]
         size, sd = (variable.name for variable in group.variables)
         groups[group.name] = dataset(
             group, {size: curve.value, sd: curve.sd}, {"variable": curve.variable}
         )
     tree = xr.DataTree.from_dict(groups)
-    doubts = found.posterior is not None and bool(found.posterior.diagnostics.reasons)
-    bench = found.augmented_bench
+    doubts = diagnosis.posterior is not None and bool(diagnosis.posterior.diagnostics.reasons)
+    bench = diagnosis.augmented_bench
     tree.attrs = {
         "kind": "diagnose",
         "outcome": "usable" if doubts else "converged",
         "reason": "",
-        "warnings": list(found.notes),
+        "warnings": list(diagnosis.notes),
         "interval_level": level,
         "interval_kind": kind,
-        "diagnosis": json.dumps(answer_of(found, level, kind), ensure_ascii=False),
+        "diagnosis": json.dumps(answer_of(diagnosis, level, kind), ensure_ascii=False),
         "augmented_bench": "" if bench is None else dump_bench(bench),
     }
     return tree

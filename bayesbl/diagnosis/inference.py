@@ -330,8 +330,8 @@ class AffineModel:
     @cached_property
     def by_nuisances(self) -> FloatArray:
         """Nuisances that fit the shown rows best beside nothing else, (d,)."""
-        shown, left = self.rows.shown, self.rows.measured - self.base
-        return least_squares(self.jacobian[shown], left[shown])
+        shown, residual = self.rows.shown, self.rows.measured - self.base
+        return least_squares(self.jacobian[shown], residual[shown])
 
     def columns(self, candidate: Candidate, look: Look) -> FloatArray:
         """Of a candidate, with a pair for every used recording where phases are their own."""
@@ -366,11 +366,11 @@ def impossible(estimates: Mapping[str, Estimate]) -> Iterator[str]:
 
     Noise alone may carry a value below zero.
     """
-    for name, found in estimates.items():
+    for name, estimate in estimates.items():
         info = PARAMETER_INFO[name]
-        if info.positive and found.value + SURE_PARAMETER * found.sd <= 0.0:
+        if info.positive and estimate.value + SURE_PARAMETER * estimate.sd <= 0.0:
             yield (
-                f"The best fit with {name} free has {found.value:.3g} {info.unit} there, which "
+                f"The best fit with {name} free has {estimate.value:.3g} {info.unit} there, which "
                 "nothing has: what the recordings show follows no law that was tried, so nothing "
                 "is named. Faster motion shows the inertia, slow motion in both directions the "
                 "friction."
@@ -398,10 +398,10 @@ def with_shared_scale(
     ``scale_sd``: relative standard deviation of the factor, zero if it is known.
     """
     return {
-        name: replace(found, sd=math.hypot(found.sd, scale_sd * found.value))
+        name: replace(estimate, sd=math.hypot(estimate.sd, scale_sd * estimate.value))
         if units[name].startswith(TORQUES)
-        else found
-        for name, found in estimates.items()
+        else estimate
+        for name, estimate in estimates.items()
     }
 
 
@@ -556,15 +556,15 @@ class Inference:
     def _rounding(self) -> float:
         """Noise that is always there."""
         model, shown = self.model, self.model.rows.shown
-        left = (model.rows.measured - model.base)[shown]
-        return ROUNDING * (math.sqrt(float(np.mean(left**2))) or 1.0)
+        residual = (model.rows.measured - model.base)[shown]
+        return ROUNDING * (math.sqrt(float(np.mean(residual**2))) or 1.0)
 
     @cached_property
     def _level(self) -> float:
         """Root mean square of what the shown pieces show beside the nuisances."""
         model = self.model
-        left = model.rows.measured - model.base - model.jacobian @ model.by_nuisances
-        return max(math.sqrt(float(np.mean(left[model.rows.shown] ** 2))), self._rounding)
+        residual = model.rows.measured - model.base - model.jacobian @ model.by_nuisances
+        return max(math.sqrt(float(np.mean(residual[model.rows.shown] ** 2))), self._rounding)
 
     def _noise_beside_everything(self, blocks: list[FloatArray]) -> list[ResidualNoise]:
         """From what all candidates and the discrepancy together leave, by ridge regression."""
@@ -579,10 +579,10 @@ class Inference:
         variance = (0.1 * level) ** 2
         for _ in range(_RIDGE_ROUNDS):
             inverse = np.linalg.pinv(gram + np.diag(variance * free), 1e-13, True)
-            left = target - matrix @ (inverse @ right)
+            residual = target - matrix @ (inverse @ right)
             freedom = max(target.size - float(np.sum(inverse * gram)), 0.1 * target.size)
-            variance = float(left @ left) / freedom
-        return [ResidualNoise.of(part) for part in np.split(left, self._ends)]
+            variance = float(residual @ residual) / freedom
+        return [ResidualNoise.of(part) for part in np.split(residual, self._ends)]
 
     def _search(self, terms: list[Term]) -> None:
         def counted(rows: FloatArray) -> FloatArray:
@@ -674,7 +674,7 @@ class Inference:
                 own[name] = (np.full(weight.size, shape), np.zeros(weight.size))
             for name, (value, variance) in own.items():
                 parts.setdefault(name, []).append((weight, value, variance))
-        found = {}
+        estimates = {}
         for name, pieces in parts.items():
             weight, value, variance = map(np.concatenate, zip(*pieces, strict=True))
             share = weight / weight.sum()
@@ -683,8 +683,8 @@ class Inference:
                 middle = math.atan2(share @ np.sin(value), share @ np.cos(value))
                 value = middle + np.angle(np.exp(1j * (value - middle)))
             spread = float(share @ (variance + (value - middle) ** 2))
-            found[name] = Estimate(middle, math.sqrt(spread))
-        return found
+            estimates[name] = Estimate(middle, math.sqrt(spread))
+        return estimates
 
     def nuisance(self, name: str) -> Estimate:
         """A nuisance by name."""
@@ -757,17 +757,17 @@ class Inference:
         term = self.terms[place]
         return term.positive and bool(fitted.sizes[place] <= NONE * term.unit)
 
-    def predicted(self, found: Coefficients) -> FloatArray:
+    def predicted(self, coefficients: Coefficients) -> FloatArray:
         """Of every row, (N,); what belongs to a held-out recording alone is fitted on it."""
         model, rows = self.model, self.model.rows
-        total = model.base + model.jacobian @ found.nuisances
+        total = model.base + model.jacobian @ coefficients.nuisances
         waves: list[tuple[float, FloatArray]] = []
-        for k, size in found.sizes.items():
+        for k, size in coefficients.sizes.items():
             candidate, look = self.terms[k].source
             total = total + model.columns(candidate, look) @ size
             if candidate.own_phase and size.any():
                 waves.append((float(np.hypot(*size.reshape(-1, 2).T).mean()), look.columns))
-        for g, size in found.discrepancy.items():
+        for g, size in coefficients.discrepancy.items():
             total = total + model.discrepancies[g].columns @ size
         for piece, own in zip(rows.pieces, rows.slices, strict=True):
             if piece.use == "used":
@@ -799,9 +799,9 @@ class Inference:
     def noise_left(self) -> list[ResidualNoise]:
         """Of what the average over the posterior leaves of every used piece."""
         rows = self.model.rows
-        left = rows.measured - self.predicted(self.average)
+        residual = rows.measured - self.predicted(self.average)
         return [
-            ResidualNoise.of(left[own])
+            ResidualNoise.of(residual[own])
             for piece, own in zip(rows.pieces, rows.slices, strict=True)
             if piece.use == "used"
         ]
@@ -875,13 +875,13 @@ def diagnose(
         Relative standard deviation of a factor that all torques and inertias have in common.
     """
     view, inference = inferred(view.prepared(), progress)
-    told, remaining = _told(view, inference, most)
+    named_sets, remaining = _named(view, inference, most)
     group = _learned_group(inference)
-    view, at = view.settled([label for label, _ in told]), inference
+    view, at = view.settled([label for label, _ in named_sets]), inference
     if view.model is not inference.model:
         at = Inference(view.model, inference.noises)
-    told, fitted = _fitted(at, told, [] if group is None else [group])
-    labels = [label for label, _ in told]
+    named_sets, fitted = _fitted(at, named_sets, [] if group is None else [group])
+    labels = [label for label, _ in named_sets]
     learned = None if group is None else learned_answer(at, fitted, group)
     kinds = {label: inference.labels[label].kind for label in labels}
     estimates = {
@@ -897,12 +897,12 @@ def diagnose(
     if denied:
         remaining = []
     pieces = compared_pieces(at.model.rows, before, after)
-    left = disagreement_table(pieces)["over_all"]["used"]
-    if denied or not _closes(left):
-        told, estimates, learned = [], {}, None
+    disagreement = disagreement_table(pieces)["over_all"]["used"]
+    if denied or not _closes(disagreement):
+        named_sets, estimates, learned = [], {}, None
         pieces = compared_pieces(at.model.rows, before, before)
-        left = disagreement_table(pieces)["over_all"]["used"]
-    named = [(label, alike) for label, alike in told if kinds[label] == "effect"]
+        disagreement = disagreement_table(pieces)["over_all"]["used"]
+    named = [(label, alike) for label, alike in named_sets if kinds[label] == "effect"]
     units = {name: PARAMETER_INFO[name].unit for name in estimates}
     estimates = with_shared_scale(estimates, units, scale_sd)
     effects = [
@@ -911,7 +911,9 @@ def diagnose(
     ]
     errors = tuple(parameter_errors(bench, estimates))
     lines = tuple(_line(inference, *item) for item in remaining)
-    over_noise = left["after"] / max(left["noise_floor"], ROUNDING * left["before"], _TINY)
+    over_noise = disagreement["after"] / max(
+        disagreement["noise_floor"], ROUNDING * disagreement["before"], _TINY
+    )
     is_much = over_noise > EXCESS
     remains = bool(lines or denied or group is not None or "gravity" in kinds.values()) or is_much
     if effects and is_much:
@@ -953,12 +955,12 @@ def _closes(used: DisagreementSummary) -> bool:
     return used["after"] < max(CLOSED * used["before"], EXCESS * used["noise_floor"])
 
 
-def _told(
+def _named(
     view: View, inference: Inference, most: int
 ) -> tuple[list[tuple[str, tuple[str, ...]]], list[tuple[str, What]]]:
     """Labels that are named, each with what it is confounded with; lines that remain."""
     labels = inference.labels
-    told: list[tuple[str, tuple[str, ...]]] = []
+    named: list[tuple[str, tuple[str, ...]]] = []
     remaining: list[tuple[str, What]] = []
     waves: list[str] = []
     for members in inference.sure:
@@ -971,26 +973,26 @@ def _told(
         elif all(view.reportable(inference, m) for m in members):
             first, *others = members
             names = dict.fromkeys(labels[m].name for m in (*others, *inference.lookalikes(first)))
-            told.append((first, tuple(n for n in names if n != labels[first].name)))
+            named.append((first, tuple(n for n in names if n != labels[first].name)))
     waves.sort(key=lambda m: -_share(inference, m))
-    told += [(m, ()) for m in waves[:1]]
+    named += [(m, ()) for m in waves[:1]]
     remaining += [(m, "motor angle") for m in waves[1:]]
-    told.sort(key=lambda pair: -_share(inference, pair[0]))
-    effects = [p for p in told if labels[p[0]].kind == "effect"][most:]
-    return [p for p in told if p not in effects], remaining
+    named.sort(key=lambda pair: -_share(inference, pair[0]))
+    effects = [p for p in named if labels[p[0]].kind == "effect"][most:]
+    return [p for p in named if p not in effects], remaining
 
 
 def _fitted(
-    inference: Inference, told: list[tuple[str, tuple[str, ...]]], groups: Sequence[int]
+    inference: Inference, named: list[tuple[str, tuple[str, ...]]], groups: Sequence[int]
 ) -> tuple[list[tuple[str, tuple[str, ...]]], Coefficients]:
     """What is told, as it fits best; without what is none then, and what requires that."""
     while True:
-        fitted = inference.projection([label for label, _ in told], groups)
-        none = {label for label, _ in told if inference.is_none(fitted, label)}
-        none |= {label for label, _ in told if inference.labels[label].requires & none}
+        fitted = inference.projection([label for label, _ in named], groups)
+        none = {label for label, _ in named if inference.is_none(fitted, label)}
+        none |= {label for label, _ in named if inference.labels[label].requires & none}
         if not none:
-            return told, fitted
-        told = [pair for pair in told if pair[0] not in none]
+            return named, fitted
+        named = [pair for pair in named if pair[0] not in none]
 
 
 def _shapes(candidate: Candidate) -> Mapping[str, float]:

@@ -195,7 +195,7 @@ def wanted(
     asked = config.candidates.effects
     if asked == "all":
         return tuple(meaning)
-    found = tuple(name for name, names in meaning.items() if names & set(asked))
+    quantities = tuple(name for name, names in meaning.items() if names & set(asked))
     known = set().union(*meaning.values())
     for name in asked:
         if name not in known:
@@ -205,7 +205,7 @@ def wanted(
                 found=name,
                 expected="one of " + ", ".join(sorted(known)),
             )
-    return found
+    return quantities
 
 
 def unknown_parameters(task: Task) -> tuple[str, ...]:

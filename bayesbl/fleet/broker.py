@@ -214,10 +214,10 @@ def _properties(packet: str, **values: int) -> Any:
 def unreachable(address: Address, error: BaseException | None) -> str:
     """Why there is no connection, as a sentence."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        told = error.verify_message
+        reason = error.verify_message
     else:
-        told = getattr(error, "strerror", None) or str(error)
-    return f"{address.host}:{address.port} cannot be reached: {told}."
+        reason = getattr(error, "strerror", None) or str(error)
+    return f"{address.host}:{address.port} cannot be reached: {reason}."
 
 
 def refused(address: Address, reason: object) -> BrokerError:

@@ -169,10 +169,10 @@ def read_joints(section: FleetSection) -> list[Joint]:
     joints = [_valid(Joint, row, file, number) for number, row in enumerate(_rows(file), start=1)]
     if not joints:
         raise ConfigError("The inventory has no joint.", file=file, expected="a row a joint")
-    seen: dict[str, str] = {}
+    by_name: dict[str, str] = {}
     for joint in joints:
         # Each becomes a file, and some file systems do not tell large from small letters.
-        other = seen.setdefault(joint.name.casefold(), joint.name)
+        other = by_name.setdefault(joint.name.casefold(), joint.name)
         if other is not joint.name:
             raise ConfigError(
                 "Two joints have the same name.",
@@ -200,8 +200,8 @@ def read_joints(section: FleetSection) -> list[Joint]:
         for number, joint in enumerate(joints, start=1):
             value = joint.covariates.get(name)
             if not isinstance(value, float) or not math.isfinite(value):
-                found = str(value) if value not in (None, "") else "nothing"
-                _refuse(file, number, name, found, "a number in every row, for [fleet] covariates")
+                actual = str(value) if value not in (None, "") else "nothing"
+                _refuse(file, number, name, actual, "a number in every row, for [fleet] covariates")
     return joints
 
 
@@ -224,7 +224,7 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
     ConfigError
         If the table of recordings cannot be read.
     """
-    found = list(_by_pattern(section) if section.is_pattern else _by_table(section))
+    recordings = list(_by_pattern(section) if section.is_pattern else _by_table(section))
     known = {joint.name for joint in joints}
     listed = [
         one
@@ -234,7 +234,7 @@ def find_recordings(section: FleetSection, joints: Sequence[Joint]) -> list[Foun
             reason=f"There is no joint {one.joint!r} in the inventory."
             + did_you_mean(one.joint, sorted(known)),
         )
-        for one in found
+        for one in recordings
     ]
     return sorted(listed, key=lambda one: (one.joint, one.date, one.file))
 
@@ -257,21 +257,21 @@ def digest_of_file(file: str) -> tuple[str | None, str | None]:
     try:
         return hashlib.sha256(read_input(Path(file))).hexdigest(), None
     except (OSError, ValueError) as error:
-        told = getattr(error, "strerror", None) or str(error)
-        return None, f"The file cannot be read: {told}."
+        reason = getattr(error, "strerror", None) or str(error)
+        return None, f"The file cannot be read: {reason}."
 
 
 def _by_pattern(section: FleetSection) -> Iterator[Found]:
     pattern = section.recordings
     parts = re.split(r"(\{joint\}|\{date\})", pattern)
     anything = "".join("*" if part.startswith("{") else escape(part) for part in parts)
-    seen: set[str] = set()
+    groups: set[str] = set()
     exact = ""
     for part in parts:
         name = part[1:-1] if part in ("{joint}", "{date}") else ""
-        again = f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+)"
+        again = f"(?P={name})" if name in groups else f"(?P<{name}>[^/]+)"
         exact += again if name else re.escape(part)
-        seen.add(name)
+        groups.add(name)
     fixed = parts[0].rpartition("/")[0]
     for path in glob(anything):
         match = re.fullmatch(exact, path)
@@ -333,12 +333,12 @@ def _valid(model: type[_R], row: Mapping[str, str], file: Path, number: int) -> 
         raise first.at(ConfigError, f"row {number}, ", file) from None
 
 
-def _refuse(file: Path, row: int, column: str, found: str, expected: str) -> NoReturn:
+def _refuse(file: Path, row: int, column: str, actual: str, expected: str) -> NoReturn:
     raise ConfigError(
         "This row cannot be used.",
         file=file,
         where=f"row {row}, {column}",
-        found=found,
+        found=actual,
         expected=expected,
     )
 

@@ -230,11 +230,11 @@ class JointJob:
             if joint.in_service_since is not None:
                 tables["wear"]["in_service_since"] = Date.fromisoformat(joint.in_service_since)
         try:
-            found = model.model_validate(tables, context={BASE_DIRECTORY: Path.cwd()})
+            snapshot_config = model.model_validate(tables, context={BASE_DIRECTORY: Path.cwd()})
         except ValidationError as error:
             raise problems_of(error, model)[0] from None
-        assert isinstance(found, SnapshotConfig)
-        return found
+        assert isinstance(snapshot_config, SnapshotConfig)
+        return snapshot_config
 
     def seeds(self, numbers: Sequence[int]) -> Seeds:
         """One for each recording by its content, so that no recording changes those of another."""
@@ -318,10 +318,10 @@ def measure_recording(job: JointJob, number: int) -> RecordingAnswer:
 
 def _states(job: JointJob, numbers: Sequence[int]) -> list[FileState]:
     """Of the files of recordings, bench and curve; none where one does not hold what was asked."""
-    told = [(job.recordings[number].file, job.recordings[number].sha256) for number in numbers]
+    files = [(job.recordings[number].file, job.recordings[number].sha256) for number in numbers]
     named = ((job.joint.bench, job.of_bench), (job.joint.curve, job.of_curve))
     states = []
-    for file, sha256 in (*told, *named):
+    for file, sha256 in (*files, *named):
         if file is not None and sha256 is not None:
             state = file_state(str(file))
             if state is None or digest_of_file(str(file))[0] != sha256:
@@ -343,8 +343,8 @@ def _answer(job: JointJob, tree: xr.DataTree) -> RecordingAnswer:
         bench = as_normal(unknowns, draws, own.identified).reshape(len(unknowns), gap.size)
     amplitude = None
     if route == "amplitude":
-        found = whole["amplitude_rpm"]
-        amplitude = found["median"], found["low"], found["high"]
+        ringing = whole["amplitude_rpm"]
+        amplitude = ringing["median"], ringing["low"], ringing["high"]
     outcome, reason = whole["diagnostics"]["outcome"], whole["routes"][route]["reason"]
     if gap is None:
         outcome = outcome if outcome == "withheld" else "no_curve"
@@ -427,8 +427,12 @@ def _by_curve(job: JointJob, used: Sequence[int]) -> JointAnswer:
     tree = _measured(job, job.config("compare", used, "amplitude"), used)
     gaps = np.asarray(tree["gap"].to_dataset()["delta_rad"].values)
     wear = tree["wear"].to_dataset() if "wear" in tree.children else None
-    found = with_sentences(summary_of(tree))["wear"]
-    reason = None if found is None or found["reason"] is None else found["reason"]["text"]
+    wear_summary = with_sentences(summary_of(tree))["wear"]
+    reason = (
+        None
+        if wear_summary is None or wear_summary["reason"] is None
+        else wear_summary["reason"]["text"]
+    )
     return _of_group(wear, reason, "amplitude", used, gaps.reshape(len(used), -1))
 
 

@@ -108,12 +108,12 @@ def decoded_answer(message: bytes) -> dict[str, Any]:
     if content.keys() != {"recording"}:
         raise ValueError("it has other parts than schema, device and recording")
     try:
-        found = _Row.model_validate(content["recording"])
+        recording = _Row.model_validate(content["recording"])
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))
         raise ValueError(shortened(f"{where}: {first['msg']}", 200)) from None
-    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS) | dict(found)
+    row: dict[str, Any] = dict.fromkeys(RECORDING_COLUMNS) | dict(recording)
     if row["outcome"] != "refused":  # which it may be just for its date
         _require_day(row["date"])
         if row["sha256"] is None:

@@ -161,8 +161,8 @@ JOINT_COLUMNS = _columns("""
 
 def _ends(draws: FloatArray, name: str, of: IntervalConfig) -> dict[str, float]:
     """Columns of an interval."""
-    found = interval(draws, of.level, of.kind)
-    return {f"{name}_{end}": found[end] for end in ("median", "low", "high")}
+    bounds = interval(draws, of.level, of.kind)
+    return {f"{name}_{end}": bounds[end] for end in ("median", "low", "high")}
 
 
 def recording_row(
@@ -210,14 +210,14 @@ def pool(
     types: dict[str, TypeRates] = {}
     borrowed: dict[str, Borrowed] = {}
     for place, (name, members) in enumerate(sorted(groups.items())):
-        found = pooled(
+        rates = pooled(
             list(members.values()),
             np.random.default_rng([seed, place]),
             {key: np.array([joints[one].covariates[key] for one in members]) for key in covariates},
         )
-        if found is not None:
-            types[name] = found.rates
-            borrowed |= dict(zip(members, found.joints, strict=True))
+        if rates is not None:
+            types[name] = rates.rates
+            borrowed |= dict(zip(members, rates.joints, strict=True))
     return types, borrowed
 
 

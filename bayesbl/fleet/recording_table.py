@@ -125,8 +125,8 @@ def _read(path: Path) -> list[Row]:
         return []
     schema = schema_of(RECORDING_COLUMNS)
     try:
-        found = pyarrow.parquet.read_table(path)
-        return list(found.select(schema.names).cast(schema).to_pylist())
+        table = pyarrow.parquet.read_table(path)
+        return list(table.select(schema.names).cast(schema).to_pylist())
     except (pyarrow.ArrowException, KeyError, ValueError) as error:
         raise ResultError(
             "This is no table of recordings, or it is damaged.",

@@ -47,14 +47,14 @@ def as_normal(
 
     ``joint``: the prior that some of the unknowns have together.
     """
-    found = np.array([_alone(u, values) for u, values in zip(unknowns, draws, strict=True)])
+    normals = np.array([_alone(u, values) for u, values in zip(unknowns, draws, strict=True)])
     if joint is None:
-        return found
+        return normals
     shared = [row for row, unknown in enumerate(unknowns) if unknown.name in joint.names]
     sd = np.array([unknowns[row].sd for row in shared])
     whitening = joint.whitening([unknowns[row].name for row in shared])
-    found[shared] = whitening @ (sd[:, None] * found[shared])
-    return found
+    normals[shared] = whitening @ (sd[:, None] * normals[shared])
+    return normals
 
 
 def _alone(unknown: Unknown, values: FloatArray) -> FloatArray:
@@ -102,8 +102,8 @@ class MatchedAlone:
         log_gap = np.log(self.gap_rad + SMALLEST_GAP_RAD)
         columns = np.vstack([np.ones(log_gap.size), self.bench]).T
         line, *_ = np.linalg.lstsq(columns, log_gap, rcond=None)
-        left = generator.choice(log_gap - columns @ line, bench.shape[1])
-        gap_rad = np.exp(line[0] + line[1:] @ bench + left) - SMALLEST_GAP_RAD
+        scatter = generator.choice(log_gap - columns @ line, bench.shape[1])
+        gap_rad = np.exp(line[0] + line[1:] @ bench + scatter) - SMALLEST_GAP_RAD
         return np.asarray(np.maximum(gap_rad, 0.0))
 
 
@@ -142,14 +142,14 @@ def other_benches(alone: Sequence[MatchedAlone], names: Sequence[str]) -> dict[i
     """
     if len(alone) < 2 or not names:
         return {}
-    found = {}
+    outliers = {}
     for number, one in enumerate(alone):
         others = shared_bench([other for other in alone if other is not one])
         if _probability(one, others) < FALSE_ALARM / len(alone):
             difference, covariance = _difference(one, others)
             z = np.abs(difference) / np.sqrt(np.diag(covariance))
-            found[number] = [names[i] for i in np.argsort(-z)[:2]]
-    return found
+            outliers[number] = [names[i] for i in np.argsort(-z)[:2]]
+    return outliers
 
 
 def _difference(
@@ -158,11 +158,11 @@ def _difference(
     """What the recording's mean differs by from what the others say, and the covariance of that."""
     mean, covariance = others
     values, vectors = np.linalg.eigh(one.covariance)
-    left = np.minimum(values, 1.0)
-    told = (vectors * (1.0 - left)) @ vectors.T
+    shares = np.minimum(values, 1.0)
+    projection = (vectors * (1.0 - shares)) @ vectors.T
     # What finite draws scatter by comes on top of what the recording's noise does.
-    own = (vectors * (left * (1.0 - left) + values / one.bench.shape[1])) @ vectors.T
-    return one.mean - told @ mean, told @ covariance @ told + own
+    own = (vectors * (shares * (1.0 - shares) + values / one.bench.shape[1])) @ vectors.T
+    return one.mean - projection @ mean, projection @ covariance @ projection + own
 
 
 def _probability(one: MatchedAlone, others: tuple[FloatArray, FloatArray]) -> float:

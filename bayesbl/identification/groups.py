@@ -274,8 +274,10 @@ def _alike(result: Identification, name: str) -> list[str]:
 def _gaps(result: Identification, problem: Problem) -> dict[str, FloatArray]:
     """Draws of δ by recording, in rad; of all recordings the same where they share it."""
     return {
-        seen.name: result.posterior.values(GAP, None if problem.shares_gap else seen.name)
-        for seen in problem.used
+        observation.name: result.posterior.values(
+            GAP, None if problem.shares_gap else observation.name
+        )
+        for observation in problem.used
     }
 
 
@@ -308,18 +310,20 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSumm
     def is_sharp(i: int, j: int, sign: float) -> bool:
         return sd(i, j, sign) < SHARPER * float(min(alone[i], alone[j]))
 
-    told: list[tuple[Sequence[int], Literal["ratios", "product"], float]] = []
-    left: list[int] = np.argsort(alone).tolist()
-    while left:
-        first, *left = left
-        group = sorted([first, *(k for k in left if is_sharp(k, first, -1.0))])
-        left = [k for k in left if k not in group]
+    confounded: list[tuple[Sequence[int], Literal["ratios", "product"], float]] = []
+    remaining: list[int] = np.argsort(alone).tolist()
+    while remaining:
+        first, *remaining = remaining
+        group = sorted([first, *(k for k in remaining if is_sharp(k, first, -1.0))])
+        remaining = [k for k in remaining if k not in group]
         if len(group) > 1:
-            told.append((group, "ratios", max(sd(*pair, -1.0) for pair in combinations(group, 2))))
-    groups = [set(group) for group, *_ in told]
+            confounded.append(
+                (group, "ratios", max(sd(*pair, -1.0) for pair in combinations(group, 2)))
+            )
+    groups = [set(group) for group, *_ in confounded]
     for pair in combinations(range(len(names)), 2):
         if is_sharp(*pair, 1.0) and not any(group.issuperset(pair) for group in groups):
-            told.append((pair, "product", sd(*pair, 1.0)))
+            confounded.append((pair, "product", sd(*pair, 1.0)))
     return [
         {
             "parameters": [names[i] for i in group],
@@ -327,7 +331,7 @@ def not_told_apart(names: Sequence[str], draws: FloatArray) -> list[TogetherSumm
             "alone_sd": float(alone[list(group)].max()),
             "together_sd": together,
         }
-        for group, how, together in told
+        for group, how, together in confounded
     ]
 
 

@@ -101,8 +101,8 @@ class Problem:
     @property
     def unknowns(self) -> list[Unknown]:
         """Gaps, start angles, delays of motions, effects of the bench file, and parameters."""
-        names = [seen.name for seen in self.used]
-        moving = [seen.name for seen in self.used if seen.motion is not None]
+        names = [observation.name for observation in self.used]
+        moving = [observation.name for observation in self.used if observation.motion is not None]
         known = set(self.bench.tolerances) - set(self.parameters)
         every = direct_unknowns(self.bench, names, self.gap_rad, moving, shares_gap=self.shares_gap)
         return [unknown for unknown in every if unknown.name not in known]
@@ -255,7 +255,7 @@ def _hypotheses(problem: Problem, nominal: Explanation, peaks: Sequence[float]) 
     """What the data sheet may lack: effects, and each value beyond its tolerance."""
     effects = candidates(nominal.fit.model.bench, problem.used, "all", peaks)
     # A reference that was sampled has round corners, as by a delay.
-    moving = all(seen.motion is not None for seen in problem.used)
+    moving = all(observation.motion is not None for observation in problem.used)
     hypotheses = [c for c in effects if c.kind == "effect" and not (moving and c.name in DELAYS)]
     for name in problem.parameters:
         value, half = problem.bench.value(name), problem.bench.tolerances[name]
@@ -360,13 +360,15 @@ def far_beyond_data_sheet(problem: Problem, progress: Progress = silent) -> Matc
     best: dict[str, tuple[float, FloatArray, Candidate]] = {}
     for scanned, candidate in enumerate(places):
         progress(scanned, len(places))
-        left, point = _promised(model, candidate)
-        if left < best.get(candidate.name, (math.inf,))[0]:
-            best[candidate.name] = left, point, candidate
-    most = LEAVES_MOST * max(min((left for left, *_ in best.values()), default=0.0), 0.0) + SLACK
+        excess, point = _promised(model, candidate)
+        if excess < best.get(candidate.name, (math.inf,))[0]:
+            best[candidate.name] = excess, point, candidate
+    most = (
+        LEAVES_MOST * max(min((excess for excess, *_ in best.values()), default=0.0), 0.0) + SLACK
+    )
     rough: list[Explanation] = []
-    for left, point, candidate in best.values():
-        if left < most:
+    for excess, point, candidate in best.values():
+        if excess < most:
             with suppress(SimulationError):
                 fit = fit_simulated(extended(model, candidate), point, rough=True)
                 rough.append(Explanation((candidate,), fit))
@@ -423,11 +425,11 @@ def may_be_wrong_by_far(problem: Problem) -> bool:
     are asked for.
     """
     asked = problem.effects not in ("catalogue", ())
-    return not asked and all(seen.motion is None for seen in problem.used)
+    return not asked and all(observation.motion is None for observation in problem.used)
 
 
 def _nothing_fitted(problem: Problem) -> SimulatedSignals:
-    noise = [noise_of(seen, seen.signals) for seen in problem.used]
+    noise = [noise_of(observation, observation.signals) for observation in problem.used]
     return SimulatedSignals(problem.bench, problem.used, problem.unknowns, noise, problem.workers)
 
 
@@ -459,8 +461,8 @@ def _promised(model: SimulatedSignals, candidate: Candidate) -> tuple[float, Flo
     point = aligned_starts(beside, {point.size - 1: np.array([at])}, SCANNED_GAPS)[0]
     low, high = beside.low, beside.high
     low[-1], high[-1] = at - math.log(STEP), at + math.log(STEP)
-    left = promised_within(beside, point, low, high) - beside.size
-    return left if math.isfinite(left) else math.inf, point
+    excess = promised_within(beside, point, low, high) - beside.size
+    return excess if math.isfinite(excess) else math.inf, point
 
 
 def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:
@@ -470,8 +472,10 @@ def _can_be(model: SimulatedSignals, point: FloatArray) -> bool:
     """
     row = model.vectors(point[None], model.recordings[0])[0]
     lasting_s = max(
-        seen.samples / seen.sampling_hz if seen.motion is not None else seen.rotation_period_s
-        for seen in model.recordings
+        observation.samples / observation.sampling_hz
+        if observation.motion is not None
+        else observation.rotation_period_s
+        for observation in model.recordings
     )
     torque_nm = row[Slot.torque_constant_nm_per_a] * row[Slot.current_limit_a]
     if row[Slot.gravity_torque_nm] > row[Slot.gear_ratio] * torque_nm:

@@ -50,12 +50,12 @@ def next_recording(fit: SimulatedFit) -> NextRecordingSummary | None:
     shared = [i for i, u in enumerate(fit.model.unknowns) if _is_shared(u, fit)]
     before = fit.covariance[np.ix_(shared, shared)]
     recordings = fit.model.recordings
-    moving = all(seen.motion is not None for seen in recordings)
+    moving = all(observation.motion is not None for observation in recordings)
     tried = _motions(recordings) if moving else _rotations(fit.model)
     options = [
-        _judged(fit, shared, before, seen, information)
-        for seen, place in tried
-        if (information := _information(fit, shared, seen, place)) is not None
+        _judged(fit, shared, before, observation, information)
+        for observation, place in tried
+        if (information := _information(fit, shared, observation, place)) is not None
     ]
     return max(options, key=lambda one: one["information_bits"], default=None)
 
@@ -68,14 +68,14 @@ def _is_shared(unknown: Unknown, fit: SimulatedFit) -> bool:
 
 def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
     """One rotation at each speed, in the place of the last recording."""
-    top = max(abs(seen.reference_speed_rpm) for seen in model.recordings)
+    top = max(abs(observation.reference_speed_rpm) for observation in model.recordings)
     place = len(model.recordings) - 1
     last = model.recordings[place]
     for share, direction in itertools.product(SPEED_SHARES, (1.0, -1.0)):
         speed = direction * share * top
         period = model.bench.rotation_period_s(speed)
         samples = round(period * last.sampling_hz) + model.noise[place].order
-        seen = replace(
+        observation = replace(
             last,
             signals=np.zeros((len(last.signals), samples)),
             reference_speed_rpm=speed,
@@ -86,18 +86,18 @@ def _rotations(model: SimulatedSignals) -> Iterator[tuple[Observed, int]]:
             begin_s=0.0,
             motor_lines=None,
         )
-        yield seen, place
+        yield observation, place
 
 
 def _motions(recordings: Sequence[Observed]) -> Iterator[tuple[Observed, int]]:
     """Each recorded motion at each pace, in the place of its recording."""
-    for place, seen in enumerate(recordings):
-        assert seen.motion is not None
-        begun = np.arange(seen.samples) < seen.first_compared
+    for place, observation in enumerate(recordings):
+        assert observation.motion is not None
+        begun = np.arange(observation.samples) < observation.first_compared
         for pace in PACES:
-            slower = seen.motion.at_pace(pace)
-            speed = pace * seen.reference_speed_rpm
-            made = replace(seen, motion=slower, reference_speed_rpm=speed, excluded=begun)
+            slower = observation.motion.at_pace(pace)
+            speed = pace * observation.reference_speed_rpm
+            made = replace(observation, motion=slower, reference_speed_rpm=speed, excluded=begun)
             yield made, place
 
 
@@ -105,7 +105,7 @@ def _judged(
     fit: SimulatedFit,
     shared: Sequence[int],
     before: FloatArray,
-    seen: Observed,
+    observation: Observed,
     information: FloatArray,
 ) -> NextRecordingSummary:
     after = np.linalg.inv(np.linalg.inv(before) + information)
@@ -114,8 +114,8 @@ def _judged(
     relative = np.array([fit.model.unknowns[i].logarithmic for i in shared])
     best = int(np.argmin(np.where(relative, sd[1] / sd[0], np.inf)))
     return {
-        "reference_speed_rpm": seen.reference_speed_rpm,
-        "motion_of": None if seen.motion is None else seen.name,
+        "reference_speed_rpm": observation.reference_speed_rpm,
+        "motion_of": None if observation.motion is None else observation.name,
         "information_bits": float(bits),
         "sharpens": fit.model.unknowns[shared[best]].name,
         "sd_before": float(sd[0, best]),
@@ -124,7 +124,7 @@ def _judged(
 
 
 def _information(
-    fit: SimulatedFit, shared: Sequence[int], seen: Observed, place: int
+    fit: SimulatedFit, shared: Sequence[int], observation: Observed, place: int
 ) -> FloatArray | None:
     """Of one rotation, times their number, or of a motion; ``None`` where the drive cannot follow.
 
@@ -133,7 +133,9 @@ def _information(
     model = fit.model
     own = model.places_in(place)
     unknowns = [model.unknowns[i] for i in own]
-    there = SimulatedSignals(model.bench, [seen], unknowns, [model.noise[place]], model.workers)
+    there = SimulatedSignals(
+        model.bench, [observation], unknowns, [model.noise[place]], model.workers
+    )
     point = fit.point[own]
     signals = there.signals(point, 0)[0]
     limit = NEAR_LIMIT * model.bench.value("current_limit_a")
@@ -141,11 +143,13 @@ def _information(
         return None
     matrix = derivatives(there, point, fit.steps[own])
     start = matrix[:, [k for k, u in enumerate(unknowns) if u.name in OF_ITS_START]]
-    gap = there.place_of(GAP, seen.name)
+    gap = there.place_of(GAP, observation.name)
     columns = [own.index(i) if i in own else gap for i in shared]
     by_shared = np.column_stack(
         [np.zeros(len(matrix)) if k is None else matrix[:, k] for k in columns]
     )
     root, _ = np.linalg.qr(start)
     beside_start = by_shared - root @ (root.T @ by_shared)
-    return np.asarray((ROTATIONS if seen.motion is None else 1.0) * beside_start.T @ beside_start)
+    return np.asarray(
+        (ROTATIONS if observation.motion is None else 1.0) * beside_start.T @ beside_start
+    )

@@ -243,9 +243,9 @@ class AmplitudeMeasurer(CurveMeasurer):
         for fit in fits:
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
-        found: Sequence[Gap | None] = [None] * len(fits)
+        by_curve: Sequence[Gap | None] = [None] * len(fits)
         if curves is not None:  # all through the same draws of the curve
-            found = gaps(
+            by_curve = gaps(
                 curves,
                 [measured_ringing(fit) for fit in fits],
                 task.seeds.gap,
@@ -260,14 +260,14 @@ class AmplitudeMeasurer(CurveMeasurer):
             [tuple(sorted(entry.bench.items())) for entry in entries],
         )
         seeds = task.seeds.predictive.spawn(len(fits))
-        parts = zip(task.recordings, fits, found, of_each, seeds, strict=True)
+        parts = zip(task.recordings, fits, by_curve, of_each, seeds, strict=True)
         return Measurement(
             NAME,
             [self._answer(*part, task) for part in parts],
-            shared=self._curve(curves, found, task),
+            shared=self._curve(curves, by_curve, task),
             curve=curves[0].name if curves else "",
             warnings=curves[0].warnings if curves else (),
-            ringing_change=_ringing_change(fits, found, curves),
+            ringing_change=_ringing_change(fits, by_curve, curves),
             same_joint=check,
             change_reason=None if curves is None else change_reason(check),
         )
@@ -325,8 +325,8 @@ class AmplitudeMeasurer(CurveMeasurer):
             if abs(item["measured"] / item["expected"] - 1.0) > 0.5 * (high - low)
         ]
         causes = [cause for item in differing for cause in COULD_BE[item["quantity"]]]
-        told = [{key: value for key, value in item.items() if key != "z"} for item in differing]
-        reasons = [Reason("other_bench", values) for values in told]
+        details = [{key: value for key, value in item.items() if key != "z"} for item in differing]
+        reasons = [Reason("other_bench", values) for values in details]
         compared = joint_check(
             check["agrees"] and not differing,
             [*check["items"], *items],
@@ -335,12 +335,14 @@ class AmplitudeMeasurer(CurveMeasurer):
         return compared, reasons
 
     def _curve(
-        self, curves: Sequence[GapCurve] | None, found: Sequence[Gap | None], task: Task
+        self, curves: Sequence[GapCurve] | None, gaps_by_curve: Sequence[Gap | None], task: Task
     ) -> dict[str, xr.Dataset]:
         """Group :data:`CURVE`: one for all recordings, or each its own."""
         if curves is None:
             return {}
-        rows = {n: gap.rows for n, gap in zip(task.names, found, strict=True) if gap is not None}
+        rows = {
+            n: gap.rows for n, gap in zip(task.names, gaps_by_curve, strict=True) if gap is not None
+        }
         named = dict(zip(task.names, curves, strict=True))
         level = task.config.interval.level
         return {CURVE.name: curves_group(named, rows, level, task.seeds.curve)}
@@ -372,13 +374,14 @@ def _second_sampler() -> str:
 
 
 def _ringing_change(
-    fits: Sequence[Fit], found: Sequence[Gap | None], curves: Sequence[GapCurve] | None
+    fits: Sequence[Fit], gaps_by_curve: Sequence[Gap | None], curves: Sequence[GapCurve] | None
 ) -> FloatArray | None:
     """Draws of last over first, less one, where all were fitted at one speed and rate."""
     if len(fits) < 2 or len({id(curve) for curve in curves or ()}) > 1:
         return None
     first, last = (
-        fits[at].posterior.draws[AMPLITUDE].ravel()[_index(fits[at], found[at])] for at in (0, -1)
+        fits[at].posterior.draws[AMPLITUDE].ravel()[_index(fits[at], gaps_by_curve[at])]
+        for at in (0, -1)
     )
     return np.asarray(last / first - 1.0)
 
@@ -387,7 +390,7 @@ def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, A
     """The contract's keys, and beside them the misfit, the start and the second sampler."""
     point, optimum = fit.point, fit.point.optimum
     parameters = shared.intervals(posterior, (s for s in SYMBOLS if s in posterior), of)
-    found: dict[str, Any] = {
+    numbers: dict[str, Any] = {
         "amplitude_rpm": parameters[AMPLITUDE],
         "parameters": parameters,
         "optimum": {**optimum.symbols, "rmse_rpm": optimum.rmse_rpm},
@@ -398,9 +401,9 @@ def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, A
         "impact_sd_rpm": interval(point.spread.impact_sd_rpm, of.level, of.kind),
     }
     if point.start:
-        found["start"] = point.start
+        numbers["start"] = point.start
     if (box := optimum.box_search) is not None:
-        found["box_search"] = {
+        numbers["box_search"] = {
             **box.symbols,
             "rmse_rpm": box.rmse_rpm,
             "gap_as_printed_rad": gap_as_printed_rad(box),
@@ -408,14 +411,14 @@ def _numbers(fit: Fit, posterior: xr.Dataset, of: IntervalConfig) -> dict[str, A
         }
     if fit.check is not None:
         check = fit.check
-        found["sampler_check"] = {
+        numbers["sampler_check"] = {
             "agrees": not check.differing,
             "symbols": {
                 name: {"difference_sd": check.difference_sd[name], "width_ratio": ratio}
                 for name, ratio in check.width_ratio.items()
             },
         }
-    return found
+    return numbers
 
 
 def _noise_summary(noise: Noise) -> NoiseSummary:
@@ -581,10 +584,12 @@ def _noise_only(
         ),
         shared.PRIOR_PREDICTIVE.name: shared.replicates(shared.PRIOR_PREDICTIVE, chains, speeds),
     }
-    found = likelihood_draws(point, of_amplitude, shared.NOISE_DRAWS // chains * chains, generator)
-    if found is None:
+    named_draws = likelihood_draws(
+        point, of_amplitude, shared.NOISE_DRAWS // chains * chains, generator
+    )
+    if named_draws is None:
         return groups
-    flat_draws, baseline = found
+    flat_draws, baseline = named_draws
     few = {name: values[: chains * shared.REPLICATES] for name, values in flat_draws.items()}
     speeds = {MOTOR_SPEED: predicted(point, few, baseline[: chains * shared.REPLICATES], generator)}
     draws = {name: values.reshape(chains, -1) for name, values in flat_draws.items()}
@@ -801,14 +806,14 @@ def ringing_check(curve: GapCurve, measured: MeasuredRinging, gap: Gap) -> Joint
         unit, one = _UNITS[quantity]
         by_curve = float(np.interp(amplitude, curve.knots_rpm, expected))
         sd = math.sqrt(given_amplitude[place, place] + float(np.var(draws[:, nearest])))
-        found = float(measured.centre[place])
+        log_ratio = float(measured.centre[place])
         items.append(
             check_item(
                 quantity,
-                math.exp(found) / one,
+                math.exp(log_ratio) / one,
                 math.exp(by_curve) / one,
                 unit,
-                (found - by_curve) / sd,
+                (log_ratio - by_curve) / sd,
             )
         )
     agrees = all(reason.code != CONTRADICTED for reason in gap.reasons)

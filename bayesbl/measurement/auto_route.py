@@ -130,26 +130,28 @@ def _without_contradicted(direct: Measurement, amplitude: Measurement) -> Measur
     against = Reason("recording_contradicts_bench")
     answers = [
         answer
-        if seen.model_check["agrees"]
-        else replace(answer, reasons=(against, *answer.reasons), model_check=seen.model_check)
-        for seen, answer in zip(direct.answers, amplitude.answers, strict=True)
+        if direct_answer.model_check["agrees"]
+        else replace(
+            answer, reasons=(against, *answer.reasons), model_check=direct_answer.model_check
+        )
+        for direct_answer, answer in zip(direct.answers, amplitude.answers, strict=True)
     ]
     return replace(amplitude, answers=answers)
 
 
-def disagreement(first: Measurement, second: Measurement, **told: object) -> Reason | None:
-    """Why the change is withheld: both routes answer, and not alike; ``told`` to its sentence."""
+def disagreement(first: Measurement, second: Measurement, **values: object) -> Reason | None:
+    """Why the change is withheld: both routes answer, and not alike; ``values``: the sentence's."""
     pairs = [
-        (seen.name, seen.delta_rad, answer.delta_rad)
-        for seen, answer in zip(first.answers, second.answers, strict=True)
-        if not (seen.is_withheld or answer.is_withheld)
-        if seen.delta_rad is not None and answer.delta_rad is not None
+        (one.name, one.delta_rad, answer.delta_rad)
+        for one, answer in zip(first.answers, second.answers, strict=True)
+        if not (one.is_withheld or answer.is_withheld)
+        if one.delta_rad is not None and answer.delta_rad is not None
     ]
     if not pairs:
         return None
     bound = normal_isf(0.5 * FALSE_ALARM / len(pairs))
     apart = [name for name, *gaps in pairs if abs(_standard_difference(*gaps)) > bound]
-    return Reason("routes_disagree", {"names": apart, **told}) if apart else None
+    return Reason("routes_disagree", {"names": apart, **values}) if apart else None
 
 
 def _standard_difference(first: FloatArray, second: FloatArray) -> float:

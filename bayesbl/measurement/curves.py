@@ -190,18 +190,18 @@ def coefficient_draws(curve: GapCurve) -> FloatArray | None:
 
 def curve_from_dataset(stored: xr.Dataset, name: str) -> GapCurve:
     """The curve that :func:`curve_group` stored of a sweep, under a new name."""
-    found = {str(key): variable.values for key, variable in stored.variables.items()}
-    own = {f.name: found[f.name] for f in fields(GapCurve) if f.name in found}
+    arrays = {str(key): variable.values for key, variable in stored.variables.items()}
+    own = {f.name: arrays[f.name] for f in fields(GapCurve) if f.name in arrays}
     return GapCurve(
         name=name,
         sources={
             key.removeprefix(SOURCE_PREFIX): draws
-            for key, draws in found.items()
+            for key, draws in arrays.items()
             if key.startswith(SOURCE_PREFIX)
         },
         fingerprint=stored.attrs.get("fingerprint") or None,
-        ringing=Ringing(**{f.name: found[f.name] for f in fields(Ringing)})
-        if "log_frequency" in found
+        ringing=Ringing(**{f.name: arrays[f.name] for f in fields(Ringing)})
+        if "log_frequency" in arrays
         else None,
         warnings=tuple(texts(stored.attrs.get("warnings"))),
         reference_speed_rpm=float(stored.attrs.get("reference_speed_rpm", 0.0)) or None,

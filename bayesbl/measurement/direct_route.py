@@ -101,7 +101,7 @@ class DirectMatch:
     @property
     def change_rad(self) -> FloatArray:
         """Draws of the change of δ from the first recording to the last, shape (chain, draw)."""
-        names = [seen.name for seen in self.posterior.fit.model.recordings]
+        names = [observation.name for observation in self.posterior.fit.model.recordings]
         first, last = (self.posterior.values(GAP, name) for name in (names[0], names[-1]))
         return last - first
 
@@ -111,8 +111,8 @@ class DirectMatch:
         Through shared unknowns a misfit in one recording moves the gap of all.
         """
         shared_by_all = any(u.recording is None for u in self.posterior.fit.model.unknowns)
-        found = standing_out(self.check)
-        return [entry for entry in found if shared_by_all or entry.recording == recording]
+        repeating = standing_out(self.check)
+        return [entry for entry in repeating if shared_by_all or entry.recording == recording]
 
     def model_check(self, recording: str, level: float) -> JointCheck:
         """Whether this recording may be one of the bench as believed.
@@ -144,22 +144,24 @@ class DirectMeasurer(Measurer):
 
     def require_usable(self, recording: Recording) -> None:
         """The bench can be compared with it, and its gap shows."""
-        seen = observed_of(self.config, self.bench, recording)
-        if seen.motion is None:
+        observation = observed_of(self.config, self.bench, recording)
+        if observation.motion is None:
             bench = bench_with(self.bench, self.config.entry_of(recording.name).bench)
-            require_flank_change(bench, [seen.reference_speed_rpm], self.config.estimator.bench)
+            require_flank_change(
+                bench, [observation.reference_speed_rpm], self.config.estimator.bench
+            )
 
     def expected(self, recordings: Sequence[Recording]) -> Sequence[ExpectedSd]:
         """At gaps within the prior, by the bench and the noise; at constant speed."""
         if not recordings or any(map(moves, recordings)):
             return ()
-        seen = [observed_of(self.config, self.bench, recording) for recording in recordings]
-        bench = with_friction(self.bench, seen)
+        observations = [observed_of(self.config, self.bench, recording) for recording in recordings]
+        bench = with_friction(self.bench, observations)
         low, high = self.gap_range_rad
         return expected_sds(
             bench,
-            seen,
-            direct_unknowns(bench, [one.name for one in seen], (low, high)),
+            observations,
+            direct_unknowns(bench, [one.name for one in observations], (low, high)),
             directions(bench, self.config.joint.drift),
             [gap_rad for gap_rad in EXPECTED_AT_RAD if low < gap_rad < high],
         )
@@ -174,7 +176,7 @@ class DirectMeasurer(Measurer):
             sampler_of(self.config),
             task.seeds.direct,
         )
-        found = task.work.get(
+        match = task.work.get(
             "direct match",
             problem,
             lambda: fit_directly(*problem, self.config.run.workers, task.progress),
@@ -183,7 +185,7 @@ class DirectMeasurer(Measurer):
         level = self.config.interval.level
         seeds = task.seeds.predictive.spawn(len(task.recordings))
         answers = [
-            self._answer(recording, index, found, own)
+            self._answer(recording, index, match, own)
             for index, (recording, own) in enumerate(zip(task.recordings, seeds, strict=True))
         ]
         withheld = any(a.is_withheld for a in answers)
@@ -192,23 +194,25 @@ class DirectMeasurer(Measurer):
             answers,
             attributes={"bench": self.bench.fingerprint()},
             same_joint=check_of_comparison(
-                found.joint, found.change_rad, level, is_given=not withheld
+                match.joint, match.change_rad, level, is_given=not withheld
             ),
         )
 
     def _answer(
-        self, recording: Recording, index: int, found: DirectMatch, seed: np.random.SeedSequence
+        self, recording: Recording, index: int, match: DirectMatch, seed: np.random.SeedSequence
     ) -> Answer:
-        posterior = found.posterior
-        check = [entry for entry in found.check if entry.recording == recording.name]
-        seen = posterior.fit.model.recordings[index]
-        told = (Reason.of_text("recording", text) for text in (*recording.notes, *seen.notes))
-        notes = (*told, *self._beyond_the_bench(found), *self._counted_twice(recording))
+        posterior = match.posterior
+        check = [entry for entry in match.check if entry.recording == recording.name]
+        observation = posterior.fit.model.recordings[index]
+        texts = (
+            Reason.of_text("recording", text) for text in (*recording.notes, *observation.notes)
+        )
+        notes = (*texts, *self._beyond_the_bench(match), *self._counted_twice(recording))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
         groups = direct_groups(posterior, recording, index, check, generator)
         gap = posterior.values(GAP, recording.name)
-        reasons = direct_reasons(found, index, notes, level)
+        reasons = direct_reasons(match, index, notes, level)
         contradicted = any(r.code not in BOUNDED for r in reasons if r.withholds)
         return Answer(
             recording.name,
@@ -216,23 +220,23 @@ class DirectMeasurer(Measurer):
             reasons,
             groups,
             _numbers(posterior, recording, index, check, groups, self.config.interval),
-            found.model_check(recording.name, level),
+            match.model_check(recording.name, level),
             None
             if contradicted or excluded_ends(posterior, recording.name) != (False, True)
             else upper_bound(gap),
         )
 
-    def _beyond_the_bench(self, found: DirectMatch) -> Iterator[Reason]:
+    def _beyond_the_bench(self, match: DirectMatch) -> Iterator[Reason]:
         """Notes of what the bench lacks and δ allows for."""
-        if (part := found.joint.part) is not None:
-            told = {
+        if (part := match.joint.part) is not None:
+            values = {
                 "name": part.name,
                 "frequency_hz": part.frequency_hz,
                 "probability": part.probability,
             }
-            yield Reason("elastic_part", told)
+            yield Reason("elastic_part", values)
         stated = {effect.name for effect in self.bench.effects}
-        for effect in found.posterior.fit.model.bench.effects:
+        for effect in match.posterior.fit.model.bench.effects:
             if effect.name == "sampled_control" and effect.name not in stated:
                 period_s = effect.complete()["period_s"]
                 yield Reason("controller_period", {"period_s": period_s})
@@ -251,8 +255,8 @@ def observed_of(config: SnapshotConfig, bench: Bench, recording: Recording) -> O
     require_unshaken(recording, bench)
     entry = config.entry_of(recording.name)
     known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
-    seen = observed(recording, bench, entry.reference_speed_rpm)
-    return replace(seen, known={**seen.known, **known})
+    observation = observed(recording, bench, entry.reference_speed_rpm)
+    return replace(observation, known={**observation.known, **known})
 
 
 def require_unshaken(recording: Recording, bench: Bench) -> None:
@@ -268,8 +272,8 @@ def require_unshaken(recording: Recording, bench: Bench) -> None:
     """
     if moves(recording) or any(effect_named(e.name).is_periodic for e in bench.effects):
         return
-    left, _ = without_motor_lines(recording)
-    channels = {MOTOR_SPEED: left.motor_speed_rpm}
+    unturned, _ = without_motor_lines(recording)
+    channels = {MOTOR_SPEED: unturned.motor_speed_rpm}
     turn_s = bench.rotation_period_s(float(recording.motor_speed_rpm.mean()))
     _, lines = without_outside_lines(channels, recording.sampling_period_s, turn_s)
     orders = [line.frequency_hz * turn_s for line in lines]
@@ -314,51 +318,51 @@ def fit_directly(
 
 
 def direct_reasons(
-    found: DirectMatch, index: int, notes: Sequence[Reason] = (), level: float = 0.9
+    match: DirectMatch, index: int, notes: Sequence[Reason] = (), level: float = 0.9
 ) -> list[Reason]:
     """All that is to be known of one snapshot's answer, the gravest first.
 
     ``index``: of its recording; ``notes``: what was done to it; ``level``: of the interval.
     """
-    fit = found.posterior.fit
+    fit = match.posterior.fit
     recording = fit.model.recordings[index]
-    gap = found.posterior.values(GAP, recording.name)
-    repeating = found.repeating(recording.name)
+    gap = match.posterior.values(GAP, recording.name)
+    repeating = match.repeating(recording.name)
     with_current = len(recording.signals) > 1
-    decides = found.posterior.beyond_tolerance(recording.name, level)
+    decides = match.posterior.beyond_tolerance(recording.name, level)
     against = [] if decides is None else [Reason("tolerance_decides", decides)]
-    if contradicted := found.posterior.contradicted_together():
+    if contradicted := match.posterior.contradicted_together():
         against.append(Reason("sheet_contradicted", {"names": contradicted[:4]}))
-    if not (repeating or found.joint.explained or found.allows_for_misfit):
+    if not (repeating or match.joint.explained or match.allows_for_misfit):
         against.append(Reason("unexplained"))
     misfit = _repeating_values(repeating, recording.motion is not None) if repeating else {}
-    if misfit and found.joint.could_be:
-        misfit["could_be"] = list(found.joint.could_be)
-    if misfit and not found.allows_for_misfit:
+    if misfit and match.joint.could_be:
+        misfit["could_be"] = list(match.joint.could_be)
+    if misfit and not match.allows_for_misfit:
         # What nothing explains pulls at values of the bench too: they are no cause of it.
         against.insert(0, Reason("repeats_beyond_noise", misfit))
     # Where δ is not seen, its prior's range may decide: that needs no saying.
-    unseen = unseen_gap(found.posterior, index) or unknown_start(fit, index)
-    reasons = [*against, *([unseen] if unseen else sampling_reasons(found.posterior.diagnostics))]
+    unseen = unseen_gap(match.posterior, index) or unknown_start(fit, index)
+    reasons = [*against, *([unseen] if unseen else sampling_reasons(match.posterior.diagnostics))]
     answered = outcome_of(reasons) != "withheld"
     unknown = fit.model.unknowns[fit.model.index(GAP, recording.name)]
-    ends = excluded_ends(found.posterior, recording.name)
+    ends = excluded_ends(match.posterior, recording.name)
     if answered and unknown.offset and ends == (False, True):
         values = {"upper_rad": upper_bound(gap), "smallest_rad": SMALLEST_GAP_RAD}
         reasons.append(Reason("gap_not_told", values))
-    lacking = bench_lacks(found.joint)
+    lacking = bench_lacks(match.joint)
     if answered and lacking:
         reasons.append(Reason("bench_lacks", lacking))
-    if answered and found.allows_for_misfit:
-        wider = float(found.posterior.model_widening[fit.model.index(GAP, recording.name)])
+    if answered and match.allows_for_misfit:
+        wider = float(match.posterior.model_widening[fit.model.index(GAP, recording.name)])
         code = "allows_for_misfit" if misfit else "negative_law"
         reasons.append(Reason(code, {**misfit, "times": wider}))
     if not with_current:
         reasons.append(Reason("no_current"))
-    wider = float(found.posterior.widening[fit.model.index(GAP, recording.name)])
+    wider = float(match.posterior.widening[fit.model.index(GAP, recording.name)])
     if answered and wider > 1.0 + MATTERS:
         reasons.append(Reason("widened", {"times": wider}))
-    variance = float(edge_variances(found.posterior).mean())
+    variance = float(edge_variances(match.posterior).mean())
     if answered and variance > 0.0:
         reasons.append(Reason("soft_edges", {"sd_rad": math.sqrt(variance)}))
     return [*reasons, *motion_notes(fit, index), *notes]
@@ -389,7 +393,7 @@ def _numbers(
     names = list(own_unknowns(posterior, recording.name))
     noise = posterior.fit.model.noise[index]
     sd = groups["noise"]["sd"].values.tolist()
-    found: dict[str, Any] = {
+    numbers: dict[str, Any] = {
         "parameters": shared.intervals(drawn, (n for n in names if n != DELTA), of),
         "optimum": {n: float(optimum[n]) for n in names},
         "cramer_rao_sd": {n: float(optimum["cramer_rao_sd"].sel(parameter=n)) for n in names},
@@ -410,47 +414,47 @@ def _numbers(
     if "flank_changes" in groups["predictive"]:
         motion = groups["predictive"]
         repeats = bool(motion["repeats"])
-        found["motion"] = {
+        numbers["motion"] = {
             "cycle_s": float(motion["rotation_period_s"]) if repeats else None,
             "cycles": float(groups["diagnostics"]["rotations"]) if repeats else None,
             "flank_changes": round(float(motion["flank_changes"])),
             "compared_from_s": float(motion["compared_from_s"]),
         }
-    return found
+    return numbers
 
 
 # What is said of the joint: items, findings, blind spots.
 
 
-def check_of_snapshot(found: JointFindings, recording: str) -> JointCheck:
+def check_of_snapshot(findings: JointFindings, recording: str) -> JointCheck:
     """One recording against its bench."""
-    own = [c for c in found.changed if c.recording in (None, recording)]
-    allowed = [c for c in found.allowed if c.recording in (None, recording)]
+    own = [c for c in findings.changed if c.recording in (None, recording)]
+    allowed = [c for c in findings.allowed if c.recording in (None, recording)]
     return joint_check(
-        found.explained and not own,
+        findings.explained and not own,
         [_check_item(c) for c in (*own, *allowed)],
-        found.could_be if own else (),
+        findings.could_be if own else (),
     )
 
 
 def check_of_comparison(
-    found: JointFindings, change_rad: FloatArray, level: float, *, is_given: bool
+    joint: JointFindings, change_rad: FloatArray, level: float, *, is_given: bool
 ) -> JointCheck:
     """The recordings against one another, with what none of them would show.
 
     ``change_rad``: draws of the change of δ from the first to the last; ``is_given``: it is not
     withheld.
     """
-    between = found.between
+    between = joint.between
     findings = [{"code": "parameter_changed", **_change_values(c)} for c in between]
     if between:
-        alike = {"code": "would_look_the_same", "names": _alike(found, between)}
+        alike = {"code": "would_look_the_same", "names": _alike(joint, between)}
         given = {"code": "change_allows_for_it"}
         findings[-1]["also"] = [alike] * bool(alike["names"]) + [given] * is_given
     return joint_check(
-        found.explained and not between,
+        joint.explained and not between,
         [_check_item(c) for c in between],
-        found.could_be if between else (),
+        joint.could_be if between else (),
         findings,
         [
             blind_spot(
@@ -461,25 +465,25 @@ def check_of_comparison(
                 expected=spot.expected,
                 unit=spot.unit,
             )
-            for spot in found.blind_spots
+            for spot in joint.blind_spots
             if spot.error_rad > MATTERS * _width(change_rad, level)
         ],
     )
 
 
-def bench_lacks(found: JointFindings) -> dict[str, Any]:
+def bench_lacks(findings: JointFindings) -> dict[str, Any]:
     """What no recording has as the bench has it, for its sentence; empty where all is as it has."""
-    changed = found.beyond_bench
+    changed = findings.beyond_bench
     if not changed:
         return {}
-    return {"parameters": [_change_values(c) for c in changed], "alike": _alike(found, changed)}
+    return {"parameters": [_change_values(c) for c in changed], "alike": _alike(findings, changed)}
 
 
-def _alike(found: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
+def _alike(findings: JointFindings, changed: Sequence[ChangedParameter]) -> list[str]:
     """What the recordings cannot tell from what changed."""
     freed = {part for c in changed for part in (c.name, c.name.partition(".")[0])}
     freed |= {name for name, parts in CHANGED_TOGETHER.items() if freed >= set(parts)}
-    return [name for name in found.could_be if name not in freed]
+    return [name for name in findings.could_be if name not in freed]
 
 
 def _check_item(changed: ChangedParameter) -> CheckItem:
@@ -661,7 +665,7 @@ def direct_groups(
     generator
         Of what prior and posterior predict.
     """
-    seen = posterior.fit.model.recordings[index]
+    observation = posterior.fit.model.recordings[index]
     return {
         "posterior": _draws(POSTERIOR, posterior, recording.name, posterior.draws),
         "sample_stats": dataset(
@@ -674,10 +678,10 @@ def direct_groups(
         **_noise_only(posterior, index, generator),
         **shared.common_groups(
             recording,
-            seen.channels,
+            observation.channels,
             posterior.diagnostics,
             _budget(posterior, recording.name),
-            seen.samples / seen.sampling_hz / seen.rotation_period_s,
+            observation.samples / observation.sampling_hz / observation.rotation_period_s,
             effective=posterior.effective,
             simulated=posterior.simulated,
             refits=posterior.refits,
@@ -713,27 +717,27 @@ def _noise_only(
 ) -> dict[str, xr.Dataset]:
     """Bench and noise alone as a model: prior, posterior, and what both predict."""
     model = posterior.fit.model
-    seen, noise = model.recordings[index], model.noise[index]
+    observation, noise = model.recordings[index], model.noise[index]
     chains, count, d = posterior.draws.shape
 
     def predicted(group: Group, points: FloatArray) -> xr.Dataset:
         few = points.reshape(-1, d)[: chains * shared.REPLICATES]
-        speeds = model.signals(few, index) + noise.draw(seen.samples, len(few), generator)
-        channels = dict(zip(seen.channels, speeds.swapaxes(0, 1), strict=True))
+        speeds = model.signals(few, index) + noise.draw(observation.samples, len(few), generator)
+        channels = dict(zip(observation.channels, speeds.swapaxes(0, 1), strict=True))
         return shared.replicates(group, chains, channels)
 
     prior = model.prior_draws(shared.PRIOR_DRAWS, generator)
     groups = {
-        "prior": _draws(OF_NOISE["prior"], posterior, seen.name, prior[None]),
+        "prior": _draws(OF_NOISE["prior"], posterior, observation.name, prior[None]),
         shared.PRIOR_PREDICTIVE.name: predicted(shared.PRIOR_PREDICTIVE, prior),
     }
     if posterior.noise_only is None:
         return groups
     draws = posterior.noise_only.draws
     densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
-    places = own_unknowns(posterior, seen.name)
+    places = own_unknowns(posterior, observation.name)
     return groups | {
-        "noise_posterior": _draws(OF_NOISE["noise_posterior"], posterior, seen.name, draws),
+        "noise_posterior": _draws(OF_NOISE["noise_posterior"], posterior, observation.name, draws),
         shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
             posterior.noise_only.log_likelihood[index]
         ),
@@ -751,10 +755,15 @@ def _noise_only(
 
 def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:
     fit = posterior.fit
-    seen = fit.model.recordings[index]
+    observation = fit.model.recordings[index]
     simulated = fit.simulated(index)
-    values: dict[str, object] = {"rotation_period_s": seen.rotation_period_s, **_motion(fit, index)}
-    for channel, measured, model in zip(seen.channels, seen.signals, simulated, strict=True):
+    values: dict[str, object] = {
+        "rotation_period_s": observation.rotation_period_s,
+        **_motion(fit, index),
+    }
+    for channel, measured, model in zip(
+        observation.channels, observation.signals, simulated, strict=True
+    ):
         values[f"simulated_{channel}"] = model
         values[f"residual_{channel}"] = measured - model
     return dataset(PREDICTIVE, values)
@@ -762,21 +771,23 @@ def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:
 
 def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
     """What a motion has beside: its reference, what was compared, its changes of flank."""
-    seen = fit.model.recordings[index]
-    if seen.motion is None:
+    observation = fit.model.recordings[index]
+    if observation.motion is None:
         return {}
     changes = flank_changes(fit, index)
-    found: dict[str, object] = {
-        "reference_speed_rpm": seen.motion.speed_rpm(np.arange(seen.samples) / seen.sampling_hz),
-        "compared_from_s": seen.first_compared / seen.sampling_hz,
-        "repeats": float(seen.cycle is not None),
+    variables: dict[str, object] = {
+        "reference_speed_rpm": observation.motion.speed_rpm(
+            np.arange(observation.samples) / observation.sampling_hz
+        ),
+        "compared_from_s": observation.first_compared / observation.sampling_hz,
+        "repeats": float(observation.cycle is not None),
         "flank_changes": float(len(changes)),
     }
     if changes:
-        found["flank_left_s"] = np.array([change.left_s for change in changes])
-        found["flank_met_s"] = np.array([change.met_s for change in changes])
-        found["flank_side"] = np.array([float(change.side) for change in changes])
-    return found
+        variables["flank_left_s"] = np.array([change.left_s for change in changes])
+        variables["flank_met_s"] = np.array([change.met_s for change in changes])
+        variables["flank_side"] = np.array([float(change.side) for change in changes])
+    return variables
 
 
 def _optimum(posterior: DirectPosterior, recording: str) -> xr.Dataset:

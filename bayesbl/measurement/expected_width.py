@@ -48,9 +48,9 @@ def expected_sds(
     SimulationError
         If the bench cannot be simulated at one of the gaps.
     """
-    noise = [noise_of(seen, seen.signals) for seen in recordings]
-    seen = [marginalising_motor_lines(one, bench) for one in recordings]
-    model = SimulatedSignals(bench, seen, unknowns, noise, 1)
+    noise = [noise_of(observations, observations.signals) for observations in recordings]
+    observations = [marginalising_motor_lines(one, bench) for one in recordings]
+    model = SimulatedSignals(bench, observations, unknowns, noise, 1)
     return [_at(model, gap_rad, among) for gap_rad in gaps_rad]
 
 
@@ -61,8 +61,8 @@ def _at(model: SimulatedSignals, gap_rad: float, among: Sequence[Direction]) -> 
     model.require(point)
     # As if the recordings were the simulation's own, so that nothing is left but noise.
     own = [
-        replace(seen, signals=model.signals(point, place)[0])
-        for place, seen in enumerate(model.recordings)
+        replace(observation, signals=model.signals(point, place)[0])
+        for place, observation in enumerate(model.recordings)
     ]
     fit = fit_at(replace(model, recordings=own), point)
     drawn = beside(fit, among).posterior.draw(np.random.default_rng(0), DRAWS).shift

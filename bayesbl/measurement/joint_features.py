@@ -214,10 +214,10 @@ def _values(folded: FloatArray, waves: FloatArray) -> dict[str, float]:
     terms = np.tensordot(folded, waves, 1)
     power = np.sum(terms.sum(axis=1) ** 2 - np.sum(terms**2, axis=1), axis=1)
     sizes = np.sqrt(np.maximum(power / (rotations * (rotations - 1)), 0.0))
-    found = {} if len(folded) == 1 else {MEAN_CURRENT: float(folded[1].mean())}
+    values = {} if len(folded) == 1 else {MEAN_CURRENT: float(folded[1].mean())}
     for name, own in zip(("speed", "current"), sizes.tolist(), strict=False):
-        found |= {harmonic_name(name, k): size for k, size in zip(HARMONICS, own, strict=True)}
-    return found
+        values |= {harmonic_name(name, k): size for k, size in zip(HARMONICS, own, strict=True)}
+    return values
 
 
 def _resampled(folded: FloatArray, generator: np.random.Generator) -> FloatArray:

@@ -158,8 +158,8 @@ def sampling_reasons(diagnostics: Diagnostics) -> list[Reason]:
     """Why draws are not simply converged: failures withhold the answer, doubts limit it."""
     codes = chain([diagnostics.code], repeat("sampling"))
     failed = zip(codes, diagnostics.failures, strict=False)
-    told = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
-    return [Reason(code, {"flaw": flaw.code, **flaw.values}) for code, flaw in told]
+    flaws = chain(failed, zip(repeat("sampling_doubt"), diagnostics.doubts, strict=False))
+    return [Reason(code, {"flaw": flaw.code, **flaw.values}) for code, flaw in flaws]
 
 
 def outcome_of(reasons: Iterable[Reason]) -> Outcome:

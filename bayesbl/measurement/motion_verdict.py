@@ -28,11 +28,11 @@ def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
     """Why a motion does not tell δ of a recording, with the bound that it leaves; ``None`` if it
     does, or turns at one speed."""
     fit = posterior.fit
-    seen = fit.model.recordings[index]
-    if seen.motion is None or flank_changes(fit, index):
+    observation = fit.model.recordings[index]
+    if observation.motion is None or flank_changes(fit, index):
         return None
     values: dict[str, float | bool] = {"pull_rpm_per_s": largest_pull(fit, index)}
-    match excluded_ends(posterior, seen.name):
+    match excluded_ends(posterior, observation.name):
         case True, False:
             values |= {"is_larger": True, "level": UPPER_BOUND_LEVEL}
             share = 1.0 - UPPER_BOUND_LEVEL
@@ -41,14 +41,17 @@ def unseen_gap(posterior: DirectPosterior, index: int) -> Reason | None:
             share = UPPER_BOUND_LEVEL
         case _:
             return Reason("gap_unseen", values)
-    draws = posterior.values(GAP, seen.name)
+    draws = posterior.values(GAP, observation.name)
     return Reason("gap_unseen", values | {"bound_rad": float(np.quantile(draws, share))})
 
 
 def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:
     """Why how a motion began keeps δ unknown; ``None`` if it does not."""
-    seen = fit.model.recordings[index]
-    if seen.motion is None or remembered_start(fit, index)[seen.first_compared] <= REMEMBERED:
+    observation = fit.model.recordings[index]
+    if (
+        observation.motion is None
+        or remembered_start(fit, index)[observation.first_compared] <= REMEMBERED
+    ):
         return None
     return Reason("start_unknown")
 
@@ -56,11 +59,11 @@ def unknown_start(fit: SimulatedFit, index: int) -> Reason | None:
 def largest_pull(fit: SimulatedFit, index: int) -> float:
     """Acceleration of the motor, rpm/s, that would lift the load off its flank where that is
     easiest in this motion: N |m g l sin(θ + φ_g)| / J_l at its smallest."""
-    model, seen = fit.model, fit.model.recordings[index]
-    assert seen.motion is not None
-    row = model.vectors(fit.point[None], seen)[0]
-    time = np.arange(seen.samples) / seen.sampling_hz
-    angle = row[Slot.start_angle_rad] + seen.motion.position_rad(time) / row[Slot.gear_ratio]
+    model, observation = fit.model, fit.model.recordings[index]
+    assert observation.motion is not None
+    row = model.vectors(fit.point[None], observation)[0]
+    time = np.arange(observation.samples) / observation.sampling_hz
+    angle = row[Slot.start_angle_rad] + observation.motion.position_rad(time) / row[Slot.gear_ratio]
     pull = np.abs(row[Slot.gravity_torque_nm] * np.sin(angle + row[Slot.gravity_angle_rad]))
     least = row[Slot.gear_ratio] * pull.min() / row[Slot.load_inertia_kg_m2]
     return float(least * RPM_PER_RAD_PER_S)
@@ -79,16 +82,20 @@ def excluded_ends(posterior: DirectPosterior, recording: str) -> tuple[bool, boo
 
 def motion_notes(fit: SimulatedFit, index: int) -> Iterator[Reason]:
     """What a reader has to know of how a motion was compared."""
-    seen = fit.model.recordings[index]
-    if seen.motion is None:
+    observation = fit.model.recordings[index]
+    if observation.motion is None:
         return
-    if seen.cycle is None:
+    if observation.cycle is None:
         yield Reason("motion_once")
     if all(u.name != REFERENCE_DELAY for u in fit.model.unknowns):
         yield Reason("reference_held")
-    begin = seen.first_compared
-    stands = standstills(seen, fit.model.bench)[begin:]
-    if seen.excluded is not None and stands.any() and seen.excluded[begin:][stands].all():
+    begin = observation.first_compared
+    stands = standstills(observation, fit.model.bench)[begin:]
+    if (
+        observation.excluded is not None
+        and stands.any()
+        and observation.excluded[begin:][stands].all()
+    ):
         yield Reason("standstills_left_out")
     if begin > 0:
-        yield Reason("start_left_out", {"begin_s": begin / seen.sampling_hz})
+        yield Reason("start_left_out", {"begin_s": begin / observation.sampling_hz})

@@ -126,17 +126,17 @@ def filter_change(
     (before, before_variance), (after, after_variance) = (
         _in_bands(spectrum, edges) for spectrum in (first, other)
     )
-    found = np.isfinite(before) & np.isfinite(after)
-    if np.count_nonzero(found) < 3:
+    usable = np.isfinite(before) & np.isfinite(after)
+    if np.count_nonzero(usable) < 3:
         return None
-    ratio = (after - before)[found]
-    weight = 1.0 / (before_variance + after_variance)[found]
-    place = np.sqrt(edges[1:] * edges[:-1])[found] / first.ringing_hz
+    ratio = (after - before)[usable]
+    weight = 1.0 / (before_variance + after_variance)[usable]
+    place = np.sqrt(edges[1:] * edges[:-1])[usable] / first.ringing_hz
     strengths = np.concatenate([-STRENGTHS[::-1], [0.0], STRENGTHS])
     shapes = np.sign(strengths)[:, None] * np.log1p(np.abs(strengths)[:, None] * place**2)
-    left = ratio - shapes
-    left -= (left @ weight / weight.sum())[:, None]
-    chi2 = left**2 @ weight
+    residual = ratio - shapes
+    residual -= (residual @ weight / weight.sum())[:, None]
+    chi2 = residual**2 @ weight
     best = int(np.argmin(chi2))
     # Another shape than the family's is no more certain than it fits.
     chi2 /= max(1.0, chi2[best] / (place.size - 2))

@@ -200,17 +200,17 @@ class RampMeasurer(Measurer):
         for part in parts:
             require_channels(part, [MOTOR_POSITION, MOTOR_TORQUE])
             require_alive(part, [MOTOR_POSITION, MOTOR_TORQUE])
-        seen: dict[str, str] = {}
+        by_content: dict[str, str] = {}
         for source in (part.source for part in parts if part.source is not None):
-            if source.sha256 in seen:
+            if source.sha256 in by_content:
                 raise RecordingError(
                     "Two files of a snapshot are alike to the last byte: one position would count "
                     "twice.",
                     file=source.file,
-                    found=f"the content of {seen[source.sha256]}",
+                    found=f"the content of {by_content[source.sha256]}",
                     expected="a file for each position around the turn",
                 )
-            seen[source.sha256] = source.file
+            by_content[source.sha256] = source.file
         return _joined(entry.name, parts)
 
     def require_usable(self, recording: Recording) -> None:
@@ -237,9 +237,9 @@ class RampMeasurer(Measurer):
         """The play of all snapshots together."""
         files, flanks = zip(*map(self._flanks, task.recordings), strict=True)
         widths = [
-            Widths(r.name, tuple(found.level.widths()), self._resolution(r))
-            for r, found in zip(task.recordings, flanks, strict=True)
-            if found.level is not None
+            Widths(r.name, tuple(flank.level.widths()), self._resolution(r))
+            for r, flank in zip(task.recordings, flanks, strict=True)
+            if flank.level is not None
         ]
         report = of_stage(task.progress, f"Sampling {' and '.join(task.names)}")
         play_seed, shares_seed, *seeds = task.seeds.direct.spawn(2 + len(files))
@@ -269,11 +269,11 @@ class RampMeasurer(Measurer):
     ) -> tuple[Answer, HeldCompliance]:
         generator = np.random.default_rng(seed)
         width, stated_nm = play.width_rad[recording.name], LOST_MOTION_SHARE * self._rated(flanks)
-        found = of_every_cycle(flanks, stated_nm)
+        of_cycles = of_every_cycle(flanks, stated_nm)
         draws = {
             "width_rad": width,
             "scatter_rad": play.scatter_rad[recording.name],
-            **described(found, flanks, width, generator),
+            **described(of_cycles, flanks, width, generator),
         }
         gap = draws["delta_rad"] = gap_draws(flanks, draws, shares, generator)
         if play.shared_pattern is not None:
@@ -293,7 +293,7 @@ class RampMeasurer(Measurer):
             _numbers(flanks, groups, self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if told_from_none or withheld else upper_bound(gap),
         )
-        return answer, HeldCompliance(draws, found)
+        return answer, HeldCompliance(draws, of_cycles)
 
     def _rated(self, flanks: Flanks) -> float:
         """The rated torque, or the largest that the ramps reach."""
@@ -398,15 +398,15 @@ def _numbers(
     """The contract's keys, and beside them what the play was read from."""
     level, posterior = flanks.level, groups["posterior"]
     assert level is not None
-    found = shared.intervals(posterior, QUANTITIES, of)
+    intervals = shared.intervals(posterior, QUANTITIES, of)
     # All NaN where no flank is seen to lift.
     if np.isfinite(posterior[PRELOAD].values).any():
-        found |= shared.intervals(posterior, [PRELOAD], of)
+        intervals |= shared.intervals(posterior, [PRELOAD], of)
     used = [file for file in level.files if file]
     return {
-        **{name: found[name] for name in QUANTITIES},
+        **{name: intervals[name] for name in QUANTITIES},
         **{str(n): float(v) for n, v in groups["cycles"].items() if not v.dims},
-        "preload_torque_nm": found.get(PRELOAD),
+        "preload_torque_nm": intervals.get(PRELOAD),
         "preloaded": flanks.probability_of_play <= 0.5 and not is_withheld,
         "ramps": {
             "positions": len(used),
@@ -415,7 +415,7 @@ def _numbers(
             "width_rad": [float(np.mean([c.width_rad for c in file])) for file in used],
         },
         "parameters": {
-            **found,
+            **intervals,
             **shared.intervals(posterior, ("width_rad", "scatter_rad"), of),
         },
         "noise": {"kind": "repeated"},
@@ -427,7 +427,7 @@ def _elsewhere(flanks: Sequence[Flanks]) -> bool:
 
     They are at the same where their flanks overlap.
     """
-    levels = [found.level for found in flanks if found.level is not None]
+    levels = [flank.level for flank in flanks if flank.level is not None]
     if len(levels) < 2 or any(len(level.widths()) > 1 for level in levels):
         return False
     middles = [level.middle_rad for level in levels]
@@ -513,12 +513,12 @@ def gap_draws(
 
 def without_play(flanks: Flanks, draws: Mapping[str, FloatArray]) -> float:
     """Times the width that bounds a gap without play: one where a flank is seen to lift."""
-    seen = flanks.finding == "preloaded" and np.isfinite(draws[PRELOAD]).any()
-    return 1.0 if seen else flanks.left_by_larger
+    is_preloaded = flanks.finding == "preloaded" and np.isfinite(draws[PRELOAD]).any()
+    return 1.0 if is_preloaded else flanks.left_by_larger
 
 
 def described(
-    found: Mapping[str, Sequence[FloatArray]],
+    of_cycles: Mapping[str, Sequence[FloatArray]],
     flanks: Flanks,
     width: FloatArray,
     generator: np.random.Generator,
@@ -529,7 +529,7 @@ def described(
     preload lets both flanks carry (0 with play, NaN where no flank is seen to lift), N m.
     """
     shape = width.shape
-    draws = {name: _mean_draws(each, shape, generator) for name, each in found.items()}
+    draws = {name: _mean_draws(each, shape, generator) for name, each in of_cycles.items()}
     if flanks.largest is flanks.level:
         # Nothing tells what friction holds: up to all of the width.
         draws["held_windup_rad"] = 0.5 * width * generator.uniform(size=shape)
@@ -552,11 +552,11 @@ def _mean_draws(
     """
     values = observations(by_file)
     positive = bool(np.all(values > 0.0))
-    seen = np.log(values) if positive else values
-    drawn = np.full(shape, seen.mean())
-    if seen.size > 1:
-        error = seen.std(ddof=1) / np.sqrt(seen.size)
-        drawn = drawn + error * generator.standard_t(seen.size - 1, size=shape)
+    transformed = np.log(values) if positive else values
+    drawn = np.full(shape, transformed.mean())
+    if transformed.size > 1:
+        error = transformed.std(ddof=1) / np.sqrt(transformed.size)
+        drawn = drawn + error * generator.standard_t(transformed.size - 1, size=shape)
     return np.exp(drawn) if positive else drawn
 
 
@@ -564,12 +564,12 @@ def _budget(flanks: Flanks, width: FloatArray, delta: FloatArray) -> dict[str, f
     """Share of each source in the variance of ln δ."""
     level = flanks.level
     assert level is not None
-    found = level.widths()
-    number = sum(v.size for v in found)
-    freedom = sum(v.size - 1 for v in found)
-    within = sum(float(v.var()) * v.size for v in found) / freedom / number if freedom else 0.0
-    shares = {"repeated_ramps": within if len(found) > 1 else float(np.var(width))}
-    if len(found) > 1:
+    widths = level.widths()
+    number = sum(v.size for v in widths)
+    freedom = sum(v.size - 1 for v in widths)
+    within = sum(float(v.var()) * v.size for v in widths) / freedom / number if freedom else 0.0
+    shares = {"repeated_ramps": within if len(widths) > 1 else float(np.var(width))}
+    if len(widths) > 1:
         shares["positions_round_the_turn"] = max(float(np.var(width)) - within, 0.0)
     shares["held_windup"] = max(4.0 * float(np.var(delta)) - float(np.var(width)), 0.0)
     total = sum(shares.values())

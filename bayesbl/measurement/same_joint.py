@@ -286,8 +286,8 @@ class _Pair:
             least = max(abs(self.change) - bound * self.change_sd, 0.0)
             moved = abs(item["z"]) > bound and abs(self.change) > self.harmless
             values = {"order": order, "furthest_share": furthest, **_values(item)}
-            told = moved and furthest >= least
-            yield item, {"code": "line_changed", **values} if told else None
+            is_changed = moved and furthest >= least
+            yield item, {"code": "line_changed", **values} if is_changed else None
 
     def sd(self, name: str) -> float:
         """Of a feature's change."""

@@ -133,13 +133,13 @@ def one_of(reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
 
 def _reason_of_all(measured: Measurement) -> dict[str, Any] | None:
     """Why answers are withheld: each reason once, with the recordings that it holds for."""
-    found: dict[str, tuple[Reason, list[str]]] = {}
+    by_text: dict[str, tuple[Reason, list[str]]] = {}
     for answer in measured.answers:
         for reason in answer.withholding:
-            found.setdefault(json_text(reason.stored), (reason, []))[1].append(answer.name)
+            by_text.setdefault(json_text(reason.stored), (reason, []))[1].append(answer.name)
     reasons = [
         reason.stored | ({} if len(names) == len(measured.answers) else {"recordings": names})
-        for reason, names in found.values()
+        for reason, names in by_text.values()
     ]
     if measured.without_gap:
         reasons.append(NO_CURVE.stored)
@@ -166,7 +166,7 @@ def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[
     given = None if answer.is_withheld else answer.delta_rad
     common = common_numbers(answer.groups)
     no_noise_of_speed = dict(order=0, sd_rpm=0.0, coefficients=[], degrees_of_freedom=None)
-    found = {
+    summary = {
         "route": one.route,
         "curve": one.curve or None,
         "amplitude_rpm": None,
@@ -188,17 +188,17 @@ def _of_route(one: Measurement, answer: Answer, config: SnapshotConfig) -> dict[
     }
     limit_rad = limit_rad_of(config)
     if limit_rad is not None:
-        found["limit_rad"] = limit_rad
+        summary["limit_rad"] = limit_rad
         above = None if given is None or one.by_other_joint else float(np.mean(given > limit_rad))
-        found["probability_above_limit"] = above
+        summary["probability_above_limit"] = above
     if config.joint.limit is not None:
         limit, windup_rad = config.joint.limit, windup_rad_of(config)
         measured = None
-        if (delta := found["delta_rad"]) is not None:
+        if (delta := summary["delta_rad"]) is not None:
             ends = {key: limit.stated(delta[key], windup_rad) for key in ("median", "low", "high")}
             measured = {**delta, **ends}
-        found["limit"] = {"text": str(limit), "unit": limit.name, "measured": measured}
-    return found
+        summary["limit"] = {"text": str(limit), "unit": limit.name, "measured": measured}
+    return summary
 
 
 def _compared(measured: Measurement, config: CompareConfig) -> dict[str, Any]:

@@ -192,95 +192,101 @@ class TwoEncoderMeasurer(Measurer):
         answers = []
         for recording, seed in zip(task.recordings, task.seeds.recordings, strict=True):
             report = of_stage(task.progress, f"Fitting {recording.name}")
-            found = fit_transmission(
+            transmission = fit_transmission(
                 channels_of(recording), seed, task.seeds.gap, self.config.joint.gear_ratio, report
             )
-            answers.append(self._answer(recording, found))
+            answers.append(self._answer(recording, transmission))
         return Measurement(NAME, answers)
 
-    def _answer(self, recording: Recording, found: Transmission) -> Answer:
+    def _answer(self, recording: Recording, transmission: Transmission) -> Answer:
         # The gravest first.
-        reasons = sorted(self._findings(found), key=lambda reason: not reason.withholds)
+        reasons = sorted(self._findings(transmission), key=lambda reason: not reason.withholds)
         withheld = outcome_of(reasons) == "withheld"
-        sure = found.probability_of_play >= UPPER_BOUND_LEVEL
+        sure = transmission.probability_of_play >= UPPER_BOUND_LEVEL
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
-        groups = groups_of(found, recording, at_output=self._is_at_output(found))
-        upper = upper_bound_rad(found)
+        groups = groups_of(transmission, recording, at_output=self._is_at_output(transmission))
+        upper = upper_bound_rad(transmission)
         return Answer(
             recording.name,
-            found.draws["delta_rad"],
+            transmission.draws["delta_rad"],
             reasons,
             groups,
-            _numbers(found, groups["posterior"], self.config.interval, is_withheld=withheld),
+            _numbers(transmission, groups["posterior"], self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if sure or withheld else upper,
         )
 
-    def _is_at_output(self, found: Transmission) -> bool:
+    def _is_at_output(self, transmission: Transmission) -> bool:
         """Whether the motor's position was divided by the ratio already; its torque may not be."""
-        stated, seen = self.config.joint.gear_ratio, float(np.median(found.draws["gear_ratio"]))
-        return stated is not None and abs(np.log(abs(seen))) < SAME_RATIO < abs(np.log(stated))
+        stated, measured = (
+            self.config.joint.gear_ratio,
+            float(np.median(transmission.draws["gear_ratio"])),
+        )
+        return stated is not None and abs(np.log(abs(measured))) < SAME_RATIO < abs(np.log(stated))
 
-    def _findings(self, found: Transmission) -> Iterator[Reason]:
+    def _findings(self, transmission: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
-        upper = upper_bound_rad(found)
-        lost = float(np.median(found.draws["lost_motion_rad"]))
-        lost_track = float(np.std(found.draws["channel_skew_s"])) > LONGEST_SKEW_S
-        if lost_track or found.probability_of_play < UPPER_BOUND_LEVEL:
-            if lost_track or upper > TOO_WIDE * float(np.ptp(found.position_rad)):
+        upper = upper_bound_rad(transmission)
+        lost = float(np.median(transmission.draws["lost_motion_rad"]))
+        lost_track = float(np.std(transmission.draws["channel_skew_s"])) > LONGEST_SKEW_S
+        if lost_track or transmission.probability_of_play < UPPER_BOUND_LEVEL:
+            if lost_track or upper > TOO_WIDE * float(np.ptp(transmission.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
             else:
                 yield Reason(
                     "play_not_told",
                     {
-                        "probability": found.probability_of_play,
+                        "probability": transmission.probability_of_play,
                         "upper_mrad": 1e3 * upper,
                         "lost_mrad": 1e3 * lost,
                     },
                 )
-        if found.gravity_holds > HELD_BY_WEIGHT and found.probability_of_play < UPPER_BOUND_LEVEL:
-            yield Reason("held_by_weight", {"share": found.gravity_holds})
-        if found.skew_or_play:
-            skew_ms = 1e3 * float(np.median(found.draws["channel_skew_s"]))
+        if (
+            transmission.gravity_holds > HELD_BY_WEIGHT
+            and transmission.probability_of_play < UPPER_BOUND_LEVEL
+        ):
+            yield Reason("held_by_weight", {"share": transmission.gravity_holds})
+        if transmission.skew_or_play:
+            skew_ms = 1e3 * float(np.median(transmission.draws["channel_skew_s"]))
             yield Reason("skew_or_play", {"skew_ms": skew_ms})
-        if found.reversals < FEW_REVERSALS:
-            yield Reason("few_reversals", {"count": found.reversals})
-        if found.friction_nm is None:
+        if transmission.reversals < FEW_REVERSALS:
+            yield Reason("few_reversals", {"count": transmission.reversals})
+        if transmission.friction_nm is None:
             yield Reason("no_torque")
-        elif "compliance_rad_per_nm" not in found.draws:
+        elif "compliance_rad_per_nm" not in transmission.draws:
             yield Reason("torque_unused")
-        stated, seen = self.config.joint.gear_ratio, np.abs(found.draws["gear_ratio"])
-        middle = float(np.median(seen))
+        stated, measured = self.config.joint.gear_ratio, np.abs(transmission.draws["gear_ratio"])
+        middle = float(np.median(measured))
         if stated is None:
             if np.log(middle) < -SAME_RATIO:
                 yield Reason("positions_exchanged", {"seen": middle})
         else:
             if abs(np.log(middle * stated)) < SAME_RATIO < abs(np.log(stated)):
                 yield Reason("positions_exchanged", {"seen": middle})
-            elif self._is_at_output(found):
+            elif self._is_at_output(transmission):
                 yield Reason("motor_at_output")
-            elif abs(middle / stated - 1.0) > max(3.0 * float(seen.std()) / stated, 1e-3):
+            elif abs(middle / stated - 1.0) > max(3.0 * float(measured.std()) / stated, 1e-3):
                 yield Reason("ratio_differs", {"stated": stated, "seen": middle})
-        draws = 1e3 * found.draws["channel_skew_s"]
+        draws = 1e3 * transmission.draws["channel_skew_s"]
         skew = float(np.median(draws))
         if abs(skew) > max(1.0, 3.0 * float(draws.std())):
             yield Reason("channels_skewed", {"skew_ms": skew})
-        if _misfit_lasts(found):
-            values = {"misfit_mrad": 1e3 * found.misfit_rad, "lost_mrad": 1e3 * lost}
+        if _misfit_lasts(transmission):
+            values = {"misfit_mrad": 1e3 * transmission.misfit_rad, "lost_mrad": 1e3 * lost}
             yield Reason("load_coasts", values)
-        before, after = found.half_lag_rad
-        if found.probability_of_play > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
+        before, after = transmission.half_lag_rad
+        if transmission.probability_of_play > LIKELY and abs(after - before) > LASTING * 0.5 * lost:
             yield Reason("lag_changes", {"before_mrad": 2e3 * before, "after_mrad": 2e3 * after})
-        if found.counted > 2.0:
-            yield Reason("misfit_repeats", {"times": found.counted})
+        if transmission.counted > 2.0:
+            yield Reason("misfit_repeats", {"times": transmission.counted})
 
 
-def _misfit_lasts(found: Transmission) -> bool:
+def _misfit_lasts(transmission: Transmission) -> bool:
     """Whether a load with play leaves the flanks in ways that the model does not have."""
-    half = 0.5 * float(np.median(found.draws["lost_motion_rad"]))
-    return found.probability_of_play > LIKELY and found.misfit_rad > LASTING * half
+    half = 0.5 * float(np.median(transmission.draws["lost_motion_rad"]))
+    return transmission.probability_of_play > LIKELY and transmission.misfit_rad > LASTING * half
 
 
-def upper_bound_rad(found: Transmission) -> float:
+def upper_bound_rad(transmission: Transmission) -> float:
     """Of δ, with 95 %, where all sizes up to it are alike beforehand.
 
     By the draws' prior it would be what that takes small gaps for: a bound is of the data. A load
@@ -288,10 +294,10 @@ def upper_bound_rad(found: Transmission) -> float:
     its play in the range of the misfit, beyond that of white noise. What the prior takes for
     wind-up is within it.
     """
-    delta = np.sort(found.draws["delta_rad"], axis=None)
+    delta = np.sort(transmission.draws["delta_rad"], axis=None)
     alike = np.cumsum(delta)
     bound = float(delta[np.searchsorted(alike, UPPER_BOUND_LEVEL * alike[-1])])
-    return max(bound, hidden_rad(found.lag_rad, found.noise))
+    return max(bound, hidden_rad(transmission.lag_rad, transmission.noise))
 
 
 def channels_of(recording: Recording) -> Channels:
@@ -310,29 +316,33 @@ def channels_of(recording: Recording) -> Channels:
 
 
 def groups_of(
-    found: Transmission, recording: Recording, *, at_output: bool = False
+    transmission: Transmission, recording: Recording, *, at_output: bool = False
 ) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension."""
-    draws = dict(found.draws)
+    draws = dict(transmission.draws)
     shape = draws["delta_rad"].shape
     # What one ampere makes is not known, so a current's compliance is no compliance.
     of_torque = MOTOR_TORQUE in recording.channels and not at_output
     compliance = draws.pop("compliance_rad_per_nm", np.full(shape, np.nan))
     draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
-    amplitudes = list(found.harmonics.values())
+    amplitudes = list(transmission.harmonics.values())
     draws["harmonic_rad"] = np.stack(amplitudes) if amplitudes else np.empty((0, *shape))
-    noise = found.noise
+    noise = transmission.noise
     return {
         "posterior": dataset(POSTERIOR, draws, shared.numbered(shape)),
-        **shared.common_groups(recording, CHANNELS, _sampled(found), _budget(found)),
+        **shared.common_groups(recording, CHANNELS, _sampled(transmission), _budget(transmission)),
         "transmission": dataset(
             TRANSMISSION,
             {
-                **attributes(TRANSMISSION, found),
-                "forward": (found.paths.binned(found.paths.speed) > 0.0).astype(float),
-                "model_rad": found.modelled_rad,
-                "harmonic_order": np.array([float(n) for _, n in found.harmonics]),
-                "harmonic_of_load": np.array([float(s == "load") for s, _ in found.harmonics]),
+                **attributes(TRANSMISSION, transmission),
+                "forward": (transmission.paths.binned(transmission.paths.speed) > 0.0).astype(
+                    float
+                ),
+                "model_rad": transmission.modelled_rad,
+                "harmonic_order": np.array([float(n) for _, n in transmission.harmonics]),
+                "harmonic_of_load": np.array(
+                    [float(s == "load") for s, _ in transmission.harmonics]
+                ),
                 "noise_sd_rad": noise.white_rad,
                 "drift_sd_rad": noise.drift_rad,
                 "drift_s": noise.drift_s,
@@ -341,22 +351,22 @@ def groups_of(
     }
 
 
-def _sampled(found: Transmission) -> Diagnostics:
+def _sampled(transmission: Transmission) -> Diagnostics:
     """Of draws that are independent of one another."""
-    chains, draws = found.draws["lost_motion_rad"].shape
-    r_hat, ess = rank_r_hat_and_ess({"lost_motion_rad": found.draws["lost_motion_rad"]})
+    chains, draws = transmission.draws["lost_motion_rad"].shape
+    r_hat, ess = rank_r_hat_and_ess({"lost_motion_rad": transmission.draws["lost_motion_rad"]})
     return Diagnostics(r_hat, ess, 1.0, draws, np.ones(chains))
 
 
-def _budget(found: Transmission) -> dict[str, float]:
+def _budget(transmission: Transmission) -> dict[str, float]:
     """Share of each source in the variance of δ."""
-    held = 0.25 * float(np.var(found.draws["held_windup_rad"]))
-    share = min(held / max(float(np.var(found.draws["delta_rad"])), held, 1e-300), 1.0)
+    held = 0.25 * float(np.var(transmission.draws["held_windup_rad"]))
+    share = min(held / max(float(np.var(transmission.draws["delta_rad"])), held, 1e-300), 1.0)
     return {"noise": 1.0 - share, "held_windup": share}
 
 
 def _numbers(
-    found: Transmission, posterior: xr.Dataset, of: IntervalConfig, *, is_withheld: bool
+    transmission: Transmission, posterior: xr.Dataset, of: IntervalConfig, *, is_withheld: bool
 ) -> dict[str, Any]:
     """The contract's keys, and beside them all that both encoders tell."""
     names = [name for name in QUANTITIES if np.isfinite(posterior[name].values).all()]
@@ -373,11 +383,11 @@ def _numbers(
             "peak_to_peak_rad": parameters["transmission_error_rad"],
             "harmonics": [
                 {"of": side, "order": order, "amplitude_rad": interval(each, of.level, of.kind)}
-                for (side, order), each in found.harmonics.items()
+                for (side, order), each in transmission.harmonics.items()
             ],
         },
-        "probability_of_play": found.probability_of_play,
-        "reversals": found.reversals,
+        "probability_of_play": transmission.probability_of_play,
+        "reversals": transmission.reversals,
         "parameters": parameters,
         "noise": {"kind": "drift"},
     }

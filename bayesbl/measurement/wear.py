@@ -284,10 +284,10 @@ def fall(delta_rad: FloatArray) -> tuple[int, float, float] | None:
     middle, spread = falls.mean(axis=1), falls.std(axis=1)
     deviations = middle / np.maximum(spread, 1e-12 * np.abs(delta_rad).max())
     surest = int(np.argmax(deviations))
-    found = float(deviations[surest])
-    if len(falls) * normal_sf(found) >= FALSE_ALARM:
+    deviation = float(deviations[surest])
+    if len(falls) * normal_sf(deviation) >= FALSE_ALARM:
         return None
-    return surest + 1, float(middle[surest]), found
+    return surest + 1, float(middle[surest]), deviation
 
 
 def since_repair(repaired: Sequence[bool]) -> slice:
@@ -451,11 +451,11 @@ def _fit(
         uncertain = uncertain + variance * (growth[number] - before)
         before = growth[number]
         total = uncertain + noise
-        left = columns[:, number] - state
-        products += left[:, None] * left[None] / total
+        innovation = columns[:, number] - state
+        products += innovation[:, None] * innovation[None] / total
         log_determinant = log_determinant + np.log(total)
         gain = uncertain / total
-        state, uncertain = state + gain * left, uncertain * (1.0 - gain)
+        state, uncertain = state + gain * innovation, uncertain * (1.0 - gain)
     (a, b, e), (_, c, f), (_, _, squares) = products
     determinant = a * c - b * b
     line = np.stack([c * e - b * f, a * f - b * e]) / determinant
@@ -490,11 +490,13 @@ def _tempered(problem: _Problem, generator: np.random.Generator) -> FloatArray:
             )
             noise = 0.01 * generator.standard_normal(normal.shape)
             moved = normal + np.where(touched, size * apart, 0.0) + noise
-            found = problem.log_likelihood(moved)
-            gain = done * (found - likely) - 0.5 * np.sum(moved**2 - normal**2, axis=0)
+            proposed_likelihood = problem.log_likelihood(moved)
+            gain = done * (proposed_likelihood - likely) - 0.5 * np.sum(
+                moved**2 - normal**2, axis=0
+            )
             taken = np.log(generator.uniform(size=PARTICLES)) < gain
             normal = np.where(taken, moved, normal)
-            likely = np.where(taken, found, likely)
+            likely = np.where(taken, proposed_likelihood, likely)
     return np.asarray(normal)
 
 
@@ -583,10 +585,10 @@ def wear_of(
         number, fall_rad, deviations = fell
         values = {"name": chosen[number].name, "fall_rad": fall_rad}
         return group, Reason("gap_fell", {**values, "standard_deviations": deviations})
-    found = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
-    if found is None:
+    forecast = wear(drawn, years, wear_seed, limit_rad=limit, age_years=age)
+    if forecast is None:
         return group, Reason("gap_shrank")
-    group = group.merge(found).assign_attrs({**group.attrs, **found.attrs})
+    group = group.merge(forecast).assign_attrs({**group.attrs, **forecast.attrs})
     if config.wear.relative_sd_per_date > 0.0:
         group.attrs["relative_sd_per_date"] = config.wear.relative_sd_per_date
         group.attrs["drift_widens"] = float(
@@ -648,10 +650,10 @@ def summarise_wear(
         result["scatter_rad_per_root_year"] = interval(scatter, level, kind)
     if "years_to_limit" in group:
         years = group["years_to_limit"].values
-        found = interval(years, level, kind)
-        result["years_to_limit"] = found
-        ends: dict[str, Any] = {k: _iso(dates[-1], found[k]) for k in ("median", "low", "high")}
-        result["date_of_limit"] = {**found, **ends}
+        bounds = interval(years, level, kind)
+        result["years_to_limit"] = bounds
+        ends: dict[str, Any] = {k: _iso(dates[-1], bounds[k]) for k in ("median", "low", "high")}
+        result["date_of_limit"] = {**bounds, **ends}
         earliest = _iso(dates[-1], float(np.quantile(years, 1.0 - level)))
         result["not_before"] = {"date": earliest, "level": level}
         if "width_over_prior" in group.attrs:
@@ -666,10 +668,10 @@ def summarise_wear(
     return result
 
 
-def _rate(found: Interval) -> Interval:
-    return {**found, "unit": "rad/year"}
+def _rate(interval: Interval) -> Interval:
+    return {**interval, "unit": "rad/year"}
 
 
 def _iso(first: Date, years: float) -> str | None:
-    found = date_after(first, years)
-    return None if found is None else found.isoformat()
+    date = date_after(first, years)
+    return None if date is None else date.isoformat()

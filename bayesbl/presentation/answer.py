@@ -90,8 +90,8 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     parts = snapshots(summary)
     _, *others = lead(summary)
     limits = above_limit(summary), in_unit_of_limit(summary)
-    told = (*others, which(summary), *steps(summary), *limits)
-    yield from map(Sentence, filter(None, told))
+    sentences = (*others, which(summary), *steps(summary), *limits)
+    yield from map(Sentence, filter(None, sentences))
     if has_shrunk(summary):
         yield Sentence(SHRANK, "warning")
     if not is_ringing_alone(summary):
@@ -137,10 +137,10 @@ def headline(summary: MeasuredSummary) -> str:
 def in_words(summary: MeasuredSummary) -> str:
     """The gap, or the change of compared ones; of the ringing, where there is no curve."""
     alone = is_ringing_alone(summary)
-    told = _ringing_in_words(summary) if alone else _gap_in_words(summary)
+    text = _ringing_in_words(summary) if alone else _gap_in_words(summary)
     what = "ringing" if alone else "gap"
     what = f"change of the {what}" if summary["kind"] == "compare" else what
-    return told or (
+    return text or (
         f"The {what} is withheld: these data do not give an answer that can be trusted."
     )
 
@@ -152,13 +152,13 @@ def _gap_in_words(summary: MeasuredSummary) -> str | None:
         if change is None or growth is None:
             return None
         if (cause := wear.other_cause(summary)) is not None:
-            told = words.change_of("it", change, "mrad", 1e3)
+            text = words.change_of("it", change, "mrad", 1e3)
             return (
-                f"{by}The gap is not shown to have changed: {told} if nothing else in the "
+                f"{by}The gap is not shown to have changed: {text} if nothing else in the "
                 f"joint changed ({grew(growth)}), but a change of {cause} could explain as much."
             )
-        told = words.change_of("The gap", change, "mrad", 1e3)
-        return f"{by}{told}; {grew(growth)}{wear.unless(summary)}."
+        text = words.change_of("The gap", change, "mrad", 1e3)
+        return f"{by}{text}; {grew(growth)}{wear.unless(summary)}."
     if (none := play.no_play_by_ramps(summary)) is not None:
         return none
     if (upper_rad := summary["delta_upper_bound_rad"]) is not None:
@@ -173,21 +173,21 @@ def _ringing_in_words(summary: MeasuredSummary) -> str | None:
     if summary["outcome"] == "withheld":
         return None
     if summary["kind"] == "fit":
-        found = summary["amplitude_rpm"]
-        shown = None if found is None else words.with_bounds(found, "rpm")
+        amplitude = summary["amplitude_rpm"]
+        shown = None if amplitude is None else words.with_bounds(amplitude, "rpm")
         return shown and f"The ringing has an amplitude of {shown}."
     change, growth = summary["ringing_change"], summary["probability_ringing_grew"]
     if change is None or growth is None:
         return None
-    told = f"{words.change_of('The ringing', change, '%', 100.0)}; {grew(growth)}"
+    text = f"{words.change_of('The ringing', change, '%', 100.0)}; {grew(growth)}"
     if not summary["same_joint"]["agrees"]:
-        told += ". Something other than the gap changed, so this is no evidence of wear"
+        text += ". Something other than the gap changed, so this is no evidence of wear"
     elif (unseen := wear.unseen_without_current(summary)) is not None:
-        told += (
+        text += (
             f". It is evidence about the gap only if {unseen} did not change: no motor "
             "current can be compared"
         )
-    return f"{told}."
+    return f"{text}."
 
 
 def which(summary: MeasuredSummary) -> str | None:
@@ -220,10 +220,10 @@ def not_answering(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]
     reasons: dict[tuple[str, str], list[str]] = {}
     for name, part in parts:
         listed = part["diagnostics"]["reasons"]
-        told = tuple(cause["text"] for one in listed for cause in one.get("because", ()))
-        for route, found in part["routes"].items():
-            reason = found["reason"]
-            if route == part["route"] or reason is None or reason["text"].startswith(told):
+        causes = tuple(cause["text"] for one in listed for cause in one.get("because", ()))
+        for route, other in part["routes"].items():
+            reason = other["reason"]
+            if route == part["route"] or reason is None or reason["text"].startswith(causes):
                 continue
             reasons.setdefault((route, reason["text"]), []).append(name)
     for (route, why), names in reasons.items():
@@ -250,10 +250,10 @@ def steps(summary: MeasuredSummary) -> Iterator[str]:
     changes, unless = summary["changes"], wear.unless(summary)
     for step in changes if len(changes) > 1 else []:
         change, growth = step["change_rad"], step["probability_increase"]
-        found = "withheld"
+        text = "withheld"
         if change is not None and growth is not None:
-            found = f"{words.in_mrad(change)}; {grew(growth)}{unless}"
-        yield f"From {step['from']} to {step['to']}: {found}."
+            text = f"{words.in_mrad(change)}; {grew(growth)}{unless}"
+        yield f"From {step['from']} to {step['to']}: {text}."
 
 
 def is_by_other_machine(summary: MeasuredSummary) -> bool:
@@ -320,12 +320,12 @@ def reasons(summary: MeasuredSummary) -> Iterator[tuple[str, str]]:
 
 def sampler_check(check: SamplerCheckSummary) -> str:
     """What the second sampler found of every parameter."""
-    each = "; ".join(
-        f"{symbol} {number(found['difference_sd'], 2)} sd, width × {found['width_ratio']:.2f}"
-        for symbol, found in check["symbols"].items()
+    differences = "; ".join(
+        f"{symbol} {number(each['difference_sd'], 2)} sd, width × {each['width_ratio']:.2f}"
+        for symbol, each in check["symbols"].items()
     )
     verdict = "agrees with" if check["agrees"] else "disagrees with"
-    return f"Nested sampling {verdict} emcee (difference, width over emcee's): {each}."
+    return f"Nested sampling {verdict} emcee (difference, width over emcee's): {differences}."
 
 
 def _gap_table(summary: MeasuredSummary) -> Table:
@@ -368,19 +368,19 @@ def _ringing_table(summary: MeasuredSummary) -> Table:
     titles = ("A\n(rpm)", "τ\n(1/s)", "1/τ\n(ms)", "ω/2π\n(Hz)", "RMSE\n(rpm)", "Noise sd\n(rpm)")
     rows = []
     for name, part in snapshots(summary):
-        found = with_ringing(part)
-        if found is None:
+        ringing = with_ringing(part)
+        if ringing is None:
             continue
-        symbol = found["optimum"] | {n: v["median"] for n, v in found["parameters"].items()}
-        amplitude, decay = found["amplitude_rpm"], symbol[DECAY]
+        symbol = ringing["optimum"] | {n: v["median"] for n, v in ringing["parameters"].items()}
+        amplitude, decay = ringing["amplitude_rpm"], symbol[DECAY]
         bounds = None if amplitude is None else words.bounds(amplitude, places=1)
         cells = [
             "–" if amplitude is None else f"{amplitude['median']:.1f} ({bounds})",
             f"{decay:.3g}",
             f"{1e3 / decay:.3g}",
             f"{symbol[FREQUENCY] / (2.0 * math.pi):.2f}",
-            f"{found['rmse_rpm']:.2f} ({100.0 * found['relative_rmse']:.0f} %)",
-            f"{found['noise']['sd_rpm']:.2f}",
+            f"{ringing['rmse_rpm']:.2f} ({100.0 * ringing['relative_rmse']:.0f} %)",
+            f"{ringing['noise']['sd_rpm']:.2f}",
         ]
         rows.append([name] * len(named) + cells)
     return table([*named, *map(numbers, titles)], rows)
@@ -449,8 +449,8 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
     ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
     change = None if compared is None else compared["change_rad"]
     if compared is not None and cause is not None:
-        told = in_words(summary) if rated is None else wear.headline(compared, rated)
-        return Advice("watch", NOT_SHOWN, (told, ask))
+        headline = in_words(summary) if rated is None else wear.headline(compared, rated)
+        return Advice("watch", NOT_SHOWN, (headline, ask))
     if rated is None and change is None:
         return Advice("note", "Compare this gap with the joint's limit.", (ask,))
     has_grown = change is not None and change["low"] > 0.0
@@ -480,11 +480,11 @@ def _why(summary: MeasuredSummary) -> str:
 
 def _caveats(summary: MeasuredSummary) -> Iterator[str]:
     if summary["kind"] == "compare":
-        change, found = summary["change_rad"], summary["wear"]
-        if found is not None and found["reason"] is not None:
-            yield found["reason"]["text"]
+        change, wear_summary = summary["change_rad"], summary["wear"]
+        if wear_summary is not None and wear_summary["reason"] is not None:
+            yield wear_summary["reason"]["text"]
         grown = change is not None and change["low"] > 0.0 and wear.other_cause(summary) is None
-        if found is None and grown:
+        if wear_summary is None and grown:
             yield "Give the recordings their dates (--date) for a forecast of further wear."
     if has_shrunk(summary):
         yield SHRANK
@@ -515,11 +515,11 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
         else:
             same = "same joint, controller and load"
             yield f"Nothing but the gap changed between the snapshots: {same}."
-    found = last["delta_rad"] or last["amplitude_rpm"]
-    if found is not None:
+    interval = last["delta_rad"] or last["amplitude_rpm"]
+    if interval is not None:
         yield (
-            f"The {interval_kind(found)} is a credible interval: on these assumptions, it contains "
-            f"the value with probability {100.0 * found['level']:g} %."
+            f"The {interval_kind(interval)} is a credible interval: on these assumptions, it "
+            f"contains the value with probability {100.0 * interval['level']:g} %."
         )
 
 

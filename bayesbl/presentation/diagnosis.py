@@ -54,10 +54,10 @@ def headline(summary: DiagnosisSummary) -> str:
         case "named":
             names = [_size_in_short(effect) for effect in summary["effects"]]
             are, them = ("is", "it") if len(names) == 1 else ("are", "them")
-            found = summary["disagreement"]["over_all"].get("held_out")
+            held_out = summary["disagreement"]["over_all"].get("held_out")
             gone = ""
-            if found is not None and found["closed_fraction"] is not None:
-                share = removed(found["closed_fraction"])
+            if held_out is not None and held_out["closed_fraction"] is not None:
+                share = removed(held_out["closed_fraction"])
                 gone = f": with {them}, {share} of the disagreement on held-out data is gone"
             return capitalised(f"{'; '.join(names)} {are} missing from the bench{gone}.")
         case "parameter_error" if "gap_withheld" in summary:
@@ -75,11 +75,11 @@ def headline(summary: DiagnosisSummary) -> str:
             what = next(remaining(summary)).partition(": ")[2]
             return f"Something repeats that no known effect explains: {what}"
         case verdict:
-            left = summary["disagreement"]["over_all"].get("used")
-            if left is not None and (
-                verdict == "unexplained" or left["closed_fraction"] is not None
+            used = summary["disagreement"]["over_all"].get("used")
+            if used is not None and (
+                verdict == "unexplained" or used["closed_fraction"] is not None
             ):
-                after, noise = (_sized_rms(left, key) for key in ("after", "noise_floor"))
+                after, noise = (_sized_rms(used, key) for key in ("after", "noise_floor"))
                 return (
                     "No effect could be named: bench and recordings disagree by "
                     f"{after}, and the noise is {noise}."
@@ -132,41 +132,41 @@ def learned_of(summary: Answer) -> LearnedSummary | None:
 
 def learned(summary: DiagnosisSummary) -> Iterator[str]:
     """What was learned: what it depends on, how large it is, what it is not told from."""
-    found = learned_of(summary)
-    if found is None:
+    term = learned_of(summary)
+    if term is None:
         return
-    if "amplitude_rad" in found:
-        size = f"{significant(1e3 * found['amplitude_rad'])} mrad"
+    if "amplitude_rad" in term:
+        size = f"{significant(1e3 * term['amplitude_rad'])} mrad"
     else:
-        size = f"{significant(found['amplitude_nm'])} N m"
-    text = f"Learned, because no known effect explains it: {dependence(found)}, {size}."
-    if found["alike"]:
-        others = "; ".join(dependence(other) for other in found["alike"])
+        size = f"{significant(term['amplitude_nm'])} N m"
+    text = f"Learned, because no known effect explains it: {dependence(term)}, {size}."
+    if term["alike"]:
+        others = "; ".join(dependence(other) for other in term["alike"])
         text += f" It cannot be distinguished from {others}."
     yield text
     if withheld := summary.get("gap_withheld"):
         yield withheld
 
 
-def dependence(found: LearnedDependence | LearnedSummary) -> str:
+def dependence(term: LearnedDependence | LearnedSummary) -> str:
     """``a torque at the load over the load angle, orders 1 to 7``; an error of the encoder too."""
-    turn = 2.0 * math.pi / found["period"]
+    turn = 2.0 * math.pi / term["period"]
     over, base = {
         "motor_angle": ("the motor angle", turn),
         "load_angle": ("the load angle", turn),
         "motor_speed": ("the motor speed", 1.0),
-        "time": ("time", 1.0 / found["period"]),
-    }[found["variable"]]
-    orders = [number(k * base, 3).rstrip("0").rstrip(".") for k in (1, found["orders"])]
-    listed = f"order {orders[0]}" if found["orders"] == 1 else f"orders {orders[0]} to {orders[1]}"
-    if found["variable"] == "time":
-        listed = f"{orders[0]} Hz" if found["orders"] == 1 else f"{orders[0]} to {orders[1]} Hz"
-    if found["variable"] == "motor_speed":
-        listed = f"{found['orders']} waves over {significant(found['period'])} rad/s"
-    reverses = " that reverses with the direction" if found["reverses"] else ""
-    if found["side"] == "encoder":
+        "time": ("time", 1.0 / term["period"]),
+    }[term["variable"]]
+    orders = [number(k * base, 3).rstrip("0").rstrip(".") for k in (1, term["orders"])]
+    listed = f"order {orders[0]}" if term["orders"] == 1 else f"orders {orders[0]} to {orders[1]}"
+    if term["variable"] == "time":
+        listed = f"{orders[0]} Hz" if term["orders"] == 1 else f"{orders[0]} to {orders[1]} Hz"
+    if term["variable"] == "motor_speed":
+        listed = f"{term['orders']} waves over {significant(term['period'])} rad/s"
+    reverses = " that reverses with the direction" if term["reverses"] else ""
+    if term["side"] == "encoder":
         return f"an error of the motor's encoder over {over}, {listed}"
-    return f"a torque at the {found['side']}{reverses} over {over}, {listed}"
+    return f"a torque at the {term['side']}{reverses} over {over}, {listed}"
 
 
 def remaining(summary: DiagnosisSummary) -> Iterator[str]:
@@ -200,16 +200,18 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
 
 def suggestion(summary: DiagnosisSummary) -> Iterator[str]:
     """The recording that would separate what these cannot."""
-    found = summary["suggested_recording"]
-    if found is None:
+    recording = summary["suggested_recording"]
+    if recording is None:
         return
     load = (
-        "" if found["payload_share"] == 1.0 else f" with {found['payload_share']:g} times the load"
+        ""
+        if recording["payload_share"] == 1.0
+        else f" with {recording['payload_share']:g} times the load"
     )
-    names = " and ".join(in_words(name) for name in found["separates"][0][:2])
+    names = " and ".join(in_words(name) for name in recording["separates"][0][:2])
     yield (
-        f"A recording at {found['reference_speed_rpm']:g} rpm{load} would separate {names} "
-        f"({found['distance']:.0f} standard deviations apart)."
+        f"A recording at {recording['reference_speed_rpm']:g} rpm{load} would separate {names} "
+        f"({recording['distance']:.0f} standard deviations apart)."
     )
 
 
@@ -235,16 +237,16 @@ def _with_unit(value: str, unit: str) -> str:
     return f"{value} {unit}".rstrip()
 
 
-def disagreement_table(found: DisagreementTableSummary) -> Table:
+def disagreement_table(summary: DisagreementTableSummary) -> Table:
     """RMS of each recording and channel, and over all."""
     titles = ("Disagreement\nbefore", "after", "Noise", "Removed")
-    pieces = list(compared_pieces(found))
+    pieces = list(compared_pieces(summary))
     several = len({channel for _, channel, *_ in pieces}) > 1
     rows = [
         (f"{name}, {CHANNELS.get(channel, channel)}" if several else name, use, row)
         for name, channel, use, row in pieces
     ]
-    rows += [("all", use, row) for use, row in found["over_all"].items()]
+    rows += [("all", use, row) for use, row in summary["over_all"].items()]
     cells = [
         (
             name,
@@ -258,10 +260,10 @@ def disagreement_table(found: DisagreementTableSummary) -> Table:
 
 
 def compared_pieces(
-    found: DisagreementTableSummary,
+    table: DisagreementTableSummary,
 ) -> Iterator[tuple[str, str, Use, DisagreementSummary]]:
     """Recording, channel, use and disagreement of everything that was compared."""
-    for recording, channels in found["recordings"].items():
+    for recording, channels in table["recordings"].items():
         for channel, uses in channels.items():
             yield from ((recording, channel, use, row) for use, row in uses.items())
 

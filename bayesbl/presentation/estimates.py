@@ -67,22 +67,22 @@ def parameter_table(part: RouteSummary) -> Table:
     if part["optimum"]:
         heads = ["Optimum", *heads]
     kind = words.interval_kind(next(iter(part["parameters"].values())))
-    rows = [_row(part, name, found, len(heads)) for name, found in intervals.items()]
+    rows = [_row(part, name, interval, len(heads)) for name, interval in intervals.items()]
     return table([text("Parameter"), *map(numbers, [*heads, kind]), text("Unit")], rows)
 
 
-def _row(part: RouteSummary, name: str, found: Interval | None, values: int) -> list[str]:
+def _row(part: RouteSummary, name: str, interval: Interval | None, values: int) -> list[str]:
     """Name, so many values, interval and unit; what is fixed or withheld has no interval."""
     quantity, unit = quantity_and_unit(name.replace("__", ": "))
     optimum = part["optimum"]
-    if found is None and name == "delta_rad":
+    if interval is None and name == "delta_rad":
         return [quantity, *["withheld"] * values, "withheld", unit]
-    if found is None:
+    if interval is None:
         return [quantity, f"{optimum[name]:g}", "", "fixed", unit]
     scale = 1.0
     if name == "delta_rad" or (not optimum and unit.startswith(("rad", "s"))):
         scale, unit = 1e3, f"m{unit}"
-    places = words.decimals(found, scale, units=20.0)
+    places = words.decimals(interval, scale, units=20.0)
     shown = [number(scale * optimum[name], places)] if optimum else []
     if "cramer_rao_sd" in part:
         # What these recordings say nothing of has no finite bound.
@@ -90,28 +90,28 @@ def _row(part: RouteSummary, name: str, found: Interval | None, values: int) -> 
         shown.append(words.significant(scale * part["posterior_sd"][name], 3))
         shown.append("–" if bound is None else words.significant(scale * bound, 3))
     else:
-        shown.append(number(scale * found["median"], places))
-    return [quantity, *shown, words.bounds(found, scale, places), unit]
+        shown.append(number(scale * interval["median"], places))
+    return [quantity, *shown, words.bounds(interval, scale, places), unit]
 
 
 def noise(part: RouteSummary) -> str:
     """``AR(1), standard deviation 1.51 rpm in speed, coefficients 0.600``; the current's too."""
-    found = part["noise"]
-    kind = f"AR({found['order']})" if found["order"] else "white"
-    if found.get("differentiated"):
+    model = part["noise"]
+    kind = f"AR({model['order']})" if model["order"] else "white"
+    if model.get("differentiated"):
         kind = f"differentiated {kind}"
-    text = f"{kind}, standard deviation {found['sd_rpm']:.3g} rpm in speed"
-    if found.get("sd_a") is not None:
-        text += f", {found['sd_a']:.3g} A in current"
-    elif found["order"]:
-        text += ", coefficients " + ", ".join(number(c, 3) for c in found["coefficients"])
-    if found["degrees_of_freedom"] is not None:
-        text += f", Student-t with {found['degrees_of_freedom']:g} degrees of freedom"
-    if (evidence := found.get("student_t_evidence")) is not None:
+    text = f"{kind}, standard deviation {model['sd_rpm']:.3g} rpm in speed"
+    if model.get("sd_a") is not None:
+        text += f", {model['sd_a']:.3g} A in current"
+    elif model["order"]:
+        text += ", coefficients " + ", ".join(number(c, 3) for c in model["coefficients"])
+    if model["degrees_of_freedom"] is not None:
+        text += f", Student-t with {model['degrees_of_freedom']:g} degrees of freedom"
+    if (evidence := model.get("student_t_evidence")) is not None:
         text += f" (log evidence for Student-t: {number(evidence, 0)})"
-    if found.get("repeating_rounding_sd_rpm"):
+    if model.get("repeating_rounding_sd_rpm"):
         text += (
-            f"; and rounding of {found['repeating_rounding_sd_rpm']:.3g} rpm that repeats every "
+            f"; and rounding of {model['repeating_rounding_sd_rpm']:.3g} rpm that repeats every "
             "rotation"
         )
     return text
@@ -138,10 +138,10 @@ def _impacts(part: RouteSummary) -> str:
 
 
 def _box_search(part: RouteSummary) -> str:
-    found = part["box_search"]
+    optimum = part["box_search"]
     return (
-        f"the search ended at A = {found['amplitude_rpm']:.3g} rpm, RMSE {found['rmse_rpm']:.3g} "
-        f"rpm; eq. 4 there: {1e3 * found['gap_as_printed_rad']:.3g} mrad"
+        f"the search ended at A = {optimum['amplitude_rpm']:.3g} rpm, RMSE "
+        f"{optimum['rmse_rpm']:.3g} rpm; eq. 4 there: {1e3 * optimum['gap_as_printed_rad']:.3g} mrad"
     )
 
 
@@ -164,10 +164,10 @@ def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     yield _check_table(part)
     turn = "cycle, or is slow where the motion does not repeat" if "motion" in part else "rotation"
     yield aside(CHECK_EXPLAINED.format(turn))
-    found = part["diagnostics"]
+    diagnostics = part["diagnostics"]
     simulated = (
-        f"{found['effective_after_simulation']:.0f} effective draws by {found['simulated_draws']} "
-        f"simulations, surrogate fitted again {found['surrogate_refits']} times"
+        f"{diagnostics['effective_after_simulation']:.0f} effective draws by "
+        f"{diagnostics['simulated_draws']} simulations, surrogate fitted again {diagnostics['surrogate_refits']} times"
     )
     sampling = words.sampling(part)
     lines = {"Noise": noise(part), "Sampling": sampling, "Full simulation": simulated}

@@ -47,25 +47,25 @@ def headline(summary: Row) -> str:
 
 def types_in_words(summary: Row) -> Iterator[str]:
     """How the joints of each type wear."""
-    for name, found in summary["types"].items():
-        rate = found["median_rad_per_year"]
-        spread = found["spread"]["median"]
+    for name, rates in summary["types"].items():
+        rate = rates["median_rad_per_year"]
+        spread = rates["spread"]["median"]
         factor = words.significant(math.exp(spread))
-        law = max(found["law"], key=lambda name: found["law"][name])
+        law = max(rates["law"], key=lambda name: rates["law"][name])
         yield (
             f"{name}: the median joint wears by {words.middle(rate, 1e3)} mrad a year "
             f"({words.interval_kind(rate)} {words.bounds(rate, 1e3)}); two joints in three are "
-            f"within a factor of {factor} of that ({found['joints']} joints). "
-            f"Most likely law: {LAWS[law]} ({words.probability(found['law'][law])}). "
-            f"Share of joints unlike the rest: {words.probability(found['own']['median'])}."
-            + "".join(map(_factor, found["covariates"].items()))
+            f"within a factor of {factor} of that ({rates['joints']} joints). "
+            f"Most likely law: {LAWS[law]} ({words.probability(rates['law'][law])}). "
+            f"Share of joints unlike the rest: {words.probability(rates['own']['median'])}."
+            + "".join(map(_factor, rates["covariates"].items()))
         )
 
 
 def _factor(covariate: tuple[str, Row]) -> str:
-    name, found = covariate
-    factor = found["factor"]
-    more, times = words.significant(found["sd"]), words.significant(factor["median"])
+    name, effect = covariate
+    factor = effect["factor"]
+    more, times = words.significant(effect["sd"]), words.significant(factor["median"])
     return (
         f" With {more} more of {name} a joint wears {times} times as fast ({words.bounds(factor)})."
     )
@@ -102,10 +102,10 @@ def blocks(summary: FleetSummary) -> Iterator[Block]:
     yield table(columns, rows)
     yield from map(Sentence, types_in_words(summary))
     counted = summary["recordings"]
-    left = {k: n for k, n in counted.items() if k not in _MEASURED}
-    if left:
-        told = ", ".join(f"{n} {OUTCOMES[outcome]}" for outcome, n in left.items())
-        yield Sentence(f"{told}: see reason in recordings.parquet.", "warning", "Left out")
+    unmeasured = {k: n for k, n in counted.items() if k not in _MEASURED}
+    if unmeasured:
+        counts = ", ".join(f"{n} {OUTCOMES[outcome]}" for outcome, n in unmeasured.items())
+        yield Sentence(f"{counts}: see reason in recordings.parquet.", "warning", "Left out")
     if summary["alarms"]:
         names = ", ".join(summary["alarms"][:_SHOWN])
         more = len(summary["alarms"]) - _SHOWN
@@ -141,10 +141,10 @@ def interval_of(row: Row, name: str, summary: Row) -> Interval | None:
 
 def in_mrad(row: Row, name: str, summary: Row) -> Cell:
     """A quantity in rad with its interval in mrad."""
-    found = interval_of(row, name, summary)
-    if found is None:
+    interval = interval_of(row, name, summary)
+    if interval is None:
         return Cell("–", key=-1.0)
-    return Cell(words.middle(found, 1e3), words.bounds(found, 1e3), found["median"])
+    return Cell(words.middle(interval, 1e3), words.bounds(interval, 1e3), interval["median"])
 
 
 def limit_reached(row: Row) -> Cell:
@@ -164,10 +164,10 @@ def state(row: Row, summary: Row) -> str:
     """How far a joint's wear is known."""
     if row["rate_rad_per_year_median"] is None:
         return "no gap" if row["delta_rad_median"] is None else "no rate"
-    left, unlike = row["withheld"] + row["broken"], unlike_type(row, summary)
+    left_out, unlike = row["withheld"] + row["broken"], unlike_type(row, summary)
     notes = ["measured"]
     notes += ["not shown to grow"] * (row["probability_wear"] < words.SURE)
-    notes += [f"wears {unlike}"] * bool(unlike) + [f"{left} left out"] * bool(left)
+    notes += [f"wears {unlike}"] * bool(unlike) + [f"{left_out} left out"] * bool(left_out)
     return ", ".join(notes)
 
 

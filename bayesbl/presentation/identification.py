@@ -66,30 +66,30 @@ def compared(summary: IdentificationSummary) -> str:
 
 def gaps(summary: IdentificationSummary) -> Iterator[str]:
     """The gap that all share, or each."""
-    found = {name: gap for name, gap in summary["gaps"].items() if gap is not None}
+    by_name = {name: gap for name, gap in summary["gaps"].items() if gap is not None}
     if summary["gap_shared"]:
-        for gap in list(found.values())[:1]:
+        for gap in list(by_name.values())[:1]:
             count = len(summary["gaps"])
             shared = f", one for all {count} recordings" if count > 1 else ""
             yield f"The gap is {words.in_mrad(gap)}{shared}."
         return
-    for name, gap in found.items():
+    for name, gap in by_name.items():
         yield f"The gap in {name} is {words.in_mrad(gap)}."
 
 
-def suggestion(found: NextRecordingSummary) -> str:
+def suggestion(recording: NextRecordingSummary) -> str:
     """What to record next, and what it would tell."""
-    speed = abs(found["reference_speed_rpm"])
-    direction = "in reverse" if found["reference_speed_rpm"] < 0.0 else "forward"
+    speed = abs(recording["reference_speed_rpm"])
+    direction = "in reverse" if recording["reference_speed_rpm"] < 0.0 else "forward"
     what, length = f"one at {speed:g} rpm {direction}", "five rotations"
-    if found["motion_of"] is not None:
-        what = f"the motion of {found['motion_of']}, at up to {speed:g} rpm,"
+    if recording["motion_of"] is not None:
+        what = f"the motion of {recording['motion_of']}, at up to {speed:g} rpm,"
         length = "as long as that one"
-    name = "the gap" if found["sharpens"] == "gap_rad" else in_words(found["sharpens"])
+    name = "the gap" if recording["sharpens"] == "gap_rad" else in_words(recording["sharpens"])
     return (
         f"The most useful next recording is {what} ({length}: "
-        f"{found['information_bits']:.1f} bits). It would sharpen {name} most, from "
-        f"{_percent(found['sd_before'])} to {_percent(found['sd_after'])} %."
+        f"{recording['information_bits']:.1f} bits). It would sharpen {name} most, from "
+        f"{_percent(recording['sd_before'])} to {_percent(recording['sd_after'])} %."
     )
 
 
@@ -118,22 +118,22 @@ def assumptions(summary: IdentificationSummary) -> Iterator[str]:
 
 
 def _parameters(summary: IdentificationSummary) -> Table:
-    rows = [_row(name, found) for name, found in summary["parameters"].items()]
+    rows = [_row(name, parameter) for name, parameter in summary["parameters"].items()]
     level = next(iter(summary["parameters"].values()))["posterior"]["level"]
     titles = ("Data sheet", f"Identified ({100.0 * level:g} % interval)")
     columns = (text("Parameter"), *map(numbers, titles), text("Unit"), numbers("Learned"))
     return table(columns, rows)
 
 
-def _row(name: str, found: ParameterSummary) -> tuple[str, ...]:
-    prior, posterior = found["prior"], found["posterior"]
+def _row(name: str, parameter: ParameterSummary) -> tuple[str, ...]:
+    prior, posterior = parameter["prior"], parameter["posterior"]
     low, middle, high = (words.significant(posterior[key], 3) for key in ("low", "median", "high"))
     return (
         in_words(name),
         f"{words.significant(prior['value'], 3)} {_tolerance(prior)}",
         f"{middle} ({low} to {high})",
-        found["unit"],
-        f"{max(0.0, 100.0 * found['learned']):.0f} %",
+        parameter["unit"],
+        f"{max(0.0, 100.0 * parameter['learned']):.0f} %",
     )
 
 
@@ -144,10 +144,10 @@ def _tolerance(prior: PriorSummary) -> str:
     return f"±{100.0 * half / abs(prior['value']):.0f} %"
 
 
-def _together(found: TogetherSummary) -> str:
-    names = [in_words(name) for name in found["parameters"]]
-    alone, together = _percent(found["alone_sd"]), _percent(found["together_sd"])
-    if found["told"] == "product":
+def _together(group: TogetherSummary) -> str:
+    names = [in_words(name) for name in group["parameters"]]
+    alone, together = _percent(group["alone_sd"]), _percent(group["together_sd"])
+    if group["told"] == "product":
         return (
             f"Only the product of {names[0]} and {names[1]} is known well: to {together} %, each "
             f"factor to {alone} %."

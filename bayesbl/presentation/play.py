@@ -60,12 +60,12 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
     for name, part in parts:
         if part["delta_rad"] is None:
             continue
-        found = part["ramps"]
-        each = ", ".join(words.significant(500.0 * w, 3) for w in found["width_rad"])
-        where = "1 position" if found["positions"] == 1 else f"{found['positions']} positions"
+        ramps = part["ramps"]
+        each = ", ".join(words.significant(500.0 * w, 3) for w in ramps["width_rad"])
+        where = "1 position" if ramps["positions"] == 1 else f"{ramps['positions']} positions"
         yield (
             f"Half the width at zero torque{words.of(name)}, at {where} around the turn: {each} "
-            f"mrad ({found['cycles']} cycles of ±{found['torque_nm']:.3g} N m)."
+            f"mrad ({ramps['cycles']} cycles of ±{ramps['torque_nm']:.3g} N m)."
         )
     for name, part in parts:
         held = part["held_windup_rad"]["median"]
@@ -77,8 +77,8 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
             )
 
 
-def _median(found: Interval | None, scale: float = 1.0) -> str:
-    return "withheld" if found is None else words.significant(scale * found["median"], 3)
+def _median(interval: Interval | None, scale: float = 1.0) -> str:
+    return "withheld" if interval is None else words.significant(scale * interval["median"], 3)
 
 
 RAMPS_ASSUME = (

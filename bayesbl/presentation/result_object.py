@@ -276,8 +276,8 @@ class IdentificationResult(Result):
 
     @staticmethod
     def _rows(summary: Any) -> Iterator[Row]:
-        for name, found in summary["parameters"].items():
-            yield {"parameter": name, "unit": found["unit"], "value": found["posterior"]}
+        for name, parameter in summary["parameters"].items():
+            yield {"parameter": name, "unit": parameter["unit"], "value": parameter["posterior"]}
         for name, gap in summary["gaps"].items():
             yield {"parameter": f"delta_rad {name}".strip(), "unit": "rad", "value": gap}
 

@@ -51,12 +51,12 @@ def blocks(summary: SweepSummary) -> Iterator[Block]:
 def curve_quality(summary: SweepSummary) -> Iterator[str]:
     """How well the polynomial describes the sweep, how sure the curve is, how far from eq. 4."""
     degree = summary["degree"]
-    found = summary["degrees"].get(str(degree))
-    if found is not None:
+    fit = summary["degrees"].get(str(degree))
+    if fit is not None:
         yield (
             f"A {_KINDS.get(degree, f'polynomial of degree {degree}')} describes δ of the sweep "
-            f"within {percent(found['largest_departure'])} "
-            f"({percent(found['rms_departure'])} RMS)."
+            f"within {percent(fit['largest_departure'])} "
+            f"({percent(fit['rms_departure'])} RMS)."
         )
     ordered = sorted(summary["relative_sd"].items(), key=lambda item: -item[1])
     each = ", ".join(f"{source_in_words(name)} {percent(sd)}" for name, sd in ordered)
@@ -78,16 +78,16 @@ def _coefficient_table(summary: SweepSummary) -> Table:
 
 def _degree_table(summary: SweepSummary) -> Table:
     titles = ("Degree", "RMS\ndeparture (%)", "Largest\ndeparture (%)", "Log evidence\nbelow best")
-    best = max(found["log_evidence"] for found in summary["degrees"].values())
+    best = max(fit["log_evidence"] for fit in summary["degrees"].values())
     rows = [
         (
             degree,
-            significant(100.0 * found["rms_departure"]),
-            significant(100.0 * found["largest_departure"]),
-            number(best - found["log_evidence"], 1),
+            significant(100.0 * fit["rms_departure"]),
+            significant(100.0 * fit["largest_departure"]),
+            number(best - fit["log_evidence"], 1),
             "used" if int(degree) == summary["degree"] else "",
         )
-        for degree, found in summary["degrees"].items()
+        for degree, fit in summary["degrees"].items()
     ]
     return table((*map(numbers, titles), text("")), rows)
 

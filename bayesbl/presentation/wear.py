@@ -63,11 +63,11 @@ def unseen_without_current(summary: ComparisonSummary) -> str | None:
 
 def _change_ends_rad(summary: ComparisonSummary) -> tuple[float, float] | None:
     """Of the change of δ; of its medians since the repair, where there was one."""
-    found, parts = summary["wear"], summary["snapshots"]
-    if found is not None and len(found["snapshots"]) < len(parts):
+    wear, parts = summary["wear"], summary["snapshots"]
+    if wear is not None and len(wear["snapshots"]) < len(parts):
         first, last = (
             next(part for part in parts if part["name"] == name)["delta_rad"]
-            for name in (found["snapshots"][0], found["snapshots"][-1])
+            for name in (wear["snapshots"][0], wear["snapshots"][-1])
         )
         if first is None or last is None:
             return None
@@ -221,8 +221,8 @@ def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
 
 def not_before(wear: WearSummary) -> str | None:
     """The date to plan by; ``None`` where it is too far ahead to be given, or without a limit."""
-    found = wear["not_before"]
-    return None if found is None else found["date"]
+    bound = wear["not_before"]
+    return None if bound is None else bound["date"]
 
 
 def notes(wear: WearSummary) -> Iterator[str]:
@@ -277,8 +277,8 @@ def _table(wear: WearSummary) -> Table:
     return table((text("Wear"), numbers("Median"), numbers(kind), text("Unit")), rows)
 
 
-def _row(name: str, found: Interval, scale: float, unit: str) -> tuple[str, ...]:
-    low, middle, high = (_cell(scale * found[key]) for key in _ENDS)
+def _row(name: str, interval: Interval, scale: float, unit: str) -> tuple[str, ...]:
+    low, middle, high = (_cell(scale * interval[key]) for key in _ENDS)
     return name, middle, f"{low} to {high}", unit
 
 

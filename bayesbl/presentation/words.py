@@ -148,10 +148,10 @@ def curve_name(curve: str) -> str:
 
 def sampling(part: RouteSummary) -> str:
     """Convergence in one line."""
-    found = part["diagnostics"]
+    diagnostics = part["diagnostics"]
     return (
-        f"{found['outcome']}, largest R̂ {found['r_hat']:.3f}, "
-        f"smallest effective sample size {found['ess_bulk']:.0f}"
+        f"{diagnostics['outcome']}, largest R̂ {diagnostics['r_hat']:.3f}, "
+        f"smallest effective sample size {diagnostics['ess_bulk']:.0f}"
     )
 
 
@@ -164,8 +164,8 @@ def glued(sentence: str) -> str:
 
 def limit(delta_rad: float, text: str | None) -> str:
     """A limit of δ, and as it was given: ``1.16 mrad (8 arcmin of play)``."""
-    told = f"{1e3 * delta_rad:.4g} mrad"
+    in_mrad = f"{1e3 * delta_rad:.4g} mrad"
     if text is None or text.endswith("mrad delta"):
-        return told
+        return in_mrad
     value, unit, rest = text.split(" ", 2)
-    return f"{told} ({value} {unit} of {rest.replace('_', ' ').replace('delta', 'δ')})"
+    return f"{in_mrad} ({value} {unit} of {rest.replace('_', ' ').replace('delta', 'δ')})"

@@ -118,8 +118,8 @@ class Level:
     @property
     def middle_rad(self) -> float:
         """Between the flanks, mean over all cycles."""
-        left = [0.5 * (c.first.left_rad + c.last.left_rad) for c in self.cycles]
-        return float(np.mean(left))
+        middles = [0.5 * (c.first.left_rad + c.last.left_rad) for c in self.cycles]
+        return float(np.mean(middles))
 
     @property
     def width_rad(self) -> float:
@@ -132,13 +132,13 @@ class Level:
         Neighbouring cycles share a flank, and go round in opposite ways, so that drift changes
         their widths by opposite amounts: they count as one in pairs.
         """
-        found = []
+        widths = []
         for file in filter(None, self.files):
             width = np.array([c.width_rad for c in file])
             even = width.size // 2 * 2
             pairs = width[:even].reshape(-1, 2).mean(axis=1)
-            found.append(pairs if pairs.size else width)
-        return found
+            widths.append(pairs if pairs.size else width)
+        return widths
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,8 +221,8 @@ def find_flanks(files: Sequence[Ramps], resolution_rad: float = 0.0) -> Flanks:
             break
         widest = max(larger.width_rad for larger in levels[number:])
         moved = level.compliance_between >= STUCK * largest.compliance_over_all
-        left = level.width_rad > LEFT_STUCK * min(widest, level.range_rad)
-        if left and moved and level.range_rad >= FEWEST_STEPS * resolution_rad:
+        separates = level.width_rad > LEFT_STUCK * min(widest, level.range_rad)
+        if separates and moved and level.range_rad >= FEWEST_STEPS * resolution_rad:
             relative = _log_relative(level, largest)
             probability = _probability_positive(relative)
             return Flanks(
@@ -250,7 +250,7 @@ def _log_relative(level: Level, largest: Level) -> FloatArray:
     """
     small = level.amplitude_nm
     high = min(BEYOND * small, 0.9 * largest.amplitude_nm)
-    found: list[FloatArray] = []
+    logs: list[FloatArray] = []
     for cycles, larger in zip(level.files, largest.files, strict=True):
         if not (cycles and larger):
             continue
@@ -262,10 +262,10 @@ def _log_relative(level: Level, largest: Level) -> FloatArray:
         reference = max(float(np.mean(slopes)), over_all)
         own = np.array([max(c.width_rad, 0.0) / c.elastic_nm for c in cycles if c.elastic_nm])
         if own.size and reference > 0.0:
-            found.append(np.log(np.maximum(own / reference, 1e-6)))
-    if not found:
+            logs.append(np.log(np.maximum(own / reference, 1e-6)))
+    if not logs:
         return np.array([np.log(level.compliance_between / largest.compliance_over_all)])
-    return observations(found)
+    return observations(logs)
 
 
 def _probability_positive(values: FloatArray) -> float:
@@ -311,8 +311,8 @@ def observations(by_file: Sequence[FloatArray]) -> FloatArray:
 
 def lifting_torque(largest: Level) -> list[FloatArray]:
     """At which one flank lifts, by file and large cycle, N m; empty unless every cycle shows it."""
-    found = of_cycles(largest, _lifts)
-    return found if np.all(np.isfinite(np.concatenate(found))) else []
+    torques = of_cycles(largest, _lifts)
+    return torques if np.all(np.isfinite(np.concatenate(torques))) else []
 
 
 def _lifts(cycle: Cycle) -> float:
@@ -327,8 +327,8 @@ def _lifts(cycle: Cycle) -> float:
     # Where the joint has not moved yet, nothing is told.
     ratio = np.divide(rise, width, out=np.zeros_like(width), where=width > 0.0)
     top = int(np.argmax(ratio))
-    seen = ratio[top] > SEEN and elastic[top] < AT_THE_END * most
-    return float(elastic[top]) if seen else np.nan
+    is_visible = ratio[top] > SEEN and elastic[top] < AT_THE_END * most
+    return float(elastic[top]) if is_visible else np.nan
 
 
 def _width(cycle: Cycle, elastic_nm: FloatArray) -> FloatArray:

@@ -182,12 +182,12 @@ def sample_play(
     def bounds(chains: FloatArray) -> FloatArray:
         return np.asarray(np.quantile(chains, (tail, 1.0 - tail), axis=(0, 1, 2)))
 
-    found = walk(ensembles, settings, bounds, 0.3 * (high - low), progress)
-    kept = np.stack([thinned(chain) for chain in found.chains])
+    walkers = walk(ensembles, settings, bounds, 0.3 * (high - low), progress)
+    kept = np.stack([thinned(chain) for chain in walkers.chains])
     flat = kept.reshape(-1, kept.shape[-1])
     drawn = target.widths(flat, np.random.default_rng(widths_seed)).reshape(*kept.shape[:2], -1)
     widths = {s.name: drawn[..., i] for i, s in enumerate(snapshots)}
-    diagnostics = found.judged({f"play of {name}": draws for name, draws in widths.items()})
+    diagnostics = walkers.judged({f"play of {name}": draws for name, draws in widths.items()})
     return PlayPosterior(
         widths,
         {s.name: np.exp(kept[..., i]) for i, s in enumerate(snapshots)},

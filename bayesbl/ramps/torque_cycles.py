@@ -133,11 +133,11 @@ def find_ramps(torque_nm: FloatArray, position_rad: FloatArray) -> Ramps:
     turned = float(np.sum(means[0][1:] * np.diff(means[1]))) < 0.0
     if turned:
         torque_nm = -torque_nm
-    found = _ramps(torque_nm, position_rad, window)
-    offset = _offset(found)
+    ramps = _ramps(torque_nm, position_rad, window)
+    offset = _offset(ramps)
     if offset != 0.0:
-        found = _ramps(torque_nm - offset, position_rad, window)
-    return replace(found, turned=turned, offset_nm=offset)
+        ramps = _ramps(torque_nm - offset, position_rad, window)
+    return replace(ramps, turned=turned, offset_nm=offset)
 
 
 def _ramps(torque_nm: FloatArray, position_rad: FloatArray, window: int) -> Ramps:
@@ -145,8 +145,10 @@ def _ramps(torque_nm: FloatArray, position_rad: FloatArray, window: int) -> Ramp
         torque, position = _averaged(torque_nm, window), _averaged(position_rad, window)
         noise = float(np.median(np.abs(np.diff(torque_nm)))) / (0.6745 * np.sqrt(2.0 * window))
         threshold = max(OVER_NOISE * noise, SMALLEST_EXCURSION * float(np.abs(torque).max()))
-        found = [_excursion(torque, position, threshold, *run) for run in _runs(torque, threshold)]
-        excursions = tuple(e for e in found if e is not None)
+        candidates = [
+            _excursion(torque, position, threshold, *run) for run in _runs(torque, threshold)
+        ]
+        excursions = tuple(e for e in candidates if e is not None)
         lengths = [e.back - e.begin for e in excursions]
         if window == 1 or not lengths or np.median(lengths) >= FEWEST_WINDOWS * window:
             break
@@ -173,10 +175,10 @@ def _offset(ramps: Ramps) -> float:
     large = [cycle for cycle in ramps.cycles if cycle.amplitude_nm > LARGE * largest]
     if not large:
         return 0.0
-    found = [_free_at(cycle) for cycle in large]
+    free_torques = [_free_at(cycle) for cycle in large]
     friction = max(cycle.friction_nm for cycle in large)
-    beyond = min(found) > friction or max(found) < -friction
-    return float(np.median(found)) if beyond else 0.0
+    beyond = min(free_torques) > friction or max(free_torques) < -friction
+    return float(np.median(free_torques)) if beyond else 0.0
 
 
 def _free_at(cycle: Cycle) -> float:

@@ -65,10 +65,10 @@ class Group:
         for declared in (*self.variables, *self.coordinates):
             if declared.name == name:
                 return declared
-        found = None if self.named is None or name == STACKED else self.named(name)
-        if found is None:
+        own = None if self.named is None or name == STACKED else self.named(name)
+        if own is None:
             raise KeyError(f"group {self.name} declares no variable {name}")
-        return found
+        return own
 
 
 def table(text: str) -> tuple[Variable, ...]:

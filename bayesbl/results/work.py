@@ -287,15 +287,15 @@ class WorkStore:
 
     def _files(self) -> dict[str, os.stat_result]:
         """Files in the folder, by name."""
-        found = {}
+        by_name = {}
         with suppress(FileNotFoundError):
             if self.folder is not None:
                 require_own(self.folder)
                 for entry in os.scandir(self.folder):
                     with suppress(FileNotFoundError):
                         if entry.is_file(follow_symlinks=False):
-                            found[entry.name] = entry.stat()
-        return found
+                            by_name[entry.name] = entry.stat()
+        return by_name
 
     def address_of(self, what: str, inputs: object) -> str:
         """Where finished work of these inputs is kept."""

@@ -67,22 +67,22 @@ def without_motor_lines(recording: Recording) -> tuple[Recording, tuple[MotorLin
     bound = normal_isf(0.5 * FALSE_ALARM / max(2 * highest, 1))
     least = SMALLEST_LINE * 0.5 * float(np.ptp(speed))
     # The controller answers the line: with one of the two left, its law would not hold.
-    left = {n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)}
+    cleaned = {n: row for n, row in recording.channels.items() if n in (MOTOR_SPEED, MOTOR_CURRENT)}
     sizes: dict[int, complex] = {}
     errors: dict[int, float] = {}
     for order in range(1, highest + 1):
-        each = _each_turn(left[MOTOR_SPEED], np.exp(1j * order * angle), begins)
+        each = _each_turn(cleaned[MOTOR_SPEED], np.exp(1j * order * angle), begins)
         line, error, unsteady = medians(each[:, None])
         if abs(line[0]) > max(least, bound * error[0]) and unsteady[0] < UNSTEADY_SHARE:
             errors[order] = float(error[0])
-            sizes[order] = _take(left, np.exp(1j * order * angle), begins)
+            sizes[order] = _take(cleaned, np.exp(1j * order * angle), begins)
     if not sizes:
         return recording, ()
     for _ in range(ROUNDS):
         for order in sizes:
-            sizes[order] += _take(left, np.exp(1j * order * angle), begins)
+            sizes[order] += _take(cleaned, np.exp(1j * order * angle), begins)
     lines = tuple(MotorLine(order, abs(size), errors[order]) for order, size in sizes.items())
-    return replace(recording, channels={**recording.channels, **left}), lines
+    return replace(recording, channels={**recording.channels, **cleaned}), lines
 
 
 def in_words(lines: Sequence[MotorLine]) -> str:

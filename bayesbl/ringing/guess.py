@@ -67,7 +67,7 @@ def guesses(objective: Objective, count: int) -> FloatArray:
     folds: list[tuple[float, float, float, float, float, float]] = []
     for decay, frequency in _templates(objective):
         response, step = _response(speed, objective.period_s, window_s, decay, frequency)
-        found = _fold_all(
+        folded = _fold_all(
             response,
             step,
             shortest_s,
@@ -77,7 +77,7 @@ def guesses(objective: Objective, count: int) -> FloatArray:
             PERIODOGRAM_PADDING * objective.duration_s,
             objective.model.baseline_harmonics,
         )
-        folds += [(gain, decay, frequency, *rest) for gain, *rest in found]
+        folds += [(gain, decay, frequency, *rest) for gain, *rest in folded]
     if not folds:
         raise NoFlankChange(
             "Nothing in the motor's speed repeats with a rotation of the load: no impact shows.",

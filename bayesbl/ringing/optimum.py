@@ -131,8 +131,8 @@ def find_optimum(
     if method == "paper":
         box_search, of_box = search_as_printed(objective, generator)
         histories.append(of_box)
-    found = settled(objective, ends, SearchHistory.of_runs(histories), method)
-    return replace(found, box_search=box_search, seconds=time.perf_counter() - began)
+    optimum = settled(objective, ends, SearchHistory.of_runs(histories), method)
+    return replace(optimum, box_search=box_search, seconds=time.perf_counter() - began)
 
 
 def settled(
@@ -288,14 +288,14 @@ def _canonical(objective: Objective, point: FloatArray) -> FloatArray:
 
 def _rivals(objective: Objective, points: list[FloatArray], sse: FloatArray) -> tuple[Rival, ...]:
     """Distinct ends of the search other than the optimum."""
-    found: list[Rival] = []
-    seen = [objective.solved(points[0])[0]]
+    rivals: list[Rival] = []
+    accepted = [objective.solved(points[0])[0]]
     for point, value in zip(points[1:], sse[1:], strict=True):
         symbols, _ = objective.solved(point)
-        if not any(_same(symbols, other) for other in seen):
-            found.append(Rival(symbols, float(value)))
-            seen.append(symbols)
-    return tuple(found)
+        if not any(_same(symbols, other) for other in accepted):
+            rivals.append(Rival(symbols, float(value)))
+            accepted.append(symbols)
+    return tuple(rivals)
 
 
 def _same(a: dict[str, float], b: dict[str, float]) -> bool:

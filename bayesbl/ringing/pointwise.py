@@ -62,7 +62,7 @@ def log_likelihood(
     orders = np.arange(1, baseline.shape[1] // 2 + 1)
     rotation = rotations_of(point)
     count = int(rotation[-1]) + 1
-    found = np.zeros((len(rows), count))
+    densities = np.zeros((len(rows), count))
     _log_densities(
         rows,
         np.ascontiguousarray(baseline),
@@ -79,9 +79,9 @@ def log_likelihood(
         objective.used,
         innovation_sd(noise),
         noise.degrees_of_freedom or 0.0,
-        found,
+        densities,
     )
-    return found.reshape(*shape, -1)
+    return densities.reshape(*shape, -1)
 
 
 def likelihood_draws(
@@ -123,8 +123,8 @@ def likelihood_draws(
 
     peak = centre + covariance @ (white[:, :-1].T @ white[:, -1])
     peak = np.clip(peak, low, high)
-    found = independent_draws(density, peak, covariance, (low, high), count, generator, PROPOSED)
-    return None if found is None else named(found[0])
+    sample = independent_draws(density, peak, covariance, (low, high), count, generator, PROPOSED)
+    return None if sample is None else named(sample[0])
 
 
 def _whitened(point: PointEstimate, columns: FloatArray) -> FloatArray:
@@ -192,9 +192,9 @@ def _drawn(noise: Noise, size: int, generator: np.random.Generator) -> FloatArra
 @compiled(fastmath={"reassoc", "contract"})
 def _log_densities(  # type: ignore[no-untyped-def]
     rows, baselines, time, period, nominal_turn, away, waves, speed, counts, rotation,
-    coefficients, differentiated, used, sd, freedom, found,
+    coefficients, differentiated, used, sd, freedom, densities,
 ):  # fmt: skip
-    """Adds to ``found`` (m, rotation) the log densities of innovations, draw by draw.
+    """Adds to ``densities`` (m, rotation) the log densities of innovations, draw by draw.
 
     ``waves`` of the load angle, (harmonic, n), are those of ``nominal_turn``, with three terms in
     the change of their rate: draws of T_w differ by some 1e-5 of it. ``counts`` is 1 where an
@@ -260,7 +260,7 @@ def _log_densities(  # type: ignore[no-untyped-def]
             phi = coefficients[k]
             for i in range(order, n):
                 e[i] -= phi * rest[i - 1 - k]
-        for r in range(found.shape[1]):
+        for r in range(densities.shape[1]):
             total, known, product = 0.0, 0.0, 1.0
             for i in range(rotation[r], rotation[r + 1]):
                 square = counts[i] * e[i] * e[i] / (scale * scale)
@@ -273,4 +273,4 @@ def _log_densities(  # type: ignore[no-untyped-def]
                 else:
                     total += square
             share = freedom + 1.0 if freedom > 0.0 else 1.0
-            found[m, r] += known * constant - 0.5 * share * (total + math.log(product))
+            densities[m, r] += known * constant - 0.5 * share * (total + math.log(product))

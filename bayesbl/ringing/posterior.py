@@ -250,12 +250,12 @@ class SamplerCheck:
         """Why the posterior cannot be trusted; ``None`` where the samplers agree."""
         if not self.differing:
             return None
-        told = ", ".join(
+        differences = ", ".join(
             f"{name} by {self.difference_sd[name]:+.2f} sd with {self.width_ratio[name]:.2f} "
             "times the width"
             for name in self.differing
         )
-        return f"The second sampler disagrees with emcee: {told}."
+        return f"The second sampler disagrees with emcee: {differences}."
 
 
 def require_second_sampler() -> None:

@@ -161,9 +161,9 @@ def solve(gram, rhs, y_square, mean, solve_mean, solution, factor):  # type: ign
     """
     c = rhs.size
     first = 0 if solve_mean else 1
-    left = y_square
+    residual_square = y_square
     if not solve_mean:
-        left += mean * (mean * gram[0, 0] - 2.0 * rhs[0])
+        residual_square += mean * (mean * gram[0, 0] - 2.0 * rhs[0])
         for k in range(1, c):
             rhs[k] -= mean * gram[k, 0]
         solution[0] = mean
@@ -185,13 +185,13 @@ def solve(gram, rhs, y_square, mean, solve_mean, solution, factor):  # type: ign
         for k in range(first, i):
             v -= factor[i, k] * solution[k]
         solution[i] = v / factor[i, i]
-        left -= solution[i] ** 2
+        residual_square -= solution[i] ** 2
     for i in range(c - 1, first - 1, -1):
         v = solution[i]
         for k in range(i + 1, c):
             v -= factor[k, i] * solution[k]
         solution[i] = v / factor[i, i]
-    return max(left, 0.0), log_determinant
+    return max(residual_square, 0.0), log_determinant
 
 
 @compiled()

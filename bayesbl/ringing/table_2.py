@@ -122,19 +122,21 @@ def squares_as_printed(points, time_s, speed_rpm):  # type: ignore[no-untyped-de
     return result
 
 
-def same_pulses(found: Mapping[str, float], truth: Mapping[str, float], duration_s: float) -> bool:
+def same_pulses(
+    optimum: Mapping[str, float], truth: Mapping[str, float], duration_s: float
+) -> bool:
     """Whether there are pulses, and they are those of the truth all along a recording.
 
     To a quarter of the ringing period, positive and negative ones.
     """
     rotation = truth[ROTATION]
     quarter = 0.5 * math.pi / truth[FREQUENCY]
-    drift = abs(found[ROTATION] / rotation - 1.0) * duration_s
+    drift = abs(optimum[ROTATION] / rotation - 1.0) * duration_s
     shifts = [
         (a - b + 0.5 * rotation) % rotation - 0.5 * rotation
-        for a, b in zip(_impacts(found), _impacts(truth), strict=True)
+        for a, b in zip(_impacts(optimum), _impacts(truth), strict=True)
     ]
-    rings = found[WINDOW_END] > found[WINDOW_START]
+    rings = optimum[WINDOW_END] > optimum[WINDOW_START]
     return rings and drift < quarter and max(abs(shift) for shift in shifts) < quarter
 
 

@@ -47,7 +47,7 @@ def _look_at(bench: Bench, plan: Plan) -> None:
         ("inertia ratio", f"{ratio:.3g}, load over motor, both at the load"),
         ("current against gravity", f"{current_a:.3g} A of {limit_a:g} A, arm level"),
     ]
-    for value, (low, high), told, culprits in (
+    for value, (low, high), text, culprits in (
         (
             frequency_hz,
             USUAL_FREQUENCY_HZ,
@@ -64,7 +64,7 @@ def _look_at(bench: Bench, plan: Plan) -> None:
     ):
         if value <= low or value >= high:
             plan.warnings.append(
-                f"{told} is not that of a robot joint (usually {low:g} to {high:g}): check "
+                f"{text} is not that of a robot joint (usually {low:g} to {high:g}): check "
                 f"{culprits}, and their units."
             )
     if current_a > limit_a:

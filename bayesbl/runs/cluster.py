@@ -238,10 +238,10 @@ async def _kind_at(address: str) -> str:
         return str((await there.identity())["type"])
 
 
-def _unanswered(scheduler: str, found: str) -> ClusterError:
+def _unanswered(scheduler: str, actual: str) -> ClusterError:
     return ClusterError(
         "No Dask scheduler answers at this address.",
         file=scheduler,
-        found=found,
+        found=actual,
         expected="the address that `dask scheduler` prints, reachable from here",
     )

@@ -116,10 +116,10 @@ class _Collecting:
 
     def on_connect_fail(self, client: Client, data: object) -> None:
         """Say that there is no connection."""
-        told = unreachable(self.address, sys.exception())
-        self.say(f"{told} It is tried again.")
+        reason = unreachable(self.address, sys.exception())
+        self.say(f"{reason} It is tried again.")
         if self.once:
-            self.problem = BrokerError(told)
+            self.problem = BrokerError(reason)
 
     def on_subscribe(
         self, client: Client, data: object, mid: int, reasons: list[Any], more: object
@@ -141,9 +141,9 @@ class _Collecting:
             row = answer if self.table.put(answer) else None
         except Exception as error:
             # Whatever a message does, it is acknowledged, or it would come again for ever.
-            told = str(error) if isinstance(error, ValueError) else type(error).__name__
+            reason = str(error) if isinstance(error, ValueError) else type(error).__name__
             size, topic = len(payload), message.topic
-            self.say_always(f"A message of {size} bytes on {topic!r} cannot be used: {told}.")
+            self.say_always(f"A message of {size} bytes on {topic!r} cannot be used: {reason}.")
         try:
             self.table.save()
         except OSError as error:

@@ -73,13 +73,13 @@ def make(config: DiagnoseConfig, options: Options, work: WorkStore) -> xr.DataTr
         If bench or recordings cannot be used for this comparison.
     """
     task = task_of(config)
-    found = work.get(
+    diagnosis = work.get(
         "diagnosis",
         (settings_of(config), task.bench, task.recordings),
         lambda: METHODS[config.comparison.method](task).diagnose(options.progress),
         Diagnosis,
     )
-    tree = diagnosis_tree(found, config.interval.level, config.interval.kind)
+    tree = diagnosis_tree(diagnosis, config.interval.level, config.interval.kind)
     tree.attrs |= provenance_of(config)
     return tree
 
@@ -167,24 +167,24 @@ def guess_diagnosis(
         not moves(recording) and is_one_speed(rpm, recording.sampling_period_s)
         for recording, rpm in zip(recordings, motor_rpm, strict=True)
     ]
-    found = []
+    choices = []
     method, channels = compared.method, compared.channels
     if "method" not in said:
         method, why = _method(bench, recordings, steady)
-        found.append(Choice(("comparison", "method"), method, why))
+        choices.append(Choice(("comparison", "method"), method, why))
     if not channels:
         channels, why = _channels(bench, method, recordings)
-        found.append(Choice(("comparison", "channels"), channels, why))
-    found += [c for c in _unknowns(bench, method, channels) if c.place[1] not in said]
+        choices.append(Choice(("comparison", "channels"), channels, why))
+    choices += [c for c in _unknowns(bench, method, channels) if c.place[1] not in said]
     speeds = [float(rpm.mean()) for rpm in motor_rpm]
     for i, (use, why) in enumerate(_uses(bench, method, recordings, all(steady), speeds)):
         name = recordings[i].name
-        found.append(Choice((name, "use"), use, why))
+        choices.append(Choice((name, "use"), use, why))
         if method == "forward" and bench.drive == "two_mass":
-            asked, told = asked_speed(recordings[i], bench)
+            asked, reason = asked_speed(recordings[i], bench)
             if asked is not None:
-                found.append(Choice((name, "reference_speed_rpm"), asked, told))
-    return found
+                choices.append(Choice((name, "reference_speed_rpm"), asked, reason))
+    return choices
 
 
 def completed(config: DiagnoseConfig, guess: Sequence[Choice]) -> DiagnoseConfig:
@@ -213,8 +213,8 @@ def _with_speed(recording: Recording) -> Recording:
     RecordingError
         If there is neither speed nor position.
     """
-    found = with_speed(recording)
-    if MOTOR_SPEED not in found.channels:
+    completed = with_speed(recording)
+    if MOTOR_SPEED not in completed.channels:
         raise RecordingError(
             "There is neither position nor speed of the motor, so nothing to compare a bench with.",
             file=recording.place,
@@ -222,7 +222,7 @@ def _with_speed(recording: Recording) -> Recording:
             expected=f"{MOTOR_SPEED} or {MOTOR_POSITION}; `bayesbl init RECORDING` looks for them "
             "under other names",
         )
-    return found
+    return completed
 
 
 def _everywhere(recordings: Sequence[Recording], channels: Sequence[str]) -> list[str]:
@@ -289,15 +289,15 @@ def _channels(
     bench: Bench, method: Method, recordings: Sequence[Recording]
 ) -> tuple[tuple[str, ...], str]:
     if method == "forward" and bench.drive == "two_mass":
-        found = _everywhere(recordings, closed_loop.CHANNELS)
+        names = _everywhere(recordings, closed_loop.CHANNELS)
         why = "all that the simulation gives and every recording holds"
-        return tuple(found or closed_loop.CHANNELS[:1]), why
+        return tuple(names or closed_loop.CHANNELS[:1]), why
     if method == "forward":
         return (MOTOR_SPEED,), "there is neither torque nor current"
     possible = inverse.CHANNELS if method == "inverse" else free_motion.CHANNELS
-    found = _everywhere(recordings, possible)[:1]
+    names = _everywhere(recordings, possible)[:1]
     why = "the first of " + ", ".join(possible) + " that every recording holds"
-    return tuple(found or possible[:1]), why
+    return tuple(names or possible[:1]), why
 
 
 def _unknowns(bench: Bench, method: Method, channels: Sequence[str]) -> Iterator[Choice]:
@@ -365,9 +365,9 @@ def _spare(speeds: Sequence[float]) -> int | None:
     possible = []
     for i, speed in enumerate(speeds):
         others = [other for k, other in enumerate(speeds) if k != i]
-        left = {setting for k, setting in enumerate(settings) if k != i}
+        settings_left = {setting for k, setting in enumerate(settings) if k != i}
         same = any(math.copysign(1.0, other) == math.copysign(1.0, speed) for other in others)
-        if same and len(left) >= FEWEST_SETTINGS:
+        if same and len(settings_left) >= FEWEST_SETTINGS:
             possible.append(i)
     sizes = np.abs(speeds)
     middle = float(np.median(sizes))

@@ -104,9 +104,9 @@ def config_text(recordings: Sequence[Path], path: Path, guess: Guess) -> str:
 
 def _date_in(name: str) -> str:
     """The date in a file's name, 2026-03-01; empty without one."""
-    found = re.search(r"(?<!\d)(20\d\d)-(\d\d)-(\d\d)(?!\d)", name)
+    match = re.search(r"(?<!\d)(20\d\d)-(\d\d)-(\d\d)(?!\d)", name)
     try:
-        return "" if found is None else date.fromisoformat(found[0]).isoformat()
+        return "" if match is None else date.fromisoformat(match[0]).isoformat()
     except ValueError:
         return ""
 

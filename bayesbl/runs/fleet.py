@@ -99,14 +99,14 @@ class KeptJoint:
 def describe(config: FleetConfig, plan: Plan) -> None:
     """What would be measured."""
     plan.add("tables", lambda: require_tables())
-    plan.add("joints", lambda: _told(config))
+    plan.add("joints", lambda: _counted(config))
 
 
-def _told(config: FleetConfig) -> str:
+def _counted(config: FleetConfig) -> str:
     joints = read_joints(config.fleet)
-    found = find_recordings(config.fleet, joints)
-    bad = sum(one.reason is not None for one in found)
-    return f"{len(joints)}, {len(found) - bad} recordings" + (
+    recordings = find_recordings(config.fleet, joints)
+    bad = sum(one.reason is not None for one in recordings)
+    return f"{len(joints)}, {len(recordings) - bad} recordings" + (
         f", {bad} that cannot be used" if bad else ""
     )
 
@@ -122,12 +122,12 @@ def run(config: FleetConfig, options: Options) -> FleetSummary:
     output = config.run.output
     _require_own(output, options.force)
     joints = read_joints(config.fleet)
-    found = find_recordings(config.fleet, joints)
+    recordings = find_recordings(config.fleet, joints)
     fits = WorkStore.shared(fits_beside(output))
     if options.force:
         fits.clear()
     with locked_sibling(output, KEPT) as folder:
-        jobs, refused = _jobs(config, joints, found)
+        jobs, refused = _jobs(config, joints, recordings)
         store = WorkStore(folder, fresh=options.force)
         with new_result(output, force=True) as new:
             summary = _write(config, jobs, refused, _answers(config, jobs, store, options), new)
@@ -149,16 +149,16 @@ def _require_own(output: Path, force: bool) -> None:
 
 
 def _jobs(
-    config: FleetConfig, joints: Sequence[Joint], found: Iterable[Found]
+    config: FleetConfig, joints: Sequence[Joint], recordings: Iterable[Found]
 ) -> tuple[list[JointJob], list[Found]]:
     """A job for each joint, and what cannot be measured."""
-    found = [one.read() for one in found]
+    recordings = [one.read() for one in recordings]
     owners: dict[str | None, list[Found]] = defaultdict(list)
-    for one in found:
+    for one in recordings:
         owners[one.sha256].append(one)
     of_joint: dict[str, list[Found]] = defaultdict(list)
     refused: list[Found] = []
-    for one in found:
+    for one in recordings:
         reason = one.reason or _copied(one, owners[one.sha256])
         if reason is None:
             of_joint[one.joint].append(one)
@@ -313,17 +313,17 @@ def summary_of(
     any_gap = any(row["delta_rad_median"] is not None for row in rows)
     rates = {
         name: {
-            "joints": found.joints,
-            "median_rad_per_year": interval(found.median_rad_per_year, of.level, of.kind),
-            "spread": interval(found.spread, of.level, of.kind),
-            "law": dict(found.law),
-            "own": interval(found.own, of.level, of.kind),
+            "joints": of_type.joints,
+            "median_rad_per_year": interval(of_type.median_rad_per_year, of.level, of.kind),
+            "spread": interval(of_type.spread, of.level, of.kind),
+            "law": dict(of_type.law),
+            "own": interval(of_type.own, of.level, of.kind),
             "covariates": {
                 key: {"sd": one.sd, "factor": interval(one.draws, of.level, of.kind)}
-                for key, one in found.factors.items()
+                for key, one in of_type.factors.items()
             },
         }
-        for name, found in types.items()
+        for name, of_type in types.items()
     }
     return {
         "kind": "fleet",

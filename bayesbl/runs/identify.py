@@ -38,13 +38,13 @@ def make(config: IdentifyConfig, options: Options, work: WorkStore) -> xr.DataTr
     """
     problem, notes = problem_of(config)
     level, seed = config.interval.level, np.random.SeedSequence(config.run.seed)
-    found = work.get(
+    match = work.get(
         "identification",
         (settings_of(config), problem),
         lambda: identify(problem, SamplerSettings(level=level), seed, options.progress),
         Identification,
     )
-    tree = identification_tree(found, problem, level, config.interval.kind)
+    tree = identification_tree(match, problem, level, config.interval.kind)
     tree.attrs["warnings"] = [*tree.attrs["warnings"], *notes]
     tree.attrs |= provenance_of(config)
     return tree
@@ -54,12 +54,16 @@ def describe(config: IdentifyConfig, plan: Plan) -> None:
     """What would be identified, and from what."""
 
     def problem() -> str:
-        found, notes = problem_of(config)
+        identified, notes = problem_of(config)
         plan.warnings += notes
-        gap = "one gap" if found.shares_gap else "a gap for each recording, as their dates differ"
+        gap = (
+            "one gap"
+            if identified.shares_gap
+            else "a gap for each recording, as their dates differ"
+        )
         return (
-            f"{', '.join(found.parameters)} from {len(found.used)} recordings, {gap}; "
-            f"{len(found.held_out)} held out"
+            f"{', '.join(identified.parameters)} from {len(identified.used)} recordings, {gap}; "
+            f"{len(identified.held_out)} held out"
         )
 
     plan.add("identify", problem)
@@ -77,7 +81,7 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
     require_gap(bench, config.bench)
     parameters = _parameters(config, bench)
     notes: list[str] = []
-    seen: dict[str, list[Observed]] = {"fit": [], "hold_out": []}
+    by_use: dict[str, list[Observed]] = {"fit": [], "hold_out": []}
     for entry in config.recordings:
         recording = read_recording(entry.file, name=entry.name, columns=config.column_specs)
         recording = ready_for_fit(recording, bench.value("gear_ratio"))
@@ -85,9 +89,9 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
         known = {name.replace(".", "__"): value for name, value in entry.bench.items()}
         one = observed(recording, bench, entry.reference_speed_rpm)
         one = marginalising_motor_lines(replace(one, known={**one.known, **known}), bench)
-        seen[entry.use].append(one)
+        by_use[entry.use].append(one)
         notes += [f"{entry.name}: {note}" for note in (*recording.notes, *one.notes)]
-    used = tuple(seen["fit"])
+    used = tuple(by_use["fit"])
     steady = all(one.motion is None for one in used)
     if steady:
         speeds = [one.reference_speed_rpm for one in used]
@@ -110,7 +114,7 @@ def problem_of(config: IdentifyConfig) -> tuple[Problem, list[str]]:
     problem = Problem(
         bench,
         used,
-        tuple(seen["hold_out"]),
+        tuple(by_use["hold_out"]),
         parameters,
         asked,
         config.identify.gap_rad,

@@ -99,8 +99,8 @@ class Study:
     def figure(self, table: Sequence[Table], cases: Mapping[str, xr.Dataset]) -> Figure:
         """The study's own figure."""
         with error_of(self.path, "in figure"):
-            found: Figure = self.module.figure(table, cases)
-        return found
+            figure: Figure = self.module.figure(table, cases)
+        return figure
 
     def row(self, table: Table) -> Any:
         """A row as the study's functions take it.

@@ -136,9 +136,9 @@ def _sending(
         yield sender.offer
         wait_s = LAST_SENT_WAIT_S
     finally:
-        left = sender.stop(wait_s)
-        if left:
-            say(f"Answers that the broker has not taken yet: {left}. They are sent again.")
+        unsent = sender.stop(wait_s)
+        if unsent:
+            say(f"Answers that the broker has not taken yet: {unsent}. They are sent again.")
 
 
 def _watch(asked: Watched, measuring: _Measuring) -> None:
@@ -146,18 +146,20 @@ def _watch(asked: Watched, measuring: _Measuring) -> None:
     done: set[tuple[str, FileState]] = set()
     while True:
         now = time.monotonic()
-        found = {
+        files = {
             (one.file, state): one
             for one in find_recordings(measuring.config.fleet, list(measuring.joints.values()))
             if (state := file_state(one.file)) is not None
         }
-        since = {seen: since.get(seen, now) for seen in found}
-        done &= found.keys()
-        for seen, one in found.items():
-            is_settled = now - since[seen] >= asked.settled_s and file_state(one.file) == seen[1]
-            if seen not in done and is_settled and measuring.took(one):
-                done.add(seen)
-        if asked.once and found.keys() <= done:
+        since = {version: since.get(version, now) for version in files}
+        done &= files.keys()
+        for version, one in files.items():
+            is_settled = (
+                now - since[version] >= asked.settled_s and file_state(one.file) == version[1]
+            )
+            if version not in done and is_settled and measuring.took(one):
+                done.add(version)
+        if asked.once and files.keys() <= done:
             return
         measuring.offer([])
         time.sleep(min(POLL_S, asked.settled_s) if asked.once else POLL_S)

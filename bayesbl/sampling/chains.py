@@ -230,10 +230,10 @@ class _DifferentialEvolution:
             places = moving.ravel()
             length = gamma * (1.0 + GAMMA_SCATTER * random.randn(places.size, 1))
             tried = state.coords[places] + length * (state.coords[pair[0]] - state.coords[pair[1]])
-            found = model.log_prob_fn(tried)
-            moves = np.log(random.rand(places.size)) < found - state.log_prob[places]
+            log_prob = model.log_prob_fn(tried)
+            moves = np.log(random.rand(places.size)) < log_prob - state.log_prob[places]
             state.coords[places[moves]] = tried[moves]
-            state.log_prob[places[moves]] = found[moves]
+            state.log_prob[places[moves]] = log_prob[moves]
             accepted[places[moves]] = True
         return state, accepted
 

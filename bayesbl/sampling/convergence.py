@@ -182,11 +182,11 @@ def judge(
         values = {"deviations": signal_to_noise, "needed": WEAKEST_SIGNAL_TO_NOISE}
         failures.append(Flaw("ringing_weak", values))
     worst = max(r_hat, key=lambda n: r_hat[n])
-    told = {"symbol": worst, "r_hat": r_hat[worst]}
+    worst_values = {"symbol": worst, "r_hat": r_hat[worst]}
     if not r_hat[worst] < R_HAT_BAD:
-        failures.append(Flaw("ensembles_disagree", told | {"needed": R_HAT_BAD}))
+        failures.append(Flaw("ensembles_disagree", worst_values | {"needed": R_HAT_BAD}))
     elif r_hat[worst] > R_HAT_GOOD:
-        doubts.append(Flaw("ensembles_differ", told | {"good": R_HAT_GOOD}))
+        doubts.append(Flaw("ensembles_differ", worst_values | {"good": R_HAT_GOOD}))
     slowest = int(np.argmin(acceptance))
     if (share := float(acceptance[slowest])) < STUCK_ACCEPTANCE:
         values = {"number": slowest + 1, "ensembles": len(acceptance), "share": share}

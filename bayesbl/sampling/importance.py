@@ -93,9 +93,9 @@ def _quadratic(
     first, second = np.triu_indices(len(mean))
     terms = np.column_stack([np.ones(len(u)), u, u[:, first] * u[:, second]])
     values = np.where(weights > 0.0, log_density, 0.0)
-    found = np.linalg.lstsq(terms * root[:, None], values * root, rcond=None)[0]
-    slope, precision = found[1 : 1 + len(mean)], np.zeros((len(mean), len(mean)))
-    precision[first, second] = -found[1 + len(mean) :]
+    coefficients = np.linalg.lstsq(terms * root[:, None], values * root, rcond=None)[0]
+    slope, precision = coefficients[1 : 1 + len(mean)], np.zeros((len(mean), len(mean)))
+    precision[first, second] = -coefficients[1 + len(mean) :]
     precision += precision.T
     rates, axes = np.linalg.eigh(precision)
     covariance = axes / np.maximum(rates, FLATTEST) @ axes.T
@@ -166,10 +166,10 @@ def truncated_normal(
     points, log_density = normal_in_box(peak, covariance, box, TRIALS * count, generator)
     white = np.linalg.solve(root, (points - peak).T)
     log_weights = -0.5 * np.sum(white**2, axis=0) - log_density
-    found = np.asarray(points[resampled(log_weights[None], count, generator)[0]])
+    sample = np.asarray(points[resampled(log_weights[None], count, generator)[0]])
     if effective_size(log_weights) >= count:
-        return found
-    return _mixed(found, peak, covariance, box, generator)
+        return sample
+    return _mixed(sample, peak, covariance, box, generator)
 
 
 def _mixed(
@@ -250,5 +250,5 @@ def normal_between(low: FloatArray, high: FloatArray, share: FloatArray) -> Floa
     low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
     below, above = log_ndtr(low), log_ndtr(high)
     quantile = ndtri_exp(above + np.log(share + (1.0 - share) * np.exp(below - above)))
-    found = np.clip(quantile, low, high)
-    return np.asarray(np.where(mirrored, -found, found))
+    values = np.clip(quantile, low, high)
+    return np.asarray(np.where(mirrored, -values, values))

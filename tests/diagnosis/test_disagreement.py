@@ -110,7 +110,7 @@ def test_what_is_left_out_makes_neither_misfit_nor_noise_smaller() -> None:
     whole = Observed("one", signals, 1000.0, 2000.0, 1.0)
     some = dataclasses.replace(whole, excluded=np.arange(4000) % 500 < 300)
     sizes = [
-        (piece.noise_floor, float(np.sqrt(np.mean(piece.left[0] ** 2))))
+        (piece.noise_floor, float(np.sqrt(np.mean(piece.residual[0] ** 2))))
         for seen in (whole, some)
         for piece in compared_channels(seen, "used", 0.0 * signals + 1.0, 0.0 * signals)
     ]

@@ -17,7 +17,7 @@ from bayesbl.bench.kernel import MOTOR_ANGLE, MOTOR_SPEED, STATES
 from bayesbl.bench.simulation import simulate_states
 from bayesbl.diagnosis.diagnosis import Diagnosis
 from bayesbl.diagnosis.disagreement import ComparedPiece, Use
-from bayesbl.diagnosis.inference import Candidate, Look, Piece, _told, diagnose
+from bayesbl.diagnosis.inference import Candidate, Look, Piece, _named, diagnose
 from bayesbl.diagnosis.rigid.free_motion import FREE_MOTION_LAWS, FreeMotionView
 from bayesbl.diagnosis.rigid.inverse import TORQUE_LAWS, InverseView, compared, required_torque
 from bayesbl.diagnosis.rigid.motion import Motion, motion_of
@@ -278,7 +278,7 @@ def test_a_line_that_may_be_a_law_too_is_told_by_its_frequency() -> None:
     name = "motor_coulomb_friction"
     law = Candidate(name, "effect", name, ("torque_nm",), (Look({}, np.zeros((1, 1))),), 1.0)
     found = SimpleNamespace(labels={name: law, "line": line}, sure=((name, "line"),))
-    assert _told(SimpleNamespace(), found, 6) == ([], [("line", "time")])
+    assert _named(SimpleNamespace(), found, 6) == ([], [("line", "time")])
 
 
 @pytest.mark.long

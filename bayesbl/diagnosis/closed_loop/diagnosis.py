@@ -221,7 +221,7 @@ def _with_learned(
 
 
 def diagnosis_of(
-    found: Findings,
+    findings: Findings,
     posterior: DirectPosterior | None = None,
     notes: Sequence[str] = (),
     level: float = 0.9,
@@ -236,9 +236,9 @@ def diagnosis_of(
     level
         Of the intervals.
     """
-    naming, final = found.naming, found.final
+    naming, final = findings.naming, findings.final
     kinds = {candidate.kind for candidate in final.candidates}
-    withheld = _why_no_gap(found, posterior, level)
+    withheld = _why_no_gap(findings, posterior, level)
     sampled = posterior
     if posterior is not None and posterior.diagnostics.outcome == "withheld":
         sampled = None
@@ -246,8 +246,8 @@ def diagnosis_of(
     if not withheld:
         seed = np.random.SeedSequence(0)
         around = sampled or sample_direct(final.fit, SamplerSettings(), seed, withheld=True)
-        whole = found.whole.averaged(around, seed)
-        after, doubts = _averaged_gap(whole), [*_doubts_in_words(found, whole)]
+        whole = findings.whole.averaged(around, seed)
+        after, doubts = _averaged_gap(whole), [*_doubts_in_words(findings, whole)]
         if sampled is not None:
             posterior = sampled = whole
     named = [(effect, estimates(final, effect.name, sampled)) for effect in naming.effects]
@@ -255,7 +255,9 @@ def diagnosis_of(
         verdict_of(
             effects="effect" in kinds,
             parameters="parameter" in kinds,
-            remains=naming.repeats or bool(found.after.remaining) or found.learned is not None,
+            remains=naming.repeats
+            or bool(findings.after.remaining)
+            or findings.learned is not None,
         ),
         tuple(
             NamedEffect(
@@ -271,25 +273,25 @@ def diagnosis_of(
         tuple(
             ParameterError(
                 effect.name,
-                found.believed.value(effect.name),
-                found.believed.parameters[effect.name].tolerance,
+                findings.believed.value(effect.name),
+                findings.believed.parameters[effect.name].tolerance,
                 fitted[effect.name],
                 effect.members[1:],
             )
             for effect, fitted in named
             if effect.candidate.kind == "parameter"
         ),
-        found.after.remaining,
-        found.pieces,
+        findings.after.remaining,
+        findings.pieces,
         (*notes, *doubts),
-        bench_parameters=_declared_parameters(found, sampled),
+        bench_parameters=_declared_parameters(findings, sampled),
         delta_before=_estimate(naming.nominal, naming.nominal.fit.model.index(GAP), None),
         delta_after=after,
         gap_withheld=withheld,
         suggestion=suggested_recording(naming.final, naming.effects),
         posterior=posterior,
-        augmented_bench=augmented_bench(final) if final.candidates or found.learned else None,
-        learned=None if found.learned is None else answer_of(found.learned),
+        augmented_bench=augmented_bench(final) if final.candidates or findings.learned else None,
+        learned=None if findings.learned is None else answer_of(findings.learned),
     )
 
 
@@ -300,19 +302,19 @@ def estimates(
 
     A phase that every recording has of its own has the recording's name behind it.
     """
-    found: dict[str, Estimate] = {}
+    by_name: dict[str, Estimate] = {}
     for effect in explanation.fit.model.bench.effects:
         if effect.name == name:
-            found |= {k: Estimate(v.value, math.nan) for k, v in effect.parameters.items()}
+            by_name |= {k: Estimate(v.value, math.nan) for k, v in effect.parameters.items()}
     for i, unknown in enumerate(explanation.fit.model.unknowns):
         owner, _, parameter = unknown.name.rpartition("__")
         if name in (owner, unknown.name):
             own = unknown.recording
             if own is not None:
-                found.pop(parameter, None)
+                by_name.pop(parameter, None)
             key = parameter if own is None else f"{parameter} ({own})"
-            found[key] = _estimate(explanation, i, posterior)
-    return found
+            by_name[key] = _estimate(explanation, i, posterior)
+    return by_name
 
 
 def _estimate(explanation: Explanation, i: int, posterior: DirectPosterior | None) -> Estimate:
@@ -330,19 +332,21 @@ def _averaged_gap(posterior: DirectPosterior) -> Estimate:
     return Estimate(float(logs.mean()), float(logs.std()), values, logarithmic=True)
 
 
-def _declared_parameters(found: Findings, posterior: DirectPosterior | None) -> dict[str, Estimate]:
+def _declared_parameters(
+    findings: Findings, posterior: DirectPosterior | None
+) -> dict[str, Estimate]:
     return {
-        unknown.name: _estimate(found.final, i, posterior)
-        for i, unknown in enumerate(found.final.fit.model.unknowns)
-        if unknown.name in found.believed.parameters and unknown.name not in found.final.names
+        unknown.name: _estimate(findings.final, i, posterior)
+        for i, unknown in enumerate(findings.final.fit.model.unknowns)
+        if unknown.name in findings.believed.parameters and unknown.name not in findings.final.names
     }
 
 
-def _doubts_in_words(found: Findings, whole: DirectPosterior) -> Iterator[str]:
+def _doubts_in_words(findings: Findings, whole: DirectPosterior) -> Iterator[str]:
     """What the form of a law that is named, and what is left, do to δ."""
     wider = float(whole.model_widening[whole.fit.model.index(GAP)])
-    of_shaft = [in_words(c.name) for c in laws_of_shaft(found.naming.final)]
-    if wider > 1.05 and (of_shaft or found.chosen.misfit > 0.0):
+    of_shaft = [in_words(c.name) for c in laws_of_shaft(findings.naming.final)]
+    if wider > 1.05 and (of_shaft or findings.chosen.misfit > 0.0):
         why = "Something repeats that no name explains."
         if of_shaft:
             why = f"No real shaft follows the law of {' and '.join(of_shaft)} exactly."
@@ -352,13 +356,13 @@ def _doubts_in_words(found: Findings, whole: DirectPosterior) -> Iterator[str]:
         )
 
 
-def _why_no_gap(found: Findings, posterior: DirectPosterior | None, level: float) -> str:
+def _why_no_gap(findings: Findings, posterior: DirectPosterior | None, level: float) -> str:
     """What is missing or was learned leaves δ open, or a tolerance decides it; else empty."""
-    if found.learned is not None:
+    if findings.learned is not None:
         # Noise is told from what remains by its tests, not by a share of little.
-        remains = bool(found.after.remaining) or not is_explained(found.final.fit)
-        return why_no_gap(found.learned, found.after.closes(found.before), remains)
-    if found.naming.repeats:
+        remains = bool(findings.after.remaining) or not is_explained(findings.final.fit)
+        return why_no_gap(findings.learned, findings.after.closes(findings.before), remains)
+    if findings.naming.repeats:
         return (
             "Something repeats that neither the bench nor the catalogue explains. It may move the "
             "gap by more than anything else, so no gap is given. Record another speed or "
@@ -399,7 +403,7 @@ def comparison(task: Task) -> Comparison:
     config = task.config
 
     def diagnose(progress: StageProgress | None) -> Diagnosis:
-        found = search(
+        findings = search(
             task.bench,
             used,
             held_out,
@@ -411,12 +415,12 @@ def comparison(task: Task) -> Comparison:
             workers=config.run.workers,
             progress=of_stage(progress, "Fitting candidates"),
         )
-        if found.learned is not None:
-            return diagnosis_of(found, None, (*notes, NOT_SAMPLED))
+        if findings.learned is not None:
+            return diagnosis_of(findings, None, (*notes, NOT_SAMPLED))
         seed = np.random.SeedSequence(config.run.seed)
         level = config.interval.level
-        posterior = sample_direct(found.final.fit, SamplerSettings(level=level), seed)
-        return diagnosis_of(found, posterior, (*notes, *_notes_on(posterior)), level)
+        posterior = sample_direct(findings.final.fit, SamplerSettings(level=level), seed)
+        return diagnosis_of(findings, posterior, (*notes, *_notes_on(posterior)), level)
 
     free = ", ".join(dict.fromkeys(unknown.name for unknown in unknowns))
     return Comparison(
@@ -450,19 +454,19 @@ def forward_problem(
                 expected="bayesbl identify RECORDINGS --bench FILE --effects catalogue, which "
                 "finds wrong values and what is missing from motions",
             )
-        seen = observed(recording, bench, entry.reference_speed_rpm)
-        seen = replace(
-            seen,
+        observation = observed(recording, bench, entry.reference_speed_rpm)
+        observation = replace(
+            observation,
             name=entry.name,
-            signals=seen.signals[: len(channels)],
+            signals=observation.signals[: len(channels)],
             motor_angle_rad=_motor_angle(config, recording),
         )
-        notes += [f"{entry.name}: {note}" for note in seen.notes]
+        notes += [f"{entry.name}: {note}" for note in observation.notes]
         if entry.use in ("fit", "split"):
-            require_rotations(seen, str(entry.file), entry.use == "split")
-        for use, rows in parts_of(USES_OF[entry.use], seen.samples // 2):
-            (used if use == "used" else held_out).append(part_of(seen, rows))
-    speeds = [seen.reference_speed_rpm for seen in used]
+            require_rotations(observation, str(entry.file), entry.use == "split")
+        for use, rows in parts_of(USES_OF[entry.use], observation.samples // 2):
+            (used if use == "used" else held_out).append(part_of(observation, rows))
+    speeds = [observation.reference_speed_rpm for observation in used]
     require_flank_change(heaviest(bench), speeds, config.bench)
     unknowns = _unknowns(config, bench, used, recordings)
     notes += _counted_twice(bench, recordings)
@@ -513,29 +517,29 @@ def _unclipped(bench: Bench, recording: Recording, channels: Sequence[str]) -> l
     ]
 
 
-def require_rotations(seen: Observed, file: str, split: bool) -> None:
+def require_rotations(observation: Observed, file: str, split: bool) -> None:
     """Whole rotations separate what repeats from noise, in each half if it is split."""
-    fewest = (2.0 - ROUNDING) * seen.lag * (2 if split else 1)
-    if seen.samples >= fewest:
+    fewest = (2.0 - ROUNDING) * observation.lag * (2 if split else 1)
+    if observation.samples >= fewest:
         return
     problem = "split: each half needs" if split else "fitted: it needs"
     raise RecordingError(
         f"The recording is too short to be {problem} two load rotations.",
         file=file,
-        found=f"{seen.samples / seen.lag:.3g} load rotations",
-        expected=f"at least {fewest / seen.lag:.3g}, or another use",
+        found=f"{observation.samples / observation.lag:.3g} load rotations",
+        expected=f"at least {fewest / observation.lag:.3g}, or another use",
     )
 
 
-def part_of(seen: Observed, rows: slice) -> Observed:
+def part_of(observation: Observed, rows: slice) -> Observed:
     """Some samples of a recording, under its name."""
-    excluded, angle = seen.excluded, seen.motor_angle_rad
+    excluded, angle = observation.excluded, observation.motor_angle_rad
     return replace(
-        seen,
-        signals=seen.signals[:, rows],
+        observation,
+        signals=observation.signals[:, rows],
         excluded=None if excluded is None else excluded[rows],
         motor_angle_rad=None if angle is None else angle[rows],
-        begin_s=seen.begin_s + (rows.start or 0) / seen.sampling_hz,
+        begin_s=observation.begin_s + (rows.start or 0) / observation.sampling_hz,
     )
 
 
@@ -551,18 +555,20 @@ def _unknowns(
 ) -> list[Unknown]:
     unknowns = [gap_unknown(*(config.unknowns.gap_rad or DEFAULT_GAP_RAD))]
     measured = {entry.name: r for entry, r in zip(config.recordings, recordings, strict=True)}
-    for seen in used:
+    for observation in used:
         if config.comparison.load_angle_known:
-            require_channels(measured[seen.name], (LOAD_POSITION,))
-            angle = float(measured[seen.name].channels[LOAD_POSITION][0]) % (2.0 * math.pi)
-            known = Unknown(START_ANGLE, centre=angle, sd=KNOWN_ANGLE_SD_RAD, recording=seen.name)
+            require_channels(measured[observation.name], (LOAD_POSITION,))
+            angle = float(measured[observation.name].channels[LOAD_POSITION][0]) % (2.0 * math.pi)
+            known = Unknown(
+                START_ANGLE, centre=angle, sd=KNOWN_ANGLE_SD_RAD, recording=observation.name
+            )
             unknowns.append(known)
         else:
-            unknowns.append(start_angle_unknown(seen.name))
-    told = config.comparison.motor_angle_known
+            unknowns.append(start_angle_unknown(observation.name))
+    angle_is_known = config.comparison.motor_angle_known
     for learned in bench.learned_terms:
-        if not (told and learned.variable == "motor_angle"):
-            unknowns += shift_unknowns(learned, [seen.name for seen in used])
+        if not (angle_is_known and learned.variable == "motor_angle"):
+            unknowns += shift_unknowns(learned, [observation.name for observation in used])
     toleranced = {unknown.name: unknown for unknown in tolerance_unknowns(bench)}
     for name in config.unknowns.bench_parameters:
         if name not in toleranced:

@@ -115,8 +115,8 @@ class Learned:
     @property
     def term(self) -> LearnedTerm:
         """As fitted, with standard deviations."""
-        found = learned_terms(self.explanation.fit)
-        return next(term for term in found if term.block == self.block)
+        terms = learned_terms(self.explanation.fit)
+        return next(term for term in terms if term.block == self.block)
 
     @property
     def reaches_ringing(self) -> bool:
@@ -125,7 +125,7 @@ class Learned:
         term, model = self.term, self.explanation.fit.model
         if term.variable != "load_angle":
             return False
-        fastest = max(1.0 / seen.rotation_period_s for seen in model.recordings)
+        fastest = max(1.0 / observation.rotation_period_s for observation in model.recordings)
         return term.orders * fastest >= ringing_hz(model.bench.vector())
 
 
@@ -177,8 +177,8 @@ def _dependence(term: LearnedTerm) -> tuple[str, str, bool]:
 def _promised(near: Explanation, every: Sequence[Series]) -> Iterator[tuple[Series, FloatArray]]:
     """The likeliest series around a fit, with the coefficients there."""
     noise = noise_in_loop(near.fit)
-    promised = [found for one in every if (found := _promise(near, one, noise)) is not None]
-    for _, series, sizes in sorted(promised, key=lambda found: -found[0])[:CONTENDERS]:
+    promised = [promise for one in every if (promise := _promise(near, one, noise)) is not None]
+    for _, series, sizes in sorted(promised, key=lambda promise: -promise[0])[:CONTENDERS]:
         yield series, sizes
 
 
@@ -213,15 +213,17 @@ def _series(remaining: Sequence[Unexplained], motor_angle_known: bool) -> Iterat
 def _shown(model: SimulatedSignals, series: Series) -> int:
     """Orders below half of the sampling frequency in some recording; steps follow the highest."""
 
-    def base_hz(seen: Observed) -> float:
+    def base_hz(observation: Observed) -> float:
         if series.variable == "time":
             return 1.0 / series.period
-        turns = 1.0 / seen.rotation_period_s
+        turns = 1.0 / observation.rotation_period_s
         if series.variable == "motor_angle":
-            turns = abs(seen.reference_speed_rpm) / 60.0
+            turns = abs(observation.reference_speed_rpm) / 60.0
         return turns * 2.0 * math.pi / series.period
 
-    most = max(0.5 * seen.sampling_hz / base_hz(seen) for seen in model.recordings)
+    most = max(
+        0.5 * observation.sampling_hz / base_hz(observation) for observation in model.recordings
+    )
     return max(1, min(int(most), LEARNED_HARMONICS))
 
 
@@ -248,11 +250,11 @@ def _bases(
     between = [abs(a - b) for a in lines for b in lines if abs(a - b) > WHOLE]
     is_whole = dependence == "motor angle" and any(line == round(line) for line in lines)
     strongest = sorted(lines, key=lambda line: -lines[line])
-    found: list[float] = []
+    bases: list[float] = []
     for base in [1.0] * is_whole + sorted(between)[:1] + strongest:
-        if all(abs(base / other - 1.0) > WHOLE for other in found):
-            found.append(base)
-    return found[:MOST_BASES]
+        if all(abs(base / other - 1.0) > WHOLE for other in bases):
+            bases.append(base)
+    return bases[:MOST_BASES]
 
 
 def _promise(
@@ -280,28 +282,32 @@ def _promise(
         rows = np.concatenate([np.array(kept) + i * steps.size for i in range(len(owners))])
         terms.append(Term("learned", columns[rows].T, prior_weight=1.0 / len(variants)))
     posterior = search(linearised(near, terms, noise=noise), 1)
-    found = next((terms for terms in posterior.sets if terms), None)
-    if found is None:
+    likeliest = next((terms for terms in posterior.sets if terms), None)
+    if likeliest is None:
         return None
-    one = variants[found[0]]
+    one = variants[likeliest[0]]
     sizes = np.zeros((len(owners), 2 * one.orders + 1))
-    ((mean,), _) = posterior.mean_of(found)
+    ((mean,), _) = posterior.mean_of(likeliest)
     sizes[:, one.free] = mean.reshape(len(owners), -1)
-    evidence = posterior.log_evidence + math.log(posterior.sets[found])
+    evidence = posterior.log_evidence + math.log(posterior.sets[likeliest])
     return evidence, one, sizes * one.usual
 
 
 def _typical_size(fit: SimulatedFit, series: Series) -> float:
     """Size that what is left would have as this, N m or rad: a step for derivatives."""
     model = fit.model
-    seen = model.recordings[0]
-    left = np.sqrt(np.mean(fit.unexplained(0) ** 2, axis=1))
+    observation = model.recordings[0]
+    residual_rms = np.sqrt(np.mean(fit.unexplained(0) ** 2, axis=1))
     if series.side == "encoder":
-        return float(left[0]) / abs(seen.reference_speed_rpm)
-    if len(left) > 1:
-        torque = float(left[1]) * model.bench.value("torque_constant_nm_per_a")
+        return float(residual_rms[0]) / abs(observation.reference_speed_rpm)
+    if len(residual_rms) > 1:
+        torque = float(residual_rms[1]) * model.bench.value("torque_constant_nm_per_a")
     else:
-        torque = float(left[0]) / RPM_PER_RAD_PER_S * model.bench.value("speed_gain_nm_s_per_rad")
+        torque = (
+            float(residual_rms[0])
+            / RPM_PER_RAD_PER_S
+            * model.bench.value("speed_gain_nm_s_per_rad")
+        )
     return torque * (model.bench.value("gear_ratio") if series.side == "load" else 1.0)
 
 
@@ -339,9 +345,11 @@ def _fitted(base: Explanation, series: Series, sizes: FloatArray) -> Explanation
             half = 0.5 * WHOLE * period
             unknowns.append(Unknown(series.nothing.period_slot, period - half, period + half))
             start.append(period)
-        for seen, shift in zip(model.recordings[1:], shifts[1:], strict=True):
+        for observation, shift in zip(model.recordings[1:], shifts[1:], strict=True):
             reach = 1.5 * period
-            unknowns.append(Unknown(series.nothing.shift_slot, -reach, reach, recording=seen.name))
+            unknowns.append(
+                Unknown(series.nothing.shift_slot, -reach, reach, recording=observation.name)
+            )
             start.append((shift + 0.5 * period) % period - 0.5 * period)
     extended = _with(model, series, unknowns)
     own = base.fit.point.size
@@ -350,8 +358,8 @@ def _fitted(base: Explanation, series: Series, sizes: FloatArray) -> Explanation
     for other in aligned_starts(extended):
         other[own:] = start
         starts.append(with_shifts(extended, other))
-    left = [float(z @ z) for z in extended.whitened(np.stack(starts))]
-    begin = starts[int(np.argmin(np.nan_to_num(left, nan=np.inf)))]
+    chi_square = [float(z @ z) for z in extended.whitened(np.stack(starts))]
+    begin = starts[int(np.argmin(np.nan_to_num(chi_square, nan=np.inf)))]
     return replace(base, fit=fit_simulated(extended, begin, base.fit.steps, rough=True))
 
 

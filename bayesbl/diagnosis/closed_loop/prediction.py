@@ -50,15 +50,15 @@ def augmented_bench(explanation: Explanation) -> Bench:
     """
     fit = explanation.fit
     bench = fit.model.bench
-    found: dict[str, tuple[float, float]] = {}
+    estimates: dict[str, tuple[float, float]] = {}
     for i, unknown in enumerate(fit.model.unknowns):
-        if unknown.name not in found:
+        if unknown.name not in estimates:
             value = float(unknown.value(fit.point[i]))
             scale = value if unknown.logarithmic else 1.0
             sd = scale * float(np.sqrt(fit.covariance[i, i]))
-            found[unknown.name] = value, sd
-    effects = (_with_estimates(effect, found) for effect in bench.effects)
-    corrected = {name: one for name, one in found.items() if name in bench.parameters}
+            estimates[unknown.name] = value, sd
+    effects = (_with_estimates(effect, estimates) for effect in bench.effects)
+    corrected = {name: one for name, one in estimates.items() if name in bench.parameters}
     bench = bench.with_parameters(**{name: value for name, (value, _) in corrected.items()})
     bench = bench.with_effects(*effects).with_learned(*learned_terms(fit))
     parameters = dict(bench.parameters)
@@ -90,8 +90,10 @@ def known_settings(explanation: Explanation) -> dict[str, float]:
     }
 
 
-def _with_estimates(effect: BenchEffect, found: Mapping[str, tuple[float, float]]) -> BenchEffect:
-    own = {k: found.get(f"{effect.name}__{k}") for k in effect.parameters}
+def _with_estimates(
+    effect: BenchEffect, estimates: Mapping[str, tuple[float, float]]
+) -> BenchEffect:
+    own = {k: estimates.get(f"{effect.name}__{k}") for k in effect.parameters}
     estimated = {k: EffectParameterValue(*one) for k, one in own.items() if one is not None}
     return BenchEffect(effect.name, {**effect.parameters, **estimated})
 
@@ -101,32 +103,41 @@ def compared_pieces(
 ) -> tuple[ComparedPiece, ...]:
     """Every channel of all recordings beside both simulations; of held-out ones only start and
     phases are fitted."""
-    both, found = (nominal, final), list[ComparedPiece]()
-    for i, seen in enumerate(final.fit.model.recordings):
-        found += compared_channels(seen, "used", *(e.fit.simulated(i) for e in both))
-    for seen in held_out:
-        found += compared_channels(seen, "held_out", *(predicted(e, seen) for e in both))
-    return tuple(found)
+    both, pieces = (nominal, final), list[ComparedPiece]()
+    for i, observation in enumerate(final.fit.model.recordings):
+        pieces += compared_channels(observation, "used", *(e.fit.simulated(i) for e in both))
+    for observation in held_out:
+        pieces += compared_channels(
+            observation, "held_out", *(predicted(e, observation) for e in both)
+        )
+    return tuple(pieces)
 
 
 def compared_channels(
-    seen: Observed, use: Use, before: FloatArray, after: FloatArray
+    observation: Observed, use: Use, before: FloatArray, after: FloatArray
 ) -> Iterator[ComparedPiece]:
     """Each channel beside its simulations, (c, n) each; RMS as of the samples that count alone."""
-    time_s, measured = seen.begin_s + np.arange(seen.samples) / seen.sampling_hz, seen.signals
-    if seen.excluded is not None:
-        measured = np.where(seen.excluded, np.nan, measured)
-    left = np.stack([seen.left_by(made) for made in (before, after)], axis=1)
-    left *= float(np.mean(seen.compared)) ** -0.5
-    for name, own, *signals in zip(seen.channels, left, measured, before, after, strict=True):
-        yield ComparedPiece.of(seen.name, name, use, time_s, *signals, left=own, rotation=seen.lag)
+    time_s, measured = (
+        observation.begin_s + np.arange(observation.samples) / observation.sampling_hz,
+        observation.signals,
+    )
+    if observation.excluded is not None:
+        measured = np.where(observation.excluded, np.nan, measured)
+    residuals = np.stack([observation.left_by(made) for made in (before, after)], axis=1)
+    residuals *= float(np.mean(observation.compared)) ** -0.5
+    for name, own, *signals in zip(
+        observation.channels, residuals, measured, before, after, strict=True
+    ):
+        yield ComparedPiece.of(
+            observation.name, name, use, time_s, *signals, residual=own, rotation=observation.lag
+        )
 
 
-def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
+def predicted(explanation: Explanation, observation: Observed) -> FloatArray:
     """What an explanation says of a recording that it was not fitted on, shape (c, n)."""
     fit = explanation.fit
     phases = [
-        Unknown(u.name, recording=seen.name)
+        Unknown(u.name, recording=observation.name)
         for u in fit.model.unknowns
         if u.recording == fit.model.recordings[0].name and u.name.endswith("__phase_rad")
     ]
@@ -136,14 +147,14 @@ def predicted(explanation: Explanation, seen: Observed) -> FloatArray:
         unknown
         for term in bench.learned_terms
         if term.shift_slot in named
-        for unknown in shift_unknowns(term, [seen.name])
+        for unknown in shift_unknowns(term, [observation.name])
     ]
-    unknowns = [start_angle_unknown(seen.name), *phases, *shifts]
+    unknowns = [start_angle_unknown(observation.name), *phases, *shifts]
     model = SimulatedSignals(
         bench,
-        [seen],
+        [observation],
         unknowns,
-        [noise_of(seen, seen.signals)],
+        [noise_of(observation, observation.signals)],
         fit.model.workers,
         known_settings(explanation),
     )
@@ -170,10 +181,10 @@ def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> 
     first = final.fit.model.recordings[0]
     best: Suggestion | None = None
     for speed, payload in _options(final.fit.model.recordings):
-        seen = [_seen(e, first, speed, payload) for e in (final, *rivals)]
-        if any(s is None for s in seen):
+        simulations = [_seen(e, first, speed, payload) for e in (final, *rivals)]
+        if any(s is None for s in simulations):
             continue
-        signals = [s for s in seen if s is not None]
+        signals = [s for s in simulations if s is not None]
         noise = final.fit.model.noise[0]
         turn, shift = noise.whiten(signals[0][0]).ravel(), noise.whiten(signals[0][1]).ravel()
         least = math.inf
@@ -188,8 +199,8 @@ def suggested_recording(final: Explanation, named: Sequence[NamedCandidate]) -> 
 
 def _options(recordings: Sequence[Observed]) -> Iterator[tuple[float, float]]:
     """(reference speed, payload share) of recordings that are not there yet."""
-    there = {round(seen.reference_speed_rpm) for seen in recordings}
-    top = max(abs(seen.reference_speed_rpm) for seen in recordings)
+    there = {round(observation.reference_speed_rpm) for observation in recordings}
+    top = max(abs(observation.reference_speed_rpm) for observation in recordings)
     for share in SPEED_SHARES:
         for direction in (1.0, -1.0):
             if round(direction * share * top) not in there:

@@ -141,8 +141,8 @@ class FreeMotionView:
         names = tuple(name for name in self.effects if name in sure)
         start = dict(self.values)
         for name in names:
-            found = inference.values(name)
-            start |= {f"{name}__{key}": e.value for key, e in found.items()}
+            estimates = inference.values(name)
+            start |= {f"{name}__{key}": e.value for key, e in estimates.items()}
         return replace(self, fitted=names, values=self.fit(names, start))
 
     def settled(self, labels: Sequence[str]) -> FreeMotionView:
@@ -193,7 +193,7 @@ class FreeMotionView:
             every = ((self.pieces[i], self._predict(i, effects, values)) for i in pieces)
             return np.concatenate([p.kept(predicted - p.measured) for p, predicted in every])
 
-        found = least_squares(
+        optimum = least_squares(
             misfit,
             np.clip(first, low, high) / scale,
             bounds=(low / scale, high / scale),
@@ -202,7 +202,7 @@ class FreeMotionView:
             ftol=1e-8,
             max_nfev=60,
         )
-        return values_at(found.x)
+        return values_at(optimum.x)
 
     @cached_property
     def rows(self) -> Rows:
@@ -404,15 +404,15 @@ CHANNELS = (MOTOR_POSITION,)
 
 def pieces_of(task: Task, recordings: Sequence[Recording], channel: str) -> tuple[Piece, ...]:
     """Pieces to fit on and to predict; what comes to rest is split where half its way is done."""
-    found = []
+    pieces = []
     for entry, recording in zip(task.config.recordings, recordings, strict=True):
         way = np.cumsum(np.abs(np.diff(recording.channels[channel])))
         middle = int(np.searchsorted(way, 0.5 * way[-1]))
         whole = piece_of(recording, channel)
         for use, rows in parts_of(USES_OF[entry.use], middle):
-            found.append(whole.part(rows, use))
-            require_enough(recording, channel, found[-1].excluded)
-    return tuple(found)
+            pieces.append(whole.part(rows, use))
+            require_enough(recording, channel, pieces[-1].excluded)
+    return tuple(pieces)
 
 
 def comparison(task: Task) -> Comparison:

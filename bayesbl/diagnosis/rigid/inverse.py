@@ -292,8 +292,8 @@ class InverseView:
         whole = (key, self.skew_s, width)
         if whole not in self.cache:
             self.cache[whole] = self.rows.stack(of_piece)
-        found: FloatArray = self.cache[whole]
-        return found
+        signals: FloatArray = self.cache[whole]
+        return signals
 
     def _torque(
         self, key: Hashable, make: Callable[[Motion], FloatArray], **how: Any
@@ -637,8 +637,8 @@ class InverseView:
     @cached_property
     def _by_linear(self) -> FloatArray:
         """Of these that fit the shown rows best beside what nothing explains, (p,)."""
-        shown, left = self.rows.shown, self.rows.measured - self.discrepancy - self.base
-        return least_squares(self._linear[shown], left[shown])
+        shown, residual = self.rows.shown, self.rows.measured - self.discrepancy - self.base
+        return least_squares(self._linear[shown], residual[shown])
 
     def fitted(self) -> FloatArray:
         """Prediction by all that is linear, (N,)."""
@@ -646,8 +646,8 @@ class InverseView:
 
     def least_left(self) -> float:
         """Sum of squares that these leave."""
-        left = self.rows.measured - self.discrepancy - self.fitted()
-        return float(np.sum(left[self.rows.shown] ** 2))
+        residual = self.rows.measured - self.discrepancy - self.fitted()
+        return float(np.sum(residual[self.rows.shown] ** 2))
 
     def _with_width(self) -> InverseView:
         names = (*self.laws, *(e.name for e in self.bench.effects))
@@ -673,14 +673,14 @@ class InverseView:
         """What all that is linear leaves, over the motor's angle."""
         below = replace(self, orders=()).fitted()
         shown = self.rows.where(lambda piece: piece.shown)
-        left = self.rows.measured - np.where(shown, below, self._base_above)
+        residual = self.rows.measured - np.where(shown, below, self._base_above)
         return [
             OrderedRest(
                 part.piece.name,
                 part.piece.kept(part.piece.time_s),
                 part.along(part.motion.angle),
                 np.abs(part.along(part.motion.speed)),
-                left[rows],
+                residual[rows],
                 part.window.low_pass.cutoff_hz,
                 part.window.above,
                 part.window.low_pass.period_s,
@@ -719,8 +719,8 @@ class InverseView:
         friction or a spring before it is a line in time."""
         shown = self.rows.shown
         own, waves = self._parameter(INERTIAS[0])[shown], self._hum(hertz)[shown]
-        left = own - waves @ least_squares(waves, own)
-        return float(left @ left) < 0.1 * float(own @ own)
+        residual = own - waves @ least_squares(waves, own)
+        return float(residual @ residual) < 0.1 * float(own @ own)
 
     # What is told
 
@@ -764,10 +764,10 @@ def _minimum(cost: Callable[[float], float], grid: Sequence[float]) -> float:
     costs = [cost(value) for value in grid]
     best = int(np.argmin(costs))
     low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
-    found = minimize_scalar(
+    optimum = minimize_scalar(
         cost, bounds=(low, high), method="bounded", options={"xatol": 1e-2 * (high - low)}
     )
-    return float(found.x) if found.fun <= costs[best] else float(grid[best])
+    return float(optimum.x) if optimum.fun <= costs[best] else float(grid[best])
 
 
 LARGEST_SHARE = 0.01
@@ -815,7 +815,7 @@ def coherent_hz(resolved: InverseView) -> float | None:
     """
     view = resolved.coarse()
     rows, fitted = view.rows, view.fitted()
-    frequencies, measured, left = [], [], []
+    frequencies, measured, residual_power = [], [], []
     for piece, own in zip(rows.pieces, rows.slices, strict=True):
         if piece.use == "used" and piece.shown:
             rest = np.zeros(piece.measured.size)
@@ -823,9 +823,9 @@ def coherent_hz(resolved: InverseView) -> float | None:
             rest[counts] = rows.measured[own] - fitted[own]
             frequencies.append(np.fft.rfftfreq(rest.size, piece.period_s))
             measured.append(_power(piece.measured))
-            left.append(_power(rest))
+            residual_power.append(_power(rest))
     frequency, total = np.concatenate(frequencies), np.concatenate(measured)
-    rest = np.concatenate(left)
+    rest = np.concatenate(residual_power)
     top = view.parts[0].window.low_pass.cutoff_hz
     ratio = 2.0 ** (1.0 / BANDS_PER_OCTAVE)
     while np.count_nonzero(band := (frequency > top / ratio) & (frequency <= top)) >= FEWEST_LINES:
@@ -876,7 +876,7 @@ def comparison(task: Task) -> Comparison:
     chosen = wanted(config, bench, laws)
 
     def view_below(cutoff_hz: float) -> InverseView:
-        found = [
+        pieces = [
             part
             for entry, recording in zip(config.recordings, recordings, strict=True)
             for part in compared(
@@ -884,7 +884,7 @@ def comparison(task: Task) -> Comparison:
             )
         ]
         made = InverseView(
-            tuple(found),
+            tuple(pieces),
             bench,
             {name: laws[name] for name in chosen},
             unknown,
@@ -1001,21 +1001,28 @@ def compared(
         )
     torques = (recording.channels[name] for name in known_torque)
     known = LowPass(sharp, period)(sum(torques, np.zeros(recording.samples)))
-    found = []
+    pieces = []
     for view in windows:
         signal = recording.channels[channel]
         # As sharp as the motion, and no sharper, where the motion has a part in it.
-        seen = view(signal if view.above else LowPass(sharp, period)(signal))
+        passband = view(signal if view.above else LowPass(sharp, period)(signal))
         excluded = None if out is None or not out[view.rows].any() else out[view.rows]
         time = recording.time_s[view.rows]
         white = low_pass.of_white_noise(view.rows.step, HIGHEST_ORDER + 1)
         shown = not view.above
         whole = Piece(
-            recording.name, channel, uses[0], time, seen, excluded, shown, white if shown else None
+            recording.name,
+            channel,
+            uses[0],
+            time,
+            passband,
+            excluded,
+            shown,
+            white if shown else None,
         )
         for use, rows in parts_of(uses, time.size // 2):
-            found.append(Compared(whole.part(rows, use), motion, known, view.part(rows)))
-    return found
+            pieces.append(Compared(whole.part(rows, use), motion, known, view.part(rows)))
+    return pieces
 
 
 def _require_motion(view: InverseView, recordings: Sequence[Recording]) -> None:

@@ -71,12 +71,12 @@ class LowPass:
         n = values.size
         slope = (values[-1] - values[0]) / ((n - 1) * self.period_s)
         line = values[0] + slope * self.period_s * np.arange(n)
-        left = values - line
+        residual = values - line
         more = min(n - 1, math.ceil(FADE_PERIODS / (self.cutoff_hz * self.period_s)))
         fade = np.cos(0.5 * math.pi * np.arange(1, more + 1) / more) ** 2
-        before, after = -left[1 : more + 1] * fade, -left[-2 : -more - 2 : -1] * fade
+        before, after = -residual[1 : more + 1] * fade, -residual[-2 : -more - 2 : -1] * fade
         size = fft.next_fast_len(n + 2 * more, real=True)
-        around = np.concatenate((left, after, np.zeros(size - n - 2 * more), before[::-1]))
+        around = np.concatenate((residual, after, np.zeros(size - n - 2 * more), before[::-1]))
         frequency = fft.rfftfreq(size, self.period_s)
         gain = (2.0j * math.pi * frequency) ** times * self._gain(frequency)
         made = fft.irfft(fft.rfft(around) * gain, size)[:n]
@@ -220,9 +220,9 @@ class Window:
         """The signal, or columns, as it is compared."""
         if signal.ndim > 1:
             return np.column_stack([self(column) for column in signal.T])
-        seen = signal if self.window is None else self.window * signal
-        passed = self.low_pass(seen)
-        return (seen - passed if self.above else passed)[self.rows]
+        windowed = signal if self.window is None else self.window * signal
+        passed = self.low_pass(windowed)
+        return (windowed - passed if self.above else passed)[self.rows]
 
     def part(self, rows: slice) -> Window:
         """Some of the samples that are compared."""
@@ -288,11 +288,11 @@ def step_of(position: FloatArray) -> float:
 
 def turns_of(recordings: Sequence[Recording]) -> float:
     """Of the motor, in the recording that goes farthest."""
-    found = [0.0]
+    turns = [0.0]
     for recording in recordings:
         if MOTOR_POSITION in recording.channels:
-            found.append(float(np.ptp(recording.channels[MOTOR_POSITION])))
+            turns.append(float(np.ptp(recording.channels[MOTOR_POSITION])))
         elif MOTOR_SPEED in recording.channels:
             turned = np.cumsum(recording.motor_speed_rpm) * recording.sampling_period_s
-            found.append(float(np.ptp(turned)) / RPM_PER_RAD_PER_S)
-    return max(found) / (2.0 * math.pi)
+            turns.append(float(np.ptp(turned)) / RPM_PER_RAD_PER_S)
+    return max(turns) / (2.0 * math.pi)

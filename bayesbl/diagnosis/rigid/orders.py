@@ -175,12 +175,12 @@ def spectrum_of(
     waves = {owner: np.zeros(orders.size, dtype=complex) for owner in owners}
     powers = {owner: np.zeros(orders.size) for owner in owners}
     for owner, item in zip(owners, rests, strict=True):
-        found, seen, white = _transform(item, orders)
+        transform, samples, white = _transform(item, orders)
         own, level = turns_of([item], shared), np.zeros(orders.size)
-        enough = (seen >= FEWEST_SAMPLES) & (orders * own >= FEWEST_CYCLES)
+        enough = (samples >= FEWEST_SAMPLES) & (orders * own >= FEWEST_CYCLES)
         around = round(_LEVEL_CYCLES / max(step * own, _LEVEL_CYCLES / orders.size))
-        level[enough] = median_filter(np.abs(found[enough]) ** 2, around)
-        waves[owner] += np.where(enough, found, 0.0)
+        level[enough] = median_filter(np.abs(transform[enough]) ** 2, around)
+        waves[owner] += np.where(enough, transform, 0.0)
         least = 0.0 if coloured else white
         powers[owner] += np.where(enough, np.maximum(level / chi2.median(2), least), 0.0)
     scores = np.zeros(orders.size)
@@ -200,8 +200,8 @@ def sums_of(x: FloatArray, values: FloatArray, step: float, count: int) -> Compl
     share = place - first
     bins = np.bincount(first % size, values * (1.0 - share), size)
     bins += np.bincount((first + 1) % size, values * share, size)
-    found = np.conj(fft.rfft(bins)[:count]) / np.sinc(np.arange(count) / size) ** 2
-    return np.asarray(found, dtype=complex)
+    sums = np.conj(fft.rfft(bins)[:count]) / np.sinc(np.arange(count) / size) ** 2
+    return np.asarray(sums, dtype=complex)
 
 
 def _transform(
@@ -213,14 +213,14 @@ def _transform(
     """
     step = float(orders[1] - orders[0])
     first = round(float(orders[0]) / step)
-    found = sums_of(item.angle, item.rest, step, first + orders.size)[first:]
+    sums = sums_of(item.angle, item.rest, step, first + orders.size)[first:]
     fastest_first = np.argsort(item.passing)
-    seen = np.searchsorted(item.passing[fastest_first], orders, side="right")
+    samples = np.searchsorted(item.passing[fastest_first], orders, side="right")
     squares = np.concatenate([[0.0], np.cumsum(item.rest[fastest_first] ** 2)])
-    powers = squares[seen]
+    powers = squares[samples]
     if not item.above:
-        seen, powers = item.rest.size - seen, squares[-1] - powers
-    return found, np.asarray(seen, dtype=float), np.asarray(0.5 * powers)
+        samples, powers = item.rest.size - samples, squares[-1] - powers
+    return sums, np.asarray(samples, dtype=float), np.asarray(0.5 * powers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,9 +330,9 @@ def peaks(
     Beforehand one order is as probable as another as far as these recordings resolve them, but for
     ``whole`` ones: what is fixed to the motor repeats with its turn, so that half of all are whole.
     """
-    found: list[Line] = []
+    lines: list[Line] = []
     known: list[float] = []
-    while len(found) < most:
+    while len(lines) < most:
         peak = clearest(rests, known, shared)
         if peak is None or peak.log_chance > math.log(CHANCE):
             break
@@ -342,10 +342,10 @@ def peaks(
         share = (0.5 if whole else 1.0) * min(1.0, 5.0 * sd / (STEPS_PER_CYCLE * peak.step))
         special = 0.5 / max(1.0, float(peak.spectrum.orders[-1])) if near else 0.0
         anywhere = min(1.0, share / peak.spectrum.independent)
-        found.append(Line.around(order, sd, anywhere, special))
+        lines.append(Line.around(order, sd, anywhere, special))
         known.append(order)
         rests = [_without(item, order) for item in rests]
-    return found
+    return lines
 
 
 def _sharp(

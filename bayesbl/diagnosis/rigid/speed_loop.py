@@ -98,9 +98,9 @@ def speed_of_torque(values: Values, frequency: FloatArray) -> ComplexArray:
     s = 1j * frequency
     gains = values["speed_gain_nm_s_per_rad"] + values["integral_gain_nm_per_rad"] / s
     controller = gains * (1.0 + values["position_gain_per_s"] / s)
-    seen = 1.0 / (1.0 + values[SENSOR_LAG] * s)
-    answer = controller * seen / (1.0 + values[CURRENT_LAG] * s)
-    return np.asarray(-RPM_PER_RAD_PER_S * seen / (mechanics(values, frequency) + answer))
+    sensor = 1.0 / (1.0 + values[SENSOR_LAG] * s)
+    answer = controller * sensor / (1.0 + values[CURRENT_LAG] * s)
+    return np.asarray(-RPM_PER_RAD_PER_S * sensor / (mechanics(values, frequency) + answer))
 
 
 def torque_of_angle(values: Values, frequency: FloatArray) -> ComplexArray:
@@ -195,12 +195,12 @@ class Turning:
 
         Shapes (m,) and (k,).
         """
-        found, matrix = self._fitted(orders)
+        solution, matrix = self._fitted(orders)
         lines = np.full(len(orders), complex(math.nan, math.nan))
         shown = np.array([self.shows(order) for order in orders], bool)
-        pairs = found[: 2 * int(shown.sum())]
+        pairs = solution[: 2 * int(shown.sum())]
         lines[shown] = pairs[0::2] - 1j * pairs[1::2]
-        return lines, self.piece.kept(self.piece.measured - matrix @ found)
+        return lines, self.piece.kept(self.piece.measured - matrix @ solution)
 
     def _fitted(self, orders: Sequence[float]) -> tuple[FloatArray, FloatArray]:
         """Coefficients, (p,), of cosine and sine of each order that shows and of what is fitted
@@ -209,24 +209,24 @@ class Turning:
         waves = map(self._answer, (*filter(self.shows, orders), *slow))
         matrix = np.column_stack([*waves, np.ones(self.angle.size)])
         kept = self.piece.kept
-        found = np.linalg.lstsq(kept(matrix), kept(self.piece.measured), rcond=1e-10)[0]
-        return np.asarray(found), matrix
+        solution = np.linalg.lstsq(kept(matrix), kept(self.piece.measured), rcond=1e-10)[0]
+        return np.asarray(solution), matrix
 
     def predicted(self, orders: Sequence[float], sizes: FloatArray) -> FloatArray:
         """The speed with lines of these sizes, rpm, shape (n,); phases and the rest as they fit."""
-        found, matrix = self._fitted(orders)
+        solution, matrix = self._fitted(orders)
         shown = [size for order, size in zip(orders, sizes, strict=True) if self.shows(order)]
         for k, size in enumerate(shown):
-            pair = found[2 * k : 2 * k + 2]
+            pair = solution[2 * k : 2 * k + 2]
             pair *= size / max(float(np.hypot(*pair)), 1e-300)
-        return np.asarray(matrix @ found)
+        return np.asarray(matrix @ solution)
 
-    def rest(self, left: FloatArray) -> OrderedRest:
+    def rest(self, residual: FloatArray) -> OrderedRest:
         """What lines leave, (k,), to be searched for orders."""
-        piece, speed = self.piece, np.full(left.size, abs(self.speed_rad_per_s))
+        piece, speed = self.piece, np.full(residual.size, abs(self.speed_rad_per_s))
         time, angle = piece.kept(piece.time_s), piece.kept(self.angle)
         cutoff = WIDEST / piece.period_s
-        return OrderedRest(piece.name, time, angle, speed, left, cutoff, False, piece.period_s)
+        return OrderedRest(piece.name, time, angle, speed, residual, cutoff, False, piece.period_s)
 
 
 def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> list[Peak]:
@@ -235,17 +235,17 @@ def find_orders(turning: Sequence[Turning], most: int, false_alarm: float) -> li
     The rate of false alarms is that of the whole list: half of what is left goes to each order. A
     whole order within the errors is the whole one, unless every order is near one.
     """
-    found: list[Peak] = []
-    while len(found) < most:
-        known = [peak.order for peak in found]
+    peaks: list[Peak] = []
+    while len(peaks) < most:
+        known = [peak.order for peak in peaks]
         rests = [item.rest(item.fit(known)[1]) for item in turning]
         peak = clearest(rests, known, False, highest=HIGHEST_ORDER, coloured=True)
-        bound = math.log(false_alarm) - (len(found) + 1) * math.log(2.0)
+        bound = math.log(false_alarm) - (len(peaks) + 1) * math.log(2.0)
         if peak is None or peak.log_chance > bound:
             break
         whole = peak.behind < WHOLE**2 and peak.order > 0.5 and WHOLE * peak.sd < 0.5
-        found.append(replace(peak, order=float(round(peak.order))) if whole else peak)
-    return found
+        peaks.append(replace(peak, order=float(round(peak.order))) if whole else peak)
+    return peaks
 
 
 RIPPLE, ECCENTRICITY = "motor_torque_ripple", "encoder_eccentricity"
@@ -487,9 +487,9 @@ class LoopFit:
         x, spread = np.zeros(0), np.zeros(0)
         if start.size:
             start = np.maximum(start / units, low + LEAST)
-            found = least_squares(misfit, start, bounds=(low, np.inf), x_scale="jac")
-            covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
-            x, spread = found.x, np.sqrt(np.diag(covariance))
+            optimum = least_squares(misfit, start, bounds=(low, np.inf), x_scale="jac")
+            covariance = np.linalg.pinv(optimum.jac.T @ optimum.jac, hermitian=True)
+            x, spread = optimum.x, np.sqrt(np.diag(covariance))
         changes, sizes = unpacked(x)
         changes_sd, sizes_sd = unpacked(spread)
         return replace(
@@ -628,8 +628,8 @@ class LoopSearch:
     def sure(self) -> list[list[Hypothesis]]:
         """Hypotheses that are there almost surely, alone or one of several."""
         posterior, terms = self.posterior, self.posterior.linearised.terms
-        found = [[terms[posterior.likeliest(n)].source for n in own] for own in posterior.sure]
-        apart = [[h for h in members if h.part != BOTH] for members in found]
+        groups = [[terms[posterior.likeliest(n)].source for n in own] for own in posterior.sure]
+        apart = [[h for h in members if h.part != BOTH] for members in groups]
         return [members for members in apart if members]
 
 
@@ -639,13 +639,13 @@ def searched(
     """Around the fit of the most probable set."""
     fit, known = LoopFit.nothing(lines, believed, priors), list[frozenset[str]]()
     while True:
-        found = LoopSearch(fit, candidates)
-        best = next(iter(found.posterior.sets))
-        labels = found.posterior.labels(best)
+        search = LoopSearch(fit, candidates)
+        best = next(iter(search.posterior.sets))
+        labels = search.posterior.labels(best)
         if labels in known or len(known) == ROUNDS:
-            return found
+            return search
         known.append(labels)
-        fit = found.fitted(found.posterior.linearised.terms[k].source for k in best)
+        fit = search.fitted(search.posterior.linearised.terms[k].source for k in best)
 
 
 CANDIDATES = (RIPPLE, ECCENTRICITY, *LOOP_EFFECTS)
@@ -814,14 +814,14 @@ class Setting:
         lines = lines_of(self.used, [line.order for line in self.found])
         if self.found:
             search = searched(lines, self.values, self.priors, self.candidates)
-            told = self._told(search, notes)
+            named = self._named(search, notes)
             periodic = [m[0].lines for m in search.sure if m[0].name == TIME]
-            firsts = [members[0] for members in told]
+            firsts = [members[0] for members in named]
             fit = search.fitted(firsts)
             if (again := self._by_true_angle(fit)) is not None:
                 return again.diagnosis()
             unnamed -= {h.place for h in firsts if h.place is not None}
-            for first, *rivals in told:
+            for first, *rivals in named:
                 if first.name in SCALES:
                     believed = self.task.bench.parameters[first.name]
                     value, tolerance = believed.value, believed.tolerance
@@ -845,24 +845,24 @@ class Setting:
             bench_parameters={n: fit.logarithm(n) for n in self.priors} if fit else {},
         )
 
-    def _told(self, search: LoopSearch, notes: list[str]) -> list[list[Hypothesis]]:
+    def _named(self, search: LoopSearch, notes: list[str]) -> list[list[Hypothesis]]:
         """Sets that are named, the loop's last and the largest line first; no error of the angle
         but at order 1 is."""
-        told = list[list[Hypothesis]]()
+        named = list[list[Hypothesis]]()
         for members in search.sure:
             place = members[0].place
             if members[0].name == TIME:
                 continue
             if place is None or all(h.name != ANGLE_ERROR for h in members):
-                told.append(members)
+                named.append(members)
             elif len(members) == 1:
                 size = 1e3 * search.fit.size(place, ANGLE).value
                 notes.append(GROWS.format(order=self.found[place].order, size_mrad=size))
             else:
                 notes.append(ALIKE.format(order=self.found[place].order))
         power = np.nanmax(search.fit.lines.power, axis=0)
-        loop = [members for members in told if members[0].place is None]
-        laws = [members for members in told if members[0].place is not None]
+        loop = [members for members in named if members[0].place is None]
+        laws = [members for members in named if members[0].place is not None]
         laws.sort(key=lambda members: -power[members[0].place])
         most = self.task.config.candidates.max_effects or MOST_EFFECTS
         return laws[: max(0, most - len(loop))] + loop
@@ -949,15 +949,15 @@ def lines_of(turning: Sequence[Turning], orders: Sequence[float]) -> Lines:
     """The lines of every piece, their noise, and the speeds."""
     powers, variances = [], []
     for item in turning:
-        found, left = item.fit(orders)
-        spectrum = spectrum_of([item.rest(left)], False, highest=HIGHEST_ORDER, coloured=True)
+        coefficients, residual = item.fit(orders)
+        spectrum = spectrum_of([item.rest(residual)], False, highest=HIGHEST_ORDER, coloured=True)
         (noise,) = spectrum.powers.values()
         variance = np.full(len(orders), math.nan)
         if np.any(noise > 0.0):
             level = np.interp(orders, spectrum.orders[noise > 0.0], noise[noise > 0.0])
-            variance = 4.0 * level / left.size**2
+            variance = 4.0 * level / residual.size**2
         variances.append(variance)
-        powers.append(np.abs(found) ** 2 - 2.0 * variance)
+        powers.append(np.abs(coefficients) ** 2 - 2.0 * variance)
     speeds = np.array([item.speed_rad_per_s for item in turning])
     lasting = np.array([item.turns / item.turns_per_s for item in turning])
     return Lines(tuple(orders), speeds, np.array(powers), np.array(variances), lasting)

@@ -234,20 +234,20 @@ def learned_course(tree: xr.DataTree) -> Figure:
     value, deviation, scale, label = _LEARNED[group]
     stored = tree[group].to_dataset()
     answer: Answer = json.loads(tree.attrs["diagnosis"])
-    told = learned_of(answer)
-    assert told is not None
+    term = learned_of(answer)
+    assert term is not None
     figure = style.new_figure(style.SINGLE_COLUMN_IN, 2.0)
     panel = figure.add_subplot(style.grid(figure, 1, 1, left=0.75, top=0.15)[0, 0])
-    x = stored["variable"].values * _SCALES.get(told["variable"], 1.0)
+    x = stored["variable"].values * _SCALES.get(term["variable"], 1.0)
     course, reach = scale * stored[value].values, scale * LEVEL_SD * stored[deviation].values
     panel.fill_between(x, course - reach, course + reach, color=style.BAND, linewidth=0.0)
     panel.plot(x, course, color=style.MODEL)
     panel.axhline(0.0, color=style.NEUTRAL, linewidth=0.5)
     panel.set_xlim(x[0], x[-1])
-    if told["variable"] == "load_angle":
+    if term["variable"] == "load_angle":
         panel.set_xticks([-180.0, -90.0, 0.0, 90.0, 180.0])
-    panel.set_xlabel(_LABELS[told["variable"]])
-    panel.set_ylabel(label.format(told["side"]))
+    panel.set_xlabel(_LABELS[term["variable"]])
+    panel.set_ylabel(label.format(term["side"]))
     return figure
 
 
@@ -259,19 +259,19 @@ def learned_course(tree: xr.DataTree) -> Figure:
 def prior_and_posterior(tree: xr.DataTree) -> Figure:
     """Per cent from the data sheet's value: its tolerance, and median and interval found."""
     answer: IdentificationAnswer = json.loads(tree.attrs["identification"])
-    found = answer["parameters"]
-    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.8 + 0.3 * len(found))
+    parameters = answer["parameters"]
+    figure = style.new_figure(style.DOUBLE_COLUMN_IN, 0.8 + 0.3 * len(parameters))
     place = style.grid(figure, 1, 1, left=1.55, right=1.75, top=0.35, bottom=0.45)
     panel = figure.add_subplot(place[0, 0])
-    for line, entry in enumerate(found.values()):
+    for line, entry in enumerate(parameters.values()):
         _draw_parameter(panel, line, entry)
     panel.axvline(0.0, color=style.NEUTRAL, linewidth=0.6, zorder=0)
-    panel.set_ylim(len(found) - 0.5, -0.5)
-    panel.set_yticks(range(len(found)), [in_words(name).capitalize() for name in found])
+    panel.set_ylim(len(parameters) - 0.5, -0.5)
+    panel.set_yticks(range(len(parameters)), [in_words(name).capitalize() for name in parameters])
     panel.tick_params(axis="y", length=0.0)
     panel.spines["left"].set_visible(False)
     panel.set_xlabel("From the data sheet's value (%)")
-    level = next(iter(found.values()))["posterior"]["level"]
+    level = next(iter(parameters.values()))["posterior"]["level"]
     estimated = f"identified: median and {100.0 * level:g} % interval"
     handles = [
         panel.barh(0, 0, color=style.BAND, label="data sheet with its tolerance"),

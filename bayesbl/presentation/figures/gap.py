@@ -156,8 +156,8 @@ def _draw_rows(
     ends_shown: list[float] = []
     for place, row in enumerate(rows):
         across, heights = density(row.draws)
-        seen = heights > VISIBLE * heights.max()
-        across, heights = across[seen], heights[seen]
+        visible = heights > VISIBLE * heights.max()
+        across, heights = across[visible], heights[visible]
         ends_shown += [float(across[0]), float(across[-1])]
         ridge = place - _RIDGE * heights / heights.max()
         if row.answers:
@@ -166,14 +166,17 @@ def _draw_rows(
         if row.withheld:
             text = "withheld"
         else:
-            found = credible_interval(tree, row.draws)
+            interval = credible_interval(tree, row.draws)
             panel.plot(
-                [found["low"], found["high"]], [place, place], color=row.colour, linewidth=2.2,
+                [interval["low"], interval["high"]],
+                [place, place],
+                color=row.colour,
+                linewidth=2.2,
                 solid_capstyle="butt",
-            )  # fmt: skip
-            panel.plot([found["median"]], [place], color=row.colour, marker="|", markersize=7.0,
+            )
+            panel.plot([interval["median"]], [place], color=row.colour, marker="|", markersize=7.0,
                        markeredgewidth=1.4)  # fmt: skip
-            text = f"{middle(found)}  ({bounds(found)})"
+            text = f"{middle(interval)}  ({bounds(interval)})"
         texts.append((float(np.median(row.draws)), place, text))
     low, high = min(ends_shown), max(ends_shown)
     if limit_rad is not None:
@@ -380,12 +383,12 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     every = _days([Date.fromisoformat(str(day)) for day in group["date"].values])
     own = style.look(1)
     for index, (day, part) in enumerate(zip(every, parts, strict=True)):
-        found = gap_interval(tree, part)
+        interval = gap_interval(tree, part)
         colour = gap_colour(part, 1) if used[index] or part.withheld else style.NEUTRAL
         panel.errorbar(
             [day],
-            [found["median"]],
-            yerr=style.reach(found),
+            [interval["median"]],
+            yerr=style.reach(interval),
             color=colour,
             marker=own.marker,
             markerfacecolor=colour if used[index] and not part.withheld else "white",
@@ -398,10 +401,10 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
         above = False  # on the side of the point where the path is not
         if has_rate and used[index]:
             at = np.array([(day - days[-1]) / DAYS_PER_YEAR])
-            above = bool(found["low"] > 1e3 * path_band(group, at, level)[1, 0])
+            above = bool(interval["low"] > 1e3 * path_band(group, at, level)[1, 0])
         panel.annotate(
             f"{part.name}: withheld" if part.withheld else part.name,
-            (day, found["high" if above else "low"]),
+            (day, interval["high" if above else "low"]),
             xytext=(0.0, 4.0) if above else (4.0, -4.0), textcoords="offset points",
             ha="center" if above else "left", va="bottom" if above else "top", fontsize=7.0,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6}, zorder=0.5,
@@ -414,9 +417,9 @@ def _draw_gaps(panel: Axes, tree: xr.DataTree, group: xr.Dataset, ahead: float) 
     style.limit_line(panel, tree)
     panel.margins(y=0.12)
     gaps = [gap_interval(tree, part) for part in parts]
-    lowest = min(found["low"] for found in gaps)
+    lowest = min(interval["low"] for interval in gaps)
     limit = 1e3 * float(tree.attrs.get("limit_rad", 0.0))
-    highest = max(limit, *(found["high"] for found in gaps))
+    highest = max(limit, *(interval["high"] for interval in gaps))
     room = (_HIGHEST_VIEW - 1.0) * highest
     panel.set_ylim(max(0.0, lowest - 0.5 * room), highest + room)
     panel.set_ylabel("Gap δ (mrad)")

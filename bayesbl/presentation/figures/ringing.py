@@ -285,8 +285,8 @@ def corner(snapshot: Snapshot) -> Figure:
     panel.tick_params(axis="y", which="minor", rotation=90.0)
     for axis, shown in ((panel.xaxis, symbols), (panel.yaxis, symbols[:0:-1])):
         placed = list(zip(begins, shown, strict=False))
-        ticks = [(begin + at, told) for begin, symbol in placed for at, told in symbol.ticks()]
-        axis.set_ticks([at for at, _ in ticks], [told for _, told in ticks])
+        ticks = [(begin + at, label) for begin, symbol in placed for at, label in symbol.ticks()]
+        axis.set_ticks([at for at, _ in ticks], [label for _, label in ticks])
         axis.set_ticks([b + 0.5 * _CELLS for b, _ in placed], [s.label for s in shown], minor=True)
     withheld = snapshot.withheld and style.GAP in names
     head = f"{snapshot.name}: δ is withheld" if withheld else snapshot.name

@@ -211,9 +211,12 @@ def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
     if row["pooled"]:
         rates.append(("Rate by its own recordings", "rate_alone_rad_per_year"))
     for label, name in rates:
-        found = interval_of(row, name, summary)
-        if found is not None:
-            yield label, f"{words.middle(found, 1e3)} ({words.bounds(found, 1e3)}) mrad a year"
+        interval = interval_of(row, name, summary)
+        if interval is not None:
+            yield (
+                label,
+                f"{words.middle(interval, 1e3)} ({words.bounds(interval, 1e3)}) mrad a year",
+            )
     if row["rate_rad_per_year_median"] is not None:
         yield "Joints of its type count", "yes" if row["pooled"] else "no"
         if row["probability_unlike_type"] is not None:
@@ -229,15 +232,15 @@ def _facts(row: Row, summary: Row) -> Iterator[tuple[str, str]]:
         yield "Reaches the limit", f"{reached.text} ({reached.below})"
         yield "Not before", row["limit_date_not_before"] or "1000 years"
     if row["probability_limit_before"] is not None:
-        told = words.probability(row["probability_limit_before"])
-        yield f"Reaches it before {summary['decide_before']}", told
+        chance = words.probability(row["probability_limit_before"])
+        yield f"Reaches it before {summary['decide_before']}", chance
     if row["expected_cost"] is not None:
         yield f"Expected cost before {summary['decide_before']}", _cost(row["expected_cost"])
     yield "Recordings", f"{row['recordings']}, {row['used']} of them in the rate"
 
 
-def _cell(value: float | None, told: Callable[[float], str]) -> Cell:
-    return Cell("–", key=-1.0) if value is None else Cell(told(value), key=value)
+def _cell(value: float | None, in_words: Callable[[float], str]) -> Cell:
+    return Cell("–", key=-1.0) if value is None else Cell(in_words(value), key=value)
 
 
 def _cost(value: float) -> str:
