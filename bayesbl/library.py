@@ -70,6 +70,7 @@ def fit(
     limit: str | Mapping[str, object] | None = None,
     limit_rad: float | None = None,
     gear_ratio: float | None = None,
+    upright: bool | None = None,
     level: float | None = None,
     start_from: File | None = None,
     check_sampler: bool | None = None,
@@ -94,6 +95,8 @@ def fit(
         Repair limit as data sheets state it, such as ``"3 arcmin play"``.
     limit_rad
         The same of the gap δ, in rad at the load.
+    upright
+        Gravity does not turn the joint: its axis is vertical, or its load is balanced.
     level
         Probability of intervals.
     start_from
@@ -129,6 +132,7 @@ def compare(
     limit_rad: float | None = None,
     before: date | None = None,
     gear_ratio: float | None = None,
+    upright: bool | None = None,
     level: float | None = None,
     start_from: File | None = None,
     check_sampler: bool | None = None,

@@ -707,6 +707,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "flank in both directions and hides the play. Record with the load balanced or the axis "
         "upright, or move it over the top and back."
     ),
+    "weight_unknown": (
+        "No play shows, but these data cannot tell whether the load's weight keeps it on one "
+        "flank, which hides the play. Record the torque or current. If the axis is upright or the "
+        "load is balanced, state upright = true under [joint] (--upright)."
+    ),
     "nothing_told": (
         "These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "
         "more reversals, slow and fast ones, with friction or a brake at the output."
@@ -719,8 +724,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks the "
         "same as play, and a change of it as wear. Wind-up is usually 0.05 mrad. If the joint is "
         "soft or its play is several milliradians, wind-up is assumed to be about a tenth of the "
-        "lost motion, rarely two fifths, and the interval includes that. A load that its weight "
-        "holds on one flank hides its play. Record the torque or current."
+        "lost motion, rarely two fifths, and the interval includes that. Record the "
+        "torque or current."
     ),
     "torque_unused": (
         "The torque does not show how far the joint winds up between the flanks. That is usually "

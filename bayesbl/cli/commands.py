@@ -83,6 +83,7 @@ before | date | DATE | Also report the probability that the gap passes its limit
     date.
 dates | dates | DATE | When a recording was taken; once per recording, in the same order.
 gear_ratio | number | N | Motor turns per turn of the load.
+upright | flag | - | Gravity does not turn the joint: its axis is vertical, or its load balanced.
 level | number | P | Level of the credible intervals. [default: 0.9]
 range_rad | pair | LOW HIGH | Load angles that a planned motion may reach, in rad; 0 hangs
     straight down. [default: -0.5 0.5]
@@ -255,7 +256,9 @@ def _print_findings(plan: Plan) -> None:
 FORMATS = formats.names()
 
 _RUN = "config out seed force json"
-_MEASURED = "curve route bench limit limit_rad gear_ratio level workers start_from check_sampler"
+_MEASURED = (
+    "curve route bench limit limit_rad gear_ratio upright level workers start_from check_sampler"
+)
 
 
 @_takes(f"{_RUN} {_MEASURED}")

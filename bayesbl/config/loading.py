@@ -396,6 +396,7 @@ OPTIONS: Mapping[str, Location] = MappingProxyType(
         "limit_rad": ("joint", "limit_rad"),
         "before": ("joint", "decide_before"),
         "gear_ratio": ("joint", "gear_ratio"),
+        "upright": ("joint", "upright"),
         "start_from": ("estimator", "search", "start_from"),
         "check_sampler": ("posterior", "check_sampler"),
         "seed": ("run", "seed"),

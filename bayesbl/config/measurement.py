@@ -184,9 +184,11 @@ class Joint(Section):
     interval of the change includes it.
     ``rated_torque_nm``, at the output: lost motion is stated at 3 % of it. ``limit_rad`` is a limit
     of δ in rad, ``limit`` one of δ, play or lost motion in the unit of a data sheet.
+    ``upright``: gravity does not turn the joint, as its axis is vertical or its load is balanced.
     """
 
     gear_ratio: Positive | None = None
+    upright: bool = False
     rated_torque_nm: Positive | None = None
     limit_rad: LimitRad | None = None
     limit: StatedLimit | None = None

@@ -126,7 +126,7 @@ OUTCOMES: Mapping[Outcome, str] = {
         box_search_missed no_baseline other_speed other_rotation other_bench
         recording_contradicts_bench repeats_beyond_noise unexplained sheet_contradicted
         tolerance_decides gap_unseen start_unknown ramps_held nothing_told held_by_weight
-        skew_or_play positions_exchanged known_gaps_disagree""",
+        weight_unknown skew_or_play positions_exchanged known_gaps_disagree""",
 }
 """Outcomes of an answer, the worst last, with the codes that bring it there, by whatever route.
 

@@ -231,6 +231,11 @@ class TwoEncoderMeasurer(Measurer):
         if lost_track or transmission.probability_of_play < UPPER_BOUND_LEVEL:
             if lost_track or upper > TOO_WIDE * float(np.ptp(transmission.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
+            elif not self.config.joint.upright and np.isnan(transmission.gravity_holds):
+                # A load that rests on one flank shows no play, however large that is.
+                yield Reason("weight_unknown")
+            elif not self.config.joint.upright and transmission.gravity_holds > HELD_BY_WEIGHT:
+                yield Reason("held_by_weight", {"share": transmission.gravity_holds})
             else:
                 yield Reason(
                     "play_not_told",
@@ -240,11 +245,6 @@ class TwoEncoderMeasurer(Measurer):
                         "lost_mrad": 1e3 * lost,
                     },
                 )
-        if (
-            transmission.gravity_holds > HELD_BY_WEIGHT
-            and transmission.probability_of_play < UPPER_BOUND_LEVEL
-        ):
-            yield Reason("held_by_weight", {"share": transmission.gravity_holds})
         if transmission.skew_or_play:
             skew_ms = 1e3 * float(np.median(transmission.draws["channel_skew_s"]))
             yield Reason("skew_or_play", {"skew_ms": skew_ms})

@@ -141,7 +141,8 @@ def _box_search(part: RouteSummary) -> str:
     optimum = part["box_search"]
     return (
         f"the search ended at A = {optimum['amplitude_rpm']:.3g} rpm, RMSE "
-        f"{optimum['rmse_rpm']:.3g} rpm; eq. 4 there: {1e3 * optimum['gap_as_printed_rad']:.3g} mrad"
+        f"{optimum['rmse_rpm']:.3g} rpm; eq. 4 there: "
+        f"{1e3 * optimum['gap_as_printed_rad']:.3g} mrad"
     )
 
 
@@ -167,7 +168,8 @@ def _of_simulation(part: RouteSummary) -> Iterator[Block]:
     diagnostics = part["diagnostics"]
     simulated = (
         f"{diagnostics['effective_after_simulation']:.0f} effective draws by "
-        f"{diagnostics['simulated_draws']} simulations, surrogate fitted again {diagnostics['surrogate_refits']} times"
+        f"{diagnostics['simulated_draws']} simulations, surrogate fitted again "
+        f"{diagnostics['surrogate_refits']} times"
     )
     sampling = words.sampling(part)
     lines = {"Noise": noise(part), "Sampling": sampling, "Full simulation": simulated}

@@ -278,7 +278,8 @@ class Transmission:
     reversals
         Of the motor.
     friction_nm, gravity_holds
-        Friction at the output by the torque, and how often the load's weight is above it.
+        Friction at the output by the torque, and how often the load's weight is above it: nan where
+        no torque tells it, 0 where the load leaves its flank by itself.
     skew_or_play
         All motion has one speed, and between the flanks the load goes its own way, or coasts and
         play is not sure, or most of what lies between both directions is taken for skew of the
@@ -472,7 +473,7 @@ class Model:
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
         # By the torque: the friction, and how often the load's weight is above it.
         self.friction_nm: float | None = None
-        self.gravity_holds = 0.0
+        self.gravity_holds = np.nan
         if paths.torque_nm is not None:
             self.friction_nm, self.gravity_holds = of_friction(paths)
 

@@ -394,6 +394,7 @@ def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> Non
         "level": 0.5,
         "limit_rad": 0.01,
         "gear_ratio": 2.0,
+        "upright": True,
         "seed": 0,
         "workers": 1,
         "out": folder / "out",

@@ -57,6 +57,23 @@ def test_a_comparison_gives_both_plays_and_their_change(tmp_path):
     assert summary["probability_increase"] > 0.99
 
 
+def test_a_load_that_may_rest_on_one_flank_gets_no_bound_without_torque(tmp_path):
+    """A load that its weight holds follows its flank exactly, whatever the play."""
+    recording = write(tmp_path / "held.csv", play=0.0)
+    answers = {}
+    for name, options in {"unknown": (), "upright": ("--upright",)}.items():
+        status_of_run = run("fit", recording, "--out", tmp_path / name, *options)
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        answers[name] = status_of_run, summary
+    code, part = answers["unknown"]
+    assert code == 3
+    assert part["delta_upper_bound_rad"] is None
+    assert part["reason"]["code"] == "weight_unknown"
+    code, part = answers["upright"]
+    assert code == 0
+    assert part["delta_upper_bound_rad"] < 1e-3
+
+
 def test_a_motor_that_does_not_turn_back_is_refused(tmp_path, capsys):
     file = write(tmp_path / "one_way.csv", cycles=1)
     assert run("fit", file, "--out", tmp_path / "out") != 0
