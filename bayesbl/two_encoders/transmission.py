@@ -4,15 +4,16 @@ With x the motor's position at the load and θ_l the load's,
 
     θ_l = x − s(x; h) + H β + e,        s within ±h
 
-where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, what the
-ratio is off by (x), the skew of the channels (ẋ), inertia that winds the joint up (ẍ), and the
-transmission error: harmonics of motor and load angle (one curve of the angle, the same both ways,
-where the load makes less than a turn). β is normal and integrated out. The noise e is white
-beside a process with a correlation time (Ornstein and Uhlenbeck), both by the largest evidence: a
-drift from stroke to stroke so counts once a stroke, not once a sample. Counts of the encoders and
-motion between two samples add to it (:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In
-the gap the load is where it likes, so the noise is as wide as the gap there. Misfit that lasts for
-a stroke is no noise: it moves h, β and all together (:class:`Final`).
+where s is the lag of :func:`bayesbl.two_encoders.paths.load_lag`, and H has an offset, how that
+wanders over many strokes, what the ratio is off by (x), the skew of the channels (ẋ), inertia that
+winds the joint up (ẍ), and the transmission error: harmonics of motor and load angle (one curve of
+the angle, the same both ways, where the load makes less than a turn). β is normal and integrated
+out. The noise e is white beside a process with a correlation time (Ornstein and Uhlenbeck), both by
+the largest evidence: a drift from stroke to stroke so counts once a stroke, not once a sample.
+Counts of the encoders and motion between two samples add to it
+(:meth:`bayesbl.two_encoders.paths.Paths.reading_variance`). In the gap the load is where it likes,
+so the noise is as wide as the gap there. Misfit that lasts for a stroke is no noise: it moves h, β
+and all together (:class:`Final`).
 
 Every course of the flanks (a load that stays, coasts on by some deceleration, or is
 moved by its weight) is tried over a grid of h, and their probabilities are added. h, half of what
@@ -32,6 +33,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize, minimize_scalar
@@ -122,6 +124,12 @@ ECCENTRIC_RAD, ENCODER_ORDERS = 0.015, (1, 2, 3)
 orders of its curve, n times a turn, which fall by 1/n².
 
 Over a part of a turn they look like another gear ratio.
+"""
+
+WANDERS_RAD, WANDER_ORDERS, WANDER_STROKES = 1e-3, 4, 4
+"""Standard deviation of the first order of what warmth and creep move one reading against the other
+over a recording (orders fall by 1/n²), orders at most, and strokes that one has at least: a faster
+one would take the place of the lag.
 """
 
 ALIKE_RAD = 1e-3
@@ -337,6 +345,11 @@ class Design:
         plain = [np.ones_like(self.motor_rad), self.motor_rad, *moves]
         names = ["offset", "ratio", "skew", "inertia"]
         sd = [1e3, RATIO_STATED if scaling.stated else 0.3, scaling.skew_sd_s, INERTIA_S2]
+        wanders = range(1, 1 + min((paths.reversals + 1) // WANDER_STROKES, WANDER_ORDERS))
+        when = 2.0 * (self.time_s - self.time_s[0]) / max(np.ptp(self.time_s), 1e-300) - 1.0
+        plain += list(legvander(when, len(wanders)).T[1:])
+        names += [f"wander {n}" for n in wanders]
+        sd += [WANDERS_RAD / n**2 for n in wanders]
         self.turns = self.travel_rad > 2.0 * np.pi
         first = len(names)
         orders = [np.arange(1, LOAD_ORDERS + 1)] * 2
@@ -811,9 +824,11 @@ def fit_transmission(
     freely = next(i for i, how in enumerate(model.courses) if how.free)
     for _ in range(2):
         fitted, own = model.fitted(*_searched(model, free, freely))
+        # What it follows is then seen by its own skew and ratio, whether it is the best or not yet.
+        model.see(own)
         if own.log_evidence > best.log_evidence:
             free, best = fitted, own
-            model.see(best)
+    model.see(best)
     told(MOST_ROUNDS, MOST_ROUNDS + 1)
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)

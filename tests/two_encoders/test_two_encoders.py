@@ -143,6 +143,20 @@ def test_of_a_play_that_grows_on_the_way_the_interval_has_both():
     assert found.half_lag_rad == pytest.approx((0.5 * PLAY, PLAY), rel=0.1)
 
 
+def test_a_reading_that_wanders_over_many_strokes_hides_no_play():
+    play = 5e-4
+    time = np.linspace(0.0, 40.0, 40_000)
+    path = 1.3 * np.sin(2.0 * np.pi * time / 3.0) + 0.7 * np.sin(2.0 * np.pi * time / 7.1)
+    load, path, time = dragged(path, 0.5 * play)[::20], path[::20], time[::20]
+    read = load + 1e-3 * np.sin(load + 1.0) + 3e-5 * np.random.default_rng(3).normal(size=time.size)
+    warmth = 4e-3 * (1.0 - np.exp(-time / 20.0))
+    steady, warm = (fitted(Channels(time, RATIO * path, r), None) for r in (read, read + warmth))
+    for found in (steady, warm):
+        assert play < 2.0 * upper_bound_rad(found) < 1.4 * play
+    spread, wider = (np.std(found.draws["lost_motion_rad"]) for found in (steady, warm))
+    assert wider < 2.0 * spread
+
+
 def test_sign_offset_and_an_unknown_ratio_change_nothing(answer):
     other = fitted(recorded(ratio=-RATIO, offset=11.0), None)
     for name in ("play_rad", "lost_motion_rad"):
