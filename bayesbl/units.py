@@ -53,7 +53,7 @@ _FACTORS: dict[str, dict[str, float]] = {
 _WORDS = {
     word: (dimension, factor)
     for dimension, factor, words in (
-        ("time", 1.0, "s sec secs second seconds sekunden"),
+        ("time", 1.0, "s sec secs second seconds sek sekunden"),
         ("time", 60.0, "min mins minute minutes"),
         ("time", 3600.0, "h hr hrs hour hours"),
         ("angle", 1.0, "rad rads radian radians"),
@@ -159,7 +159,7 @@ _SIZES = {
     "time": '"4 ms"',
     "angle": '"rev/4096" (counts of a turn; the mm of a screw\'s turn) or "rad/400" (mm at 400 mm)',
     "torque": '"% of 12.5 N m" or "0.4 N m" (N at 0.4 m)',
-    "speed": '"rpm/7"',
+    "speed": '"rpm/7" (of 7 pole pairs) or "rev/s/4096" (4096 counts a turn)',
 }
 """How a unit with a number is written: samples of 4 ms, counts of a turn, pole pairs, a lever."""
 

@@ -30,7 +30,7 @@ from bayesbl.units import is_unit, spelled
 
 MISSING = frozenset(
     "|nan|-nan|nan(ind)|-nan(ind)|1.#qnan|-1.#ind|null|none|nil|n/a|na|#n/a|#na|#value!|#div/0!"  # noqa: SIM905
-    "|#num!|-|--|---|?|missing".split("|")
+    "|#num!|-|--|---|?|missing|∞|-∞".split("|")
 )
 _PLAIN = {mark: re.compile(rf"[+-]?(\d+[{mark}]?\d*|[{mark}]\d+)([eE][+-]?\d+)?") for mark in ".,"}
 _GROUPED = {
@@ -109,11 +109,30 @@ _STAMP = re.compile(
     r"\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d{2}:?\d{2})?"
 )
 _DAY_S = 86400
+_MILLISECONDS = re.compile(r"(?:^|[\W_])(?:ms|msecs?|milli[a-z]*)$", re.IGNORECASE)
+
+_MONTHS = "jan feb mar apr may jun jul aug sep oct nov dec".split()  # noqa: SIM905
+_OTHER_MONTHS = {"mär": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"}
+_NAMED_MONTH = re.compile(
+    r"(?:[^\W\d_]{2,3}[,.]? +)?(?:(\d{1,2})[-. /]+)?([^\W\d_]{3})[^\W\d_]*[-. /]+(?:(\d{1,2}),? +)?"
+    r"(\d{4}|\d\d)(?=[ ,T])"
+)
+
+
+def _stamp(text: str) -> re.Match[str] | None:
+    """A date or time of day; a month may have a name: ``14-Mar-26 08:12:33``, ``Mar 14, 2026``."""
+    named = _NAMED_MONTH.match(text)
+    if named and bool(named[1]) != bool(named[3]):
+        month = _OTHER_MONTHS.get(named[2].lower(), named[2].lower())
+        if month in _MONTHS:
+            number = _MONTHS.index(month) + 1
+            text = f"{named[1] or named[3]}.{number}.{named[4]}{text[named.end() :]}"
+    return _STAMP.fullmatch(text)
 
 
 def is_date(text: str) -> bool:
     """Whether the text is a date or a time of day, and not a number (20260301)."""
-    return ":" in text and _STAMP.fullmatch(text.strip()) is not None
+    return ":" in text and _stamp(text.strip()) is not None
 
 
 def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str]) -> FloatArray:
@@ -135,7 +154,7 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
         if not text:
             time.append(math.nan)
             continue
-        stamp = _STAMP.fullmatch(text)
+        stamp = _stamp(text)
         read = stamp and _of_stamp(stamp, days)
         if read is None or (form is not None and read[2] != form):
             raise RecordingError(
@@ -246,6 +265,8 @@ class ArrayTable:
         Of a text, the line that each row is in, from 1, shape (n,).
     step_s
         Time from row to row, where the file states it.
+    one_origin
+        Whether all clocks count from the same instant.
     """
 
     file: str
@@ -256,6 +277,7 @@ class ArrayTable:
     repairs: Mapping[str, int] = field(default_factory=dict)
     lines: NDArray[np.int64] | None = None
     step_s: float | None = None
+    one_origin: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -269,6 +291,31 @@ class ArrayTable:
         rows = max(values.size for values in self.arrays.values())
         time = np.arange(rows) * (1.0 if self.step_s is None else self.step_s)
         return replace(self, arrays={TIME: time, **self.arrays})
+
+    def at_shared_stamps(self, names: Sequence[str], most: float = math.inf) -> ArrayTable:
+        """These columns alone, at the stamps of any of their clocks, with nothing where they have
+        no value; the same table where the clocks are one, cannot be compared, or one has more than
+        ``most`` times as many stamps as another."""
+        clocks = [*dict.fromkeys(self.clocks[n] for n in names if n in self.clocks)]
+        times = {clock: self.arrays[clock] for clock in clocks}
+        if len(clocks) < 2 or not self.one_origin or not all(map(_increases, times.values())):
+            return self
+        sizes = [t.size for t in times.values()]
+        if max(t[0] for t in times.values()) >= min(t[-1] for t in times.values()):
+            return self
+        if max(sizes) > most * min(sizes):
+            return self
+        stamps = np.unique(np.concatenate([*times.values()]))
+        shared = next((name for name in names if name in times), clocks[0])
+        arrays: dict[str, AnyArray] = {shared: stamps}
+        for name in names:
+            if name not in times and name in self.clocks and name not in self.withheld:
+                values = self.arrays[name]
+                kind, missing = (values.dtype, b"") if values.dtype.kind == "S" else (float, np.nan)
+                arrays[name] = np.full(stamps.size, missing, dtype=kind)
+                arrays[name][np.searchsorted(stamps, times[self.clocks[name]])] = values
+        units = {name: unit for name, unit in self.units.items() if name in arrays}
+        return replace(self, arrays=arrays, units=units, clocks=dict.fromkeys(arrays, shared))
 
     def place(self, row: int, column: str) -> str:
         """Where a value is, in words."""
@@ -293,9 +340,22 @@ class ArrayTable:
         if values.dtype.kind not in "OSU":
             return None
         texts = [_text(value) for value in values.tolist()]
-        if not is_date(next((text for text in texts if text), "")):
+        if not is_date(next(filter(None, texts), "")):
             return None
-        return seconds_of_dates(texts, self.file, lambda row: self.place(row, column))
+        seconds = seconds_of_dates(texts, self.file, lambda row: self.place(row, column))
+        return self._with_milliseconds(seconds)
+
+    def _with_milliseconds(self, seconds: FloatArray) -> FloatArray:
+        """Whole seconds, shape (n,), and the milliseconds of a column of their own, with which they
+        increase: ``Date,Time,Millitm``."""
+        if np.any(seconds % 1.0 != 0.0) or np.all(np.diff(seconds) > 0.0):
+            return seconds
+        for name, values in self.arrays.items():
+            if _MILLISECONDS.search(name) and values.dtype.kind in "iuf":
+                whole = seconds + 1e-3 * values
+                if values.min() >= 0 and values.max() < 1000 and np.all(np.diff(whole) > 0.0):
+                    return np.asarray(whole - whole[0])
+        return seconds
 
     def numbers(self, columns: Sequence[str]) -> FloatArray:
         """Values of some columns, shape (n, len(columns)); missing ones are NaN.
@@ -412,6 +472,10 @@ class Group:
     withheld: Mapping[str, str] = field(default_factory=dict)
 
 
+def _increases(stamps: AnyArray) -> bool:
+    return stamps.dtype.kind in "iuf" and stamps.size > 0 and bool(np.all(np.diff(stamps) > 0))
+
+
 def numbered(names: Sequence[str]) -> list[str]:
     """The names, all that come several times numbered: ``n (1)``, ``n (2)``; empty ones stay."""
     times = Counter(names)
@@ -428,10 +492,19 @@ def numbered(names: Sequence[str]) -> list[str]:
     return unique
 
 
+_CLOCK = re.compile(
+    r"\W*(?:t|time|time ?stamp|zeit|temps|tempo)(?:_?(?:s|ms|us|ns)|\s*[\[(/].*)?", re.IGNORECASE
+)
+
+
 def table_of_groups(
-    file: Path, groups: Sequence[Group], *, always_prefixed: bool = False
+    file: Path,
+    groups: Sequence[Group],
+    *,
+    always_prefixed: bool = False,
+    one_origin: bool = False,
 ) -> ArrayTable:
-    """All columns of all groups, each with its clock.
+    """All columns of all groups, each with its clock: its time, or else a column called so.
 
     Groups of one name are numbered. A name that only one group has stays as it is, others become
     ``GROUP/NAME``: all of them with ``always_prefixed``. The clock of a group is ``time_s`` among
@@ -458,9 +531,14 @@ def table_of_groups(
         stated = {name: unit for name, unit in group.units.items() if name in columns}
         units |= {full[name]: unit for name, unit in stated.items() if unit.strip()}
         withheld |= {full[name]: reason for name, reason in group.withheld.items()}
-        if TIME in columns:
-            clocks |= dict.fromkeys(full.values(), full[TIME])
-    return ArrayTable(str(file), arrays, units, clocks, withheld)
+        called = [name for name in columns if name != TIME and _CLOCK.fullmatch(name)]
+        increasing = (
+            n for n in called if columns[n].dtype.kind not in "iuf" or _increases(columns[n])
+        )
+        clock = TIME if TIME in columns else next(increasing, None) if len(groups) > 1 else None
+        if clock is not None:
+            clocks |= dict.fromkeys(full.values(), full[clock])
+    return ArrayTable(str(file), arrays, units, clocks, withheld, one_origin=one_origin)
 
 
 def _text(value: object) -> str:

@@ -93,7 +93,7 @@ def choose_columns(table: ArrayTable, specs: Mapping[str, ColumnSpec]) -> list[C
             found=_listed(tuple(name for name in names if name in tied)) + " as their times",
             expected="columns of one joint, topic or group",
         )
-    if TIME not in channels and tied:
+    if TIME not in channels and next(iter(tied), "").endswith(TIME):
         channels[TIME] = Column(tied.pop(), TIME, "s")
     if TIME not in channels:
         raise _missing_column(table, TIME)

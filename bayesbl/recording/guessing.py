@@ -45,9 +45,9 @@ from bayesbl.units import (
 _NAMES_OF: Mapping[str, str] = MappingProxyType(
     {
         TIME: "t time timestamp stamp zeit temps tempo clock sample samples",
-        MOTOR_SPEED: "speed velocity vel omega w rpm erpm drehzahl n dq qd",
-        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q aipos twist "
-        "torsion deflection displacement messuhr",
+        MOTOR_SPEED: "speed velocity vel omega w rpm erpm drehzahl n dq qd qvel",
+        MOTOR_POSITION: "position pos angle theta phi encoder enc winkel lage geber q qpos aipos "
+        "twist torsion deflection displacement messuhr",
         MOTOR_CURRENT: "current cur i iq strom amps macur",
         MOTOR_TORQUE: "torque tau trq moment drehmoment effort force kraft",
     }
@@ -66,6 +66,9 @@ _BESIDE = (
     "ina"  # a monitor of the supply is called by its chip: INA219
 )
 """What stands beside a channel under its name and is another quantity."""
+
+_ELECTRICAL = "electrical electric elec el elektrisch elektrische"
+"""Of a speed or an angle: as many times the motor's as it has pole pairs."""
 
 _FILTERED = "filtered filt smooth smoothed avg mean"
 _CLOCKS = "ms us ns msec usec millis micros"
@@ -116,9 +119,17 @@ _USUAL_RATES_HZ = (10.0, 5e4)
 _THESE_YEARS = (631152000.0, 4102444800.0)
 """1990 to 2100 in seconds since 1970."""
 
-_STARTS_OF_TICKS = (11644473600.0, 62135596800.0)
-"""Seconds before 1970 from which Windows and .NET count their ticks of 100 ns."""
+_STARTS: Mapping[str, tuple[float, ...]] = MappingProxyType(
+    {
+        "100 ns": (11644473600.0, 62135596800.0),
+        "datenum": (86400.0 * 25569, 86400.0 * 719529),
+        "86.4 ms": (86400.0 * 25569,),
+    }
+)
+"""Seconds before 1970 from which Windows and .NET count ticks, Excel and MATLAB days, and WinCC
+millionths of a day; each of these is a unit only of times that are then of these years."""
 
+_UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", *_STARTS)
 _SHORTEST_S, _LONGEST_S = 0.5, 7200.0
 _USUAL_SPEEDS_RPM = (30.0, 2e4)
 _SWITCHED = (MOTOR_SPEED, MOTOR_POSITION, MOTOR_CURRENT, MOTOR_TORQUE, LOAD_POSITION, _LOAD_TORQUE)
@@ -235,6 +246,14 @@ class _Named:
         return self.table.timestamps(self.name)
 
     @property
+    def has_dates(self) -> bool:
+        """Whether it holds nothing but dates."""
+        try:
+            return self.stamps is not None
+        except RecordingError:
+            return False
+
+    @property
     def is_flag(self) -> bool:
         """Whether it says no more than yes and no."""
         return bool(np.all(np.isin(self.values, (0.0, 1.0))))
@@ -259,6 +278,15 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     named = _of_joint(table, joint)
     chosen = _by_name(named)
     tied = {table.clocks.get(column.name) for column in chosen.values()} - {None}
+    if len(tied) > 1:
+        of_joint = [column.name for column in named if _channel(column) is not None]
+        joined = table.at_shared_stamps(of_joint)
+        if joined is not table:
+            return _of_joined(guess_columns(joined, joint), joined, table)
+        first = next(c for c in (MOTOR_SPEED, MOTOR_POSITION, *chosen) if c in chosen)
+        clock_of_first = table.clocks.get(chosen[first].name)
+        named = [c for c in named if table.clocks.get(c.name) in (None, clock_of_first)]
+        chosen, tied = _by_name(named), {clock_of_first} - {None}
     if len(tied) == 1:
         (clock,) = tied
         chosen[TIME] = next(column for column in named if column.name == clock)
@@ -299,6 +327,8 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     table.samples_of([chosen[channel].name for channel in held])
     units = _units(chosen, held)
     guesses = [_stated(channel, chosen[channel], units) for channel in held]
+    if asked := _unlike_dates(chosen[TIME], named, guesses):
+        guesses = _changed(guesses, TIME, unit=UNKNOWN, reason=asked, sure=True)
     if chosen.keys().isdisjoint((MOTOR_SPEED, MOTOR_POSITION)):
         guesses.append(GuessedColumn(MOTOR_POSITION, UNKNOWN, UNKNOWN, NO_NAME, True))
     motors = [c for c in ramps.values() if c.is_called(_MOTOR) and c.name not in CHANNELS]
@@ -317,6 +347,17 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
         "torque_ramp" if ramps else "two_encoders" if both else "",
         bool(motors),
     )
+
+
+def _of_joined(guess: Guess, joined: ArrayTable, table: ArrayTable) -> Guess:
+    """Without spare columns that have fewer values than those that are needed: the slowest column
+    sets the times of all."""
+    counts = {name: np.isfinite(joined.numbers([name])).sum() for name in joined.columns}
+    needed = [counts[c.name] for c in guess.columns if c.needed and c.name in counts]
+    columns = [c for c in guess.columns if c.needed or counts[c.name] >= min(needed)]
+    taken = {column.name for column in columns}
+    unused = tuple(name for name in table.columns if name not in taken)
+    return replace(guess, columns=tuple(columns), unused=unused)
 
 
 def _of_joint(table: ArrayTable, joint: str | None) -> list[_Named]:
@@ -543,6 +584,10 @@ def _named(table: ArrayTable, name: str, group: str = "", sides: str = "") -> _N
     if stated.unknown and table.timestamps(name) is not None:  # time [hh:mm:ss]
         stated = replace(stated, unknown=None)
     words = _words(stated.bare) | (_words(group) & {*sides.split()})
+    unit = stated.unit or "rpm"
+    turns = is_accepted(MOTOR_SPEED, unit) or is_accepted(MOTOR_POSITION, unit)
+    if turns and words & {*_ELECTRICAL.split()}:
+        stated = replace(stated, unit=None, unknown=f"electrical {stated.unit or ''}".strip())
     return _Named(table, name, words, stated)
 
 
@@ -615,7 +660,7 @@ def _by_name(named: Sequence[_Named]) -> dict[str, _Named]:
         return (
             column.name not in exact,
             counted,
-            column.is_called(_FILTERED),
+            column.is_called(f"{_FILTERED} {_ELECTRICAL}"),
             not of_motor,
             is_letter,
         )
@@ -650,11 +695,11 @@ def _stated(
         return GuessedColumn(channel, column.name, _SI[channel], BY_ROS, True)
     if channel == MOTOR_SPEED and column.is_called(_TURNS_BY_MINUTE):
         return GuessedColumn(channel, column.name, "rpm", NO_UNIT, False)
-    # The size of everything hangs on these: their unit is never taken for granted.
-    if channel in (MOTOR_SPEED, MOTOR_POSITION, LOAD_POSITION):
-        asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
-        return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
-    return GuessedColumn(channel, column.name, accepted_units(channel)[0], NO_UNIT, False)
+    if channel == TIME:
+        return GuessedColumn(channel, column.name, "s", NO_UNIT, False)
+    # A share, a count or a number that was scaled looks like any other.
+    asked = f"enter its unit: {_readings(channel, column)}{choice_of_units(channel)}"
+    return GuessedColumn(channel, column.name, UNKNOWN, asked, False)
 
 
 def _readings(channel: str, column: _Named) -> str:
@@ -732,25 +777,48 @@ def _time_unit(column: _Named) -> tuple[str, str] | None:
         return None
     there = column.values[np.isfinite(column.values)]
     steps = np.diff(there)
+    if np.all((there > 1990e10) & (there < 2100e10) & (there % 100 < 60) & (there % 1e6 < 24e4)):
+        return UNKNOWN, f"write its dates with marks: 2026-03-14T08:12:33, not {there[0]:.0f}"
     if np.all(steps == 1.0) and _channel(column) != TIME:
         return UNKNOWN, COUNTS
     step = float(np.median(steps)) or float(np.mean(steps))  # a coarse clock stands still
     usual: dict[str, float] = {}
-    for unit in ("s", "ms", "us", "100 ns", "ns"):
+    for unit in ("s", "ms", "us", "ns", *_STARTS):
         factor = conversion_factor(TIME, unit)
         rate = 1.0 / (step * factor) if step > 0.0 else 0.0
         if not _USUAL_RATES_HZ[0] <= rate <= _USUAL_RATES_HZ[1]:
             continue
         begins = float(there[0]) * factor
-        starts = _STARTS_OF_TICKS if unit == "100 ns" else (0.0,)
+        starts = _STARTS.get(unit, (0.0,))
         if any(_THESE_YEARS[0] <= begins - start <= _THESE_YEARS[1] for start in starts):
             return unit, f"its years, and a sampling rate of {rate:.4g} Hz"
-        if unit != "100 ns" and _SHORTEST_S <= factor * step * steps.size <= _LONGEST_S:
+        if unit not in _STARTS and _SHORTEST_S <= factor * step * steps.size <= _LONGEST_S:
             usual[unit] = rate
     readings = [f"{rate:.4g} Hz in {unit}" for unit, rate in usual.items()]
     if len(usual) > 1:
         return UNKNOWN, f"enter its unit: a sampling rate of {' or '.join(readings)}"
+    if not usual and 0.0 < step < 1.0 / _USUAL_RATES_HZ[1]:
+        units = choice_of_units(TIME)
+        return UNKNOWN, f"enter its unit: in s it would be sampled at {1.0 / step:.4g} Hz; {units}"
     return next(((unit, f"a sampling rate of {rate:.4g} Hz") for unit, rate in usual.items()), None)
+
+
+def _unlike_dates(clock: _Named, beside: Sequence[_Named], guesses: Sequence[GuessedColumn]) -> str:
+    """Asks for a unit in which a time of numbers is as long as the dates beside it, if in its own
+    it is not."""
+    unit = next(c.unit for c in guesses if c.channel == TIME)
+    dates = next((c for c in beside if c.has_dates), None)
+    if unit == UNKNOWN or dates is None or clock.stamps is not None:
+        return ""
+    steps, own = (np.diff(c.values[np.isfinite(c.values)]) for c in (dates, clock))
+    tick, long_s = float(steps.max(initial=0.0)), float(steps.sum())
+    lasts = {u: conversion_factor(TIME, u) * float(own.sum()) for u in (unit, *_UNITS_OF_TIME)}
+    agree = [u for u, s in lasts.items() if abs(s - long_s) <= tick + _AGREEMENT * long_s]
+    if long_s <= 0.0 or unit in agree:
+        return ""
+    found = f'{lasts[unit]:.3g} s in {unit}, but {long_s:.3g} s by the dates in "{dates.name}"'
+    fitting = " or ".join(f'"{u}"' for u in agree) or choice_of_units(TIME)
+    return f"enter its unit: it lasts {found}; write {fitting}"
 
 
 def _series(column: _Named) -> FloatArray:

@@ -144,7 +144,7 @@ def answer(request: dict[str, object]) -> None:
 
 
 _ERROR = ("problem", "file", "where", "found", "expected")
-_NAMED = ("file", "units", "clocks", "withheld", "repairs")
+_NAMED = ("file", "units", "clocks", "withheld", "repairs", "one_origin")
 
 
 def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:

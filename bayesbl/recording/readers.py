@@ -7,6 +7,7 @@ Only what any task needs is checked here; rotations, sampling and the like are i
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
@@ -33,6 +34,7 @@ from bayesbl.recording.formats import FORMATS, Format
 from bayesbl.recording.input_bytes import input_or_refusal, stem_of, suffix_of, unpacked
 from bayesbl.recording.own_process import parsed_apart
 from bayesbl.recording.repairs import (
+    MOST_SPARED,
     at_shared_times,
     bridge,
     held,
@@ -96,6 +98,8 @@ def read_recording(
     table, sha256 = _parsed(path)
     if TIME not in (columns or {}) and not (timed and table.step_s is None):
         table = table.numbered()
+    mapped = [spec.name for spec in (columns or {}).values()]
+    table = table.at_shared_stamps(mapped, MOST_SPARED if even else math.inf)
     time_column, *others = choose_columns(table, columns or {})
     repairs = Counter(table.repairs)
     stamps, values = _values(table, time_column, others)

@@ -28,13 +28,12 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, pairwise
+from itertools import accumulate, pairwise, zip_longest
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesbl.errors import RecordingError, shortened
 from bayesbl.recording.array_table import (
@@ -51,10 +50,10 @@ from bayesbl.recording.array_table import (
     numbered,
     parted,
 )
-from bayesbl.recording.channels import TIME
+from bayesbl.recording.channels import MOTOR_SPEED, TIME
 from bayesbl.recording.input_bytes import require_memory
 from bayesbl.recording.types import FloatArray
-from bayesbl.units import conversion_factor, is_unit, spelled
+from bayesbl.units import conversion_factor, is_accepted, is_unit, spelled
 
 _SEPARATORS = ("\t", ";", ",", "|", " ")
 _BRACKETS = re.compile(r"[(\[{][^()\[\]{}]*[)\]}]")
@@ -64,13 +63,17 @@ _OPEN = re.compile(r'(?:^|[\t;,|])\s*"[^"]+$')
 _COMMENT = ("#", "%", "//")
 _REMARKS = ("comment", "comments", "kommentar")
 _UNITS, _LABELS = r"^(?![hx]).*(?:unit|einheit)", r"^(?:trace|channel|signal)?.?(?:name|label)s?$"
+_SCALES = r"scal|skal|fa[ck]tor|offset|gain|multiplier"
 _STEP = re.compile(
     r"\W*(?:(?P<rate>(?:sampl(?:e|ing)|scan).?(?:rate|frequency)|abtastrate)|abtast\w*"
-    r"|delta.?x|x?.?increment|d[tx]"
+    r"|delta.?x|[xt].?inc|x?.?increment|d[tx]"
     r"|(?:sampl(?:e|ing)|scan|record(?:er|ing)?|trace).?(?:time|interval|period|resolution))"
     r"\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*[:=]?\s*(?P<value>.*)",
     re.IGNORECASE,
 )
+_LONGEST_STEP_S = 0.1
+"""Without a unit, a longer one may be in ms."""
+
 MOST_ABOVE = 50
 """Lines that are not blank in which the first sample is looked for."""
 MOST_COLUMNS = 1000
@@ -220,6 +223,8 @@ def layout_of(
     for i in above:
         if head[i].lstrip().startswith(_COMMENT):
             cut[i] = _split(head[i].lstrip().lstrip("#%/").strip(), separator)
+        if any(len(cut[j]) == len(cut[i]) for j in above[: above.index(i)]):
+            cut[i] = _of_one_key(cut[i])
         if len(cut[i]) == width + 1 and cut[i][-1].lower() in _REMARKS:
             cut[i].pop()  # LabVIEW ends its header so, and no line of samples
     above_cells = [cut[i] for i in above]
@@ -243,9 +248,14 @@ def layout_of(
         return Layout(separator, unnamed, mark, stated, begin=begin, step_s=step_s)
     last, names, units = found
     units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells)
+    scales = [cell if cell not in ("0", "1") else "" for cell in _of_key(_SCALES, above_cells)]
+    if any(scales):  # which may have been applied or not
+        both = zip_longest(units, scales[: len(names)], fillvalue="")
+        units = tuple(f"{u} (scale {scale})" if is_bare_number(scale) else u for u, scale in both)
     if found[2] or not any(labels):
         labels = ()
-    names = tuple(map(" ".join, zip(labels, names, strict=False))) + names[len(labels) :]
+    pairs = zip(labels, names, strict=False)
+    names = tuple(n if n == label else f"{label} {n}" for label, n in pairs) + names[len(labels) :]
     names = tuple(name.strip() or f"column {i}" for i, name in enumerate(names, 1))
     header = tuple(tuple(cut[i]) for i in above[max(0, last - 1) : last + 1])
     return Layout(separator, names, mark, units, header, begin, step_s)
@@ -279,10 +289,11 @@ def _header_of(
         of_units = re.match(r"\w*(?:unit|einheit)", cells[0], re.IGNORECASE) if cells else None
         if not any(cells) or (of_units and any(is_unit(spelled(cell)) for cell in cells[1:])):
             continue
-        if len(cells) in widths and not any(map(is_bare_number, cells)):
+        numbers = sum(map(is_bare_number, cells))
+        if len(cells) in widths and not numbers:
             named.append(i)
-        elif len(cells) > 1:
-            named.clear()
+        elif len(cells) > 1 and not 0 < numbers < sum(map(bool, cells)):
+            named.clear()  # by a row of another table, but not by a word and its value
     if not named:
         return None
     names = above[named[-1]]
@@ -295,11 +306,23 @@ def _header_of(
     elif len(set(of_top)) > 1 and len(of_top) == sum(map(bool, on_top)):
         units = on_top
     elif len(set(names)) < len(names) and len(set(filter(None, before))) > 1:
-        # A title over each of several columns that are called alike: "Speed,,Current," over "X,Y".
+        # A title over each of several columns that are called alike: "Speed,,Current," over "X,Y";
+        # or a kind below each of names that are all there: "date,D,D".
+        if len(set(before)) == len(before) and all(before):
+            names = ["" if names.count(name) > 1 else name for name in names]
         titles = accumulate(before, _title_on)
-        names = [f"{title} {name}" for title, name in zip(titles, names, strict=False)]
+        names = [f"{title} {name}".strip() for title, name in zip(titles, names, strict=False)]
     names = [name or f"column {i}" for i, name in enumerate(names, 1)]
     return named[-1], tuple(numbered(names)), tuple(units[: len(names)])
+
+
+def _of_one_key(cells: list[str]) -> list[str]:
+    """The units of a row that says "Unit: rpm" in every cell; nothing of one of another key."""
+    keys = {cell.partition(":")[0] for cell in cells if cell}
+    if len(cells) < 2 or len(keys) != 1 or not all(":" in cell for cell in cells if cell):
+        return cells
+    is_of_units = re.match(_UNITS, keys.pop(), re.IGNORECASE)
+    return [cell.partition(":")[2].strip() for cell in cells] if is_of_units else []
 
 
 def _of_key(words: str, rows: Iterable[Sequence[str]]) -> tuple[str, ...]:
@@ -317,10 +340,12 @@ def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
                 number, unit = parted(held.translate(dict.fromkeys(map(ord, "[]()"))))
                 value = number_in(number, decimal_mark(Path(), [number]))
                 if value and value > 0.0 and found is not None:
-                    unit = unit or spelled(found["unit"] or "")
-                    if found["rate"]:
-                        return 1.0 / value
-                    return value * (conversion_factor(TIME, unit) if is_unit(unit) else 1.0)
+                    channel, usual = (MOTOR_SPEED, "Hz") if found["rate"] else (TIME, "s")
+                    unit = spelled(unit or found["unit"] or usual)
+                    if is_accepted(channel, unit):
+                        size = value * conversion_factor(channel, unit)
+                        step = 60.0 / size if found["rate"] else size
+                        return step if unit != usual or step <= _LONGEST_STEP_S else None
     return None
 
 
@@ -477,27 +502,21 @@ def _with_one_clock(table: ArrayTable) -> ArrayTable:
     if len(times) < 2 or any(time.dtype.kind != "f" for time in times):
         return table
     new = [np.isfinite(t) & (np.diff(t, prepend=np.nan) != 0.0) for t in times]
-    if not all(
-        np.all(np.diff(t[own]) > 0.0) and own.any() for t, own in zip(times, new, strict=True)
-    ):
-        return table
-    stamps, first = np.unique(
-        np.concatenate([t[own] for t, own in zip(times, new, strict=True)]), return_index=True
-    )
-    lines = np.concatenate([np.flatnonzero(own) for own in new])[first]
-    arrays: dict[str, AnyArray] = {shared: stamps}
-    for name, values in table.arrays.items():
-        if name in clocks:
-            at = clocks.index(name)
-            places = np.searchsorted(stamps, times[at][new[at]])
-        else:
-            missing = np.nan if values.dtype.kind == "f" else b""
-            arrays[name] = np.full(stamps.size, missing, dtype=values.dtype)
-            arrays[name][places] = values[new[at]]
-    units = {shared: table.units[clocks[0]]} if clocks[0] in table.units else {}
-    stated = units | {name: unit for name, unit in table.units.items() if name in arrays}
-    of_lines = None if table.lines is None else table.lines[lines]
-    return replace(table, arrays=arrays, units=stated, lines=of_lines)
+    own = dict(zip(clocks, new, strict=True))
+    behind: list[str] = []
+    for name in table.columns:
+        behind.append(name if name in own else behind[-1])
+    called = {name: shared if name == clocks[0] else name for name in table.columns}
+    of_clock = {called[n]: called[c] for n, c in zip(called, behind, strict=True)}
+    rows = {name: own[clock] for name, clock in zip(called, behind, strict=True)}
+    arrays = {called[n]: values[rows[n]] for n, values in table.arrays.items()}
+    units = {called[n]: unit for n, unit in table.units.items()}
+    apart = replace(table, arrays=arrays, units=units, clocks=of_clock, one_origin=True)
+    stamps = np.concatenate([arrays[called[clock]] for clock in clocks])
+    places = np.concatenate([np.flatnonzero(there) for there in new])
+    lines = None if table.lines is None else table.lines[places[np.unique(stamps, True)[1]]]
+    joined = apart.at_shared_stamps(apart.columns)
+    return table if joined is apart else replace(joined, clocks={}, lines=lines)
 
 
 def _quickly(lines: list[str], layout: Layout) -> FloatArray | None:
@@ -590,6 +609,7 @@ _FORMS = tuple(
     for form in (rf"{_NAME}\s+{_STAMP}", rf"{_STAMP}\s+{_NAME}", rf"(?P<stamp>{_DATE})(?P<name>)")
 )
 _VALUE = re.compile(r"(?:^|[\W_]|(?<=[a-z]))(?:value|val|wert)$", re.IGNORECASE)
+_KEY = re.compile(r"tag|name|signal|variable|field|joint|axis|achse|motor_?id|node", re.IGNORECASE)
 _MOST_NAMES = 64
 _ALIKE = 0.8
 """Share of the first lines that are events, from which the text is a log of them."""
@@ -626,55 +646,95 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
     table = ArrayTable(str(file), {"stamp": stamps}, {}, {}, {}, repairs, np.array([*events]))
     time = table.timestamps("stamp")
     time = stamps.astype(float) if time is None else time
-    return _of_events(table, "time_s", time - time.min(), names, values)
+    return _of_events(table, "time_s", time - time.min(), names, {"": values})
 
 
 def in_columns(table: ArrayTable) -> ArrayTable:
-    """A column for each name, of a table with a value a line, as historians and InfluxDB write it.
+    """A column for each name, of a table with a value a line, as historians and InfluxDB write it,
+    or with a line for each joint.
 
     ::
 
         TagName,Timestamp,Value,Quality
         J3.Position,2026-03-14T08:12:33.005Z,1.12222,192
     """
-    held = [n for n, v in table.arrays.items() if _VALUE.search(n) and v.dtype.kind == "f"]
-    texts = [n for n, v in table.arrays.items() if v.dtype.kind == "S"]
-    if len(held) != 1 or not texts:
-        return table
-    found: tuple[str, AnyArray, NDArray[np.intp]] | None = None
-    for name in texts:
-        words, index = np.unique(table.arrays[name], return_inverse=True)
-        several = (1 if found is None else found[1].size) < words.size <= _MOST_NAMES
-        if several and np.bincount(index).min() >= 2 and table.timestamps(name) is None:
-            found = name, words, index
-    if found is None:
-        return table
-    for name, stamps in table.arrays.items():
-        time = table.timestamps(name)
-        if time is None and stamps.dtype.kind == "f":
-            time = stamps
-        if time is not None and np.all(np.diff(time[found[2] == 0]) > 0.0):
-            called = "time_s" if stamps.dtype.kind == "S" else name
-            names = np.array([word.decode() for word in found[1]])[found[2]]
-            return _of_events(table, called, time, names, table.arrays[held[0]])
+    numbers = {n: v for n, v in table.arrays.items() if v.dtype.kind == "f"}
+    held = {n: v for n, v in numbers.items() if _VALUE.search(n)}
+    values = [*held.values()]
+    if all(np.array_equal(values[0], v, equal_nan=True) for v in values[1:]):
+        values = values[:1]
+    keys = []
+    for name, cells in table.arrays.items():
+        is_called, is_text = _KEY.search(name) is not None, cells.dtype.kind == "S"
+        if name in held or not (is_called or is_text) or (is_text and _are_dates(cells)):
+            continue
+        words, index, times = np.unique(cells, return_inverse=True, return_counts=True)
+        repeats = times[times > 1].sum() >= _ALIKE * index.size and words.size <= _MOST_NAMES
+        if repeats and (is_called or (values and words.size > 1)):
+            keys.append(((not is_called, -words.size), name, words, index, times))
+    dates = {n: t for n in table.columns if keys and (t := table.timestamps(n)) is not None}
+    for _, name, words, index, times in sorted(keys, key=lambda key: key[0]):
+        key = np.array([w.decode() if isinstance(w, bytes) else f"{w:g}" for w in words])[index]
+        most = index == np.argmax(times)
+        for clock, time in (dates | {n: v for n, v in numbers.items() if n not in held}).items():
+            if clock == name or not np.all(np.diff(time[most]) > 0.0):
+                continue
+            columns = {"": values[0]} if len(values) == 1 else {}
+            turns = np.mean(index[1:] != index[:-1]) > 0.5 or np.any(np.diff(time) <= 0.0)
+            if not values and words.size > 1 and turns:
+                columns = {f"/{n}": v for n, v in numbers.items() if n not in (clock, name)}
+            if columns:
+                called = "time_s" if clock in dates else clock
+                return _beside_dates(_of_events(table, called, time, key, columns), dates, time)
     return table
 
 
-def _of_events(
-    table: ArrayTable, clock: str, time: FloatArray, names: AnyArray, values: FloatArray
+def _are_dates(cells: AnyArray) -> bool:
+    return is_date(next(filter(None, cells.tolist()), b"").decode())
+
+
+def _beside_dates(
+    events: ArrayTable, dates: Mapping[str, FloatArray], time: FloatArray
 ) -> ArrayTable:
-    """Columns over all stamps from the first at which every name has a value; all shapes (n,)."""
+    """With the dates that are too coarse to be the clock: they may say in what it counts."""
+    clock = next(iter(events.arrays))
+    if clock == "time_s" or not dates:
+        return events
+    name, seconds = next(iter(dates.items()))
+    order = np.argsort(time, kind="stable")
+    rows = order[np.searchsorted(time[order], events.arrays[clock])]
+    stamps = np.datetime64(0, "ns") + (1e9 * seconds[rows]).astype("m8[ns]")
+    return replace(events, arrays={name: stamps, **events.arrays})
+
+
+def _of_events(
+    table: ArrayTable,
+    clock: str,
+    time: FloatArray,
+    names: AnyArray,
+    columns: Mapping[str, FloatArray],
+) -> ArrayTable:
+    """Columns over all stamps from the first at which every name has a value; all shapes (n,).
+
+    A value is held until the next one of its name. Lines of several values (``NAME/velocity``) are
+    samples, and nothing is held.
+    """
     repairs = Counter(table.repairs)
     order = np.argsort(time, kind="stable")
-    order = order[np.isfinite(values[order])]
+    order = order[np.any([np.isfinite(values[order]) for values in columns.values()], axis=0)]
     of_name = {name: order[names[order] == name] for name in dict.fromkeys(names.tolist())}
     of_name = {name: own for name, own in of_name.items() if own.size > 1}
-    rows = np.unique(time)
-    rows = rows[rows >= max((time[own[0]] for own in of_name.values()), default=0.0)]
-    columns: dict[str, AnyArray] = {clock: rows}
+    rows = np.unique(time[np.isin(names, [*of_name])])
+    if "" in columns:
+        rows = rows[rows >= max((time[own[0]] for own in of_name.values()), default=0.0)]
+    arrays: dict[str, AnyArray] = {clock: rows}
     for name, own in of_name.items():
         last = own[np.searchsorted(time[own], rows, "right") - 1]
-        columns[name] = values[last]
-        repairs["value of an event log, held until the next"] += int((time[last] < rows).sum())
+        late = time[last] != rows
+        if "" in columns:
+            arrays[name] = columns[""][last]
+            repairs["value of an event log, held until the next"] += int(late.sum())
+        else:
+            arrays |= {name + key: np.where(late, np.nan, v[last]) for key, v in columns.items()}
     units = {name: unit for name, unit in table.units.items() if name == clock}
-    return ArrayTable(table.file, columns, units, repairs=repairs)
+    return ArrayTable(table.file, arrays, units, repairs=repairs)

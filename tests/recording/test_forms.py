@@ -1317,3 +1317,268 @@ def test_durations_as_pandas_writes_them_are_times(tmp_path: Path) -> None:
     time, speed = guess_columns(read_table(path)).columns
     read = read_recording(path, columns={c.channel: ColumnSpec(c.name) for c in (time, speed)})
     np.testing.assert_allclose(read.time_s, TIME, atol=1e-6)
+
+
+# Forms of plants, historians and oscilloscopes
+
+
+def told(path: Path) -> dict[str, tuple[str, str]]:
+    """Channel to name and unit, as guessed of a file."""
+    return {c.channel: (c.name, c.unit) for c in guess_columns(read_table(path)).columns}
+
+
+def read_as_told(path: Path) -> Recording:
+    """What a user reads who leaves the guesses as they are."""
+    found = told(path).items()
+    return read_recording(path, columns={c: ColumnSpec(*each) for c, each in found})
+
+
+WINCC = np.datetime64("2026-03-14T08:12:33.250", "ms") - np.datetime64("1899-12-30", "ms")
+
+
+@pytest.mark.parametrize("names", [("n_rpm", "i_A"), ("n_rpm",)])
+def test_a_time_that_is_not_as_long_as_the_dates_beside_it_is_a_question(
+    names: tuple[str, ...], tmp_path: Path
+) -> None:
+    # WinCC's Time_ms counts millionths of a day since 1899; its last line is an event.
+    lines = ["VarName;TimeString;VarValue;Validity;Time_ms"]
+    for t, n in PAIRS:
+        stamp = (WINCC.astype(float) + 4e3 * t) / 86.4
+        lines += [
+            f"{name};14.03.2026 08:12:{33 + int(4 * t + 0.25):02d};{n:.3f};1;{stamp:.4f}".replace(
+                ".", ","
+            ).replace("14,03,", "14.03.")
+            for name in names
+        ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*lines, "$RT_OFF$;14.03.2026 08:13:00;0;2;46095342361,1111"]))
+    time = guess_columns(read_table(path)).columns[0]
+    assert (time.name, time.unit) == ("Time_ms", UNKNOWN)
+    assert 's in ms, but 2 s by the dates in "TimeString"; write "86.4 ms"' in time.reason
+    if len(names) > 1:
+        columns = {
+            "time_s": ColumnSpec("Time_ms", "86.4 ms"),
+            "motor_speed_rpm": ColumnSpec("n_rpm"),
+        }
+        read = read_recording(path, columns=columns)
+        np.testing.assert_allclose(read.time_s, 4.0 * TIME, atol=1e-4)
+        np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+
+
+def test_days_of_a_workbook_are_days_and_no_seconds(tmp_path: Path) -> None:
+    for origin in (46095.25, 740000.25):  # of Excel and of MATLAB
+        path = tmp_path / "a.csv"
+        lines = [f"{origin + t / 86400.0:.12f},{n}" for t, n in PAIRS]
+        path.write_text(text(lines, "Time,speed [rpm]"))
+        assert told(path)["time_s"] == ("Time", "datenum")
+        np.testing.assert_allclose(read_as_told(path).time_s, TIME, atol=2e-5)
+    path.write_text(text([f"{5.0 + t / 86400.0:.12f},{n}" for t, n in PAIRS], "Time,speed [rpm]"))
+    assert told(path)["time_s"] == ("Time", UNKNOWN)  # of no year: 86 MHz
+
+
+@pytest.mark.parametrize("name", ["current", "tau"])
+def test_the_unit_of_a_current_or_torque_is_not_made_up(name: str, tmp_path: Path) -> None:
+    # A share of the rated value, or counts of 2.69 mA, look like A.
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{t},{n},{n / 50}" for t, n in PAIRS], f"t [s],n [rpm],{name}"))
+    assert guess_columns(read_table(path)).columns[2].is_spare
+
+
+@pytest.mark.parametrize("form", ["a copy of the value", "a number first", "a growing value"])
+def test_a_historians_clock_is_its_dates(form: str, tmp_path: Path) -> None:
+    path, lines = tmp_path / "a.csv", []
+    for i, (t, n) in enumerate(PAIRS):
+        for k, (name, value) in enumerate((("pos_rev", float(i)), ("speed_rpm", n))):
+            copy = f",{value}" if form == "a copy of the value" else ""
+            first = f"{2 * i + k}," if form == "a number first" else ""
+            lines.append(f"{first}{name},{value}{copy},2026-03-14 08:12:{t:06.3f},192")
+    head = "TagName,Value,DateTime,Quality"
+    head = head.replace("DateTime", "vValue,DateTime") if form == "a copy of the value" else head
+    path.write_text("\n".join(["id," + head if form == "a number first" else head, *lines]))
+    read = read_as_told(path)
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-6)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "%d-%b-%y %H:%M:%S.%f",
+        "%b %d, %Y %H:%M:%S.%f",
+        "%a %b %d %Y %H:%M:%S.%f",
+        "%d %B %Y %H:%M:%S.%f",
+    ],
+)
+def test_months_may_have_names(form: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f'"{clock(t, form)}",{n}' for t, n in PAIRS], "Time,speed [rpm]"))
+    np.testing.assert_allclose(read_as_told(path).time_s, TIME, atol=1e-9)
+
+
+def test_milliseconds_may_have_a_column_of_their_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = [f"{clock(t, '%m/%d/%Y,%H:%M:%S')},{(700 + 1000 * t) % 1000:.0f},{n}" for t, n in PAIRS]
+    path.write_text(text(lines, "Date,Time,Millitm,Speed_rpm"))
+    np.testing.assert_allclose(read_as_told(path).time_s, TIME, atol=1e-9)
+
+
+ABOVE = {
+    "Ignition": '"#NAMES"\n"t_stamp","speed_rpm","i_A"\n"#TYPES"\n"date","D","D"\n"#ROWS","600"',
+    "Simulink": "time_s,speed,i\nUnit: s,Unit: rpm,Unit: A\nInterp: zoh,Interp: zoh,Interp: zoh",
+    "catman": "Zeit,speed,Strom\nSek,1/min,A\nRate: 1,Rate: 1,Rate: 1\nNr: 1,Nr: 2,Nr: 3",
+    "Lenze": "Index,0x606C:speed,0x6078:current\nUnit,rpm,A\nScaling,1,1\nTime [s],Value,Value",
+}
+
+
+@pytest.mark.parametrize("tool", ABOVE)
+def test_rows_about_columns_below_the_names_do_not_hide_these(tool: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{t},{n},{n / 500}" for t, n in PAIRS], ABOVE[tool]))
+    assert [unit for _, unit in told(path).values()] == ["s", "rpm", "A"]
+    np.testing.assert_array_equal(read_as_told(path).motor_speed_rpm, SPEED)
+
+
+def test_an_oscilloscopes_start_and_increment_below_the_names_are_no_sample(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    head = "X,n_mot [rpm],CH2,Start,Increment,\nSequence,Volt,Volt,-6.0e-01,1.0e-03,"
+    path.write_text(text([f"{i},{n:.6E},1.0,," for i, n in enumerate(SPEED)], head))
+    assert told(path) == {"motor_speed_rpm": ("n_mot [rpm]", "rpm")}
+    read = read_as_told(path)
+    np.testing.assert_allclose(read.time_s, TIME, atol=1e-9)
+    lines = [f"{t},{'∞' if i == 300 else n}" for i, (t, n) in enumerate(PAIRS)]
+    path.write_text(text(lines), encoding="utf-8")  # PicoScope, beyond its range
+    assert read_recording(path).excluded is not None
+
+
+def test_a_table_of_names_beside_rows_and_an_index_are_columns_of_json(tmp_path: Path) -> None:
+    path, names = tmp_path / "a.json", ["time_s", "speed_rpm"]
+    series = {"columns": names, "values": [[t, n] for t, n in PAIRS]}
+    indexed = {name: dict(enumerate(v)) for name, v in zip(names, (TIME, SPEED), strict=True)}
+    for content in ({"results": [{"series": [series]}]}, series, indexed):
+        path.write_text(json.dumps(content))
+        np.testing.assert_array_equal(read_as_told(path).motor_speed_rpm, SPEED)
+
+
+def test_hdf5_and_records_of_numpy_are_tables(tmp_path: Path) -> None:
+    import h5py
+
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["log/pose"] = np.column_stack([SPEED, SPEED / 2.0])
+        for name, values, unit in (("time", 1e3 * TIME, "ms"), ("speed", SPEED, "rpm")):
+            file[f"log/{name}"] = values
+            file[f"log/{name}"].attrs["units"] = unit
+    assert read_table(path).columns == ("pose(:,1)", "pose(:,2)", "speed", "time")
+    np.testing.assert_allclose(read_as_told(path).time_s, TIME, atol=1e-9)
+    np.testing.assert_array_equal(read_as_told(path).motor_speed_rpm, SPEED)
+    path = tmp_path / "a.npz"
+    kind = [("time_s", float), ("motor_speed_rpm", float)]
+    np.savez(path, log=np.array(PAIRS, dtype=kind))
+    np.testing.assert_array_equal(read_recording(path).motor_speed_rpm, SPEED)
+
+
+def test_groups_of_one_origin_are_put_to_shared_times(tmp_path: Path) -> None:
+    import asammdf
+
+    path = tmp_path / "a.mf4"
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(SPEED, TIME, name="speed", unit="rpm")])
+        file.append([asammdf.Signal(TIME, TIME + 4e-4, name="current", unit="A")])
+        file.append([asammdf.Signal(TIME[::5], TIME[::5], name="torque", unit="Nm")])
+        file.save(path, overwrite=True)
+    assert "motor_torque_nm" not in told(path)  # five times slower, and not needed
+    read = read_as_told(path)
+    np.testing.assert_array_equal(read.motor_speed_rpm, SPEED[1:])
+    np.testing.assert_allclose(read.channels["motor_current_a"], TIME[1:] - 4e-4, atol=1e-9)
+
+
+def test_a_groups_own_column_of_times_is_its_clock(tmp_path: Path) -> None:
+    import nptdms
+
+    path = tmp_path / "a.tdms"
+    groups = {
+        "A": {"Time": TIME, "Current": SPEED / 500.0},
+        "B": {"Time": 2.0 * TIME, "Speed": SPEED},
+    }
+    units = {"Time": "s", "Current": "A", "Speed": "rpm"}
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment(
+            [
+                nptdms.ChannelObject(group, name, values, properties={"unit_string": units[name]})
+                for group, columns in groups.items()
+                for name, values in columns.items()
+            ]
+        )
+    assert told(path) == {"time_s": ("B/Time", "s"), "motor_speed_rpm": ("Speed", "rpm")}
+    wrong = {"time_s": ColumnSpec("A/Time"), "motor_speed_rpm": ColumnSpec("Speed")}
+    with pytest.raises(RecordingError, match="not sampled together"):
+        read_recording(path, columns=wrong)
+
+
+def test_a_row_of_scales_makes_the_units_a_question(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    head = "Signal;Time;N_ACT;I_ACT\nUnit;ms;1/min;A\nFactor;1;0,1;0,001"
+    path.write_text(text([f";{1e3 * t:.0f};{10 * n:.0f};4000" for t, n in PAIRS], head))
+    time, speed, current = guess_columns(read_table(path)).columns
+    assert (time.unit, speed.is_open, current.is_spare) == ("ms", True, True)
+    assert '"1/min (scale 0,1)"' in speed.reason
+
+
+@pytest.mark.parametrize(
+    "name", ["Electrical Speed [rpm]", "omega_el [rad/s]", "Drehzahl elektrisch"]
+)
+def test_an_electrical_speed_is_a_question_and_comes_after_the_mechanical(
+    name: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{t},{4 * n}" for t, n in PAIRS], f"t [s],{name}"))
+    speed = guess_columns(read_table(path)).columns[1]
+    assert speed.is_open
+    assert '"rpm/7" (of 7 pole pairs)' in speed.reason
+    path.write_text(text([f"{t},{4 * n},{n}" for t, n in PAIRS], f"t [s],{name},Speed [rpm]"))
+    assert told(path)["motor_speed_rpm"] == ("Speed [rpm]", "rpm")
+
+
+@pytest.mark.parametrize(
+    ("above", "step_s"),
+    [("Sample rate,1 kHz", 1e-3), ("Sampling rate [kHz],2", 5e-4), ("Scan rate,500", 2e-3)],
+)
+def test_a_stated_rate_has_a_unit(above: str, step_s: float, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{n},{n / 500}" for n in SPEED], f"{above}\nSpeed [rpm],Current [A]"))
+    assert read_as_told(path).sampling_period_s == pytest.approx(step_s)
+
+
+def test_a_step_of_one_without_a_unit_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text([f"{n},4" for n in SPEED], "Sampling period,1\nSpeed [rpm],i [A]"))
+    with pytest.raises(RecordingError, match="No column looks like time"):
+        told(path)
+
+
+@pytest.mark.parametrize("form", ["joint_{}", "{}"])
+def test_a_line_for_each_joint_is_not_one_joint(form: str, tmp_path: Path) -> None:
+    path, joints = tmp_path / "a.csv", [form.format(joint) for joint in (1, 2, 3)]
+    late = 2e-4 if form == "{}" else 0.0
+    lines = [
+        f"{t + late * k:.4f},{joint},{k * n}" for t, n in PAIRS for k, joint in enumerate(joints, 1)
+    ]
+    path.write_text(text(lines, "time,joint,speed_rpm"))
+    with pytest.raises(RecordingError, match="several joints"):
+        told(path)
+    columns = {
+        "time_s": ColumnSpec("time"),
+        "motor_speed_rpm": ColumnSpec(f"{joints[1]}/speed_rpm"),
+    }
+    read = read_recording(path, columns=columns)
+    np.testing.assert_allclose(read.motor_speed_rpm, 2.0 * SPEED)
+    np.testing.assert_allclose(read.time_s, TIME + 2.0 * late)
+
+
+def test_dates_in_digits_are_no_milliseconds(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    stamps = [f"202603140812{i:02d}" for i in range(60)]
+    path.write_text(text([f"{s},{n}" for s, n in zip(stamps, SPEED, strict=False)], "Time,n [rpm]"))
+    time = guess_columns(read_table(path)).columns[0]
+    assert time.unit == UNKNOWN
+    assert "2026-03-14T08:12:33" in time.reason

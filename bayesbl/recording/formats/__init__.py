@@ -78,6 +78,7 @@ _EVERY = (
         signatures=((0, b"{"), (0, b"["), (0, b"\xef\xbb")),
     ),
     Format("MATLAB", (".mat",), ".matlab", signatures=(*_MAT_5, *SIGNATURES, *_MAT_4)),
+    Format("HDF5", (".h5", ".hdf5"), ".matlab", signatures=SIGNATURES),
     Format("NumPy", (".npz",), ".matlab", signatures=((0, b"PK\x03\x04"),)),
     Format("MDF", (".mf4", ".mdf"), ".mdf", "asammdf", ((0, b"MDF "), (0, b"UnFinMF"))),
     Format(

@@ -60,11 +60,28 @@ def read(file: Path, data: bytes) -> ArrayTable:
     return ArrayTable(str(file), arrays)
 
 
+def _named(content: dict[str, Any]) -> dict[str, Any]:
+    """Rows of values as columns by their names, where a list of as many texts is beside them."""
+    lists = [v for v in content.values() if isinstance(v, list) and v]
+    rows = next((v for v in lists if all(isinstance(row, list) for row in v)), [])
+    widths = {len(row) for row in rows}
+    for names in lists:
+        if {len(names)} == widths and all(isinstance(name, str) for name in names):
+            return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+    return content
+
+
 def _columns(name: str, content: Any, depth: int) -> Iterator[tuple[str, list[Any]]]:
     """Every list of plain values, by the names that lead to it."""
     if depth > _DEEPEST or not content:
         return
-    if isinstance(content, dict):
+    if isinstance(content, list) and len(content) == 1 and isinstance(content[0], (dict, list)):
+        yield from _columns(name, content[0], depth + 1)
+    elif isinstance(content, dict) and len(content) > _LONGEST_LIST and "0" in content:
+        # by pandas' index
+        yield from _columns(name, [*content.values()], depth)
+    elif isinstance(content, dict):
+        content = _named(content)
         for key, value in content.items():
             yield from _columns(f"{name}/{key}" if name else str(key), value, depth + 1)
     elif isinstance(content, list):

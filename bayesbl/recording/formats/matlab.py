@@ -1,4 +1,4 @@
-"""MATLAB files as a table: v5 (and v4) by scipy, v7.3, which is HDF5, by h5py; NumPy's ``.npz``.
+"""MATLAB files as a table: v5 (and v4) by scipy, v7.3 and other HDF5 by h5py; NumPy's ``.npz``.
 
 Vectors of either orientation become columns. Fields of a structure are named as MATLAB names them,
 ``rec.speed``, columns of a matrix ``data(:,2)``; if the file holds nothing but one structure, its
@@ -37,8 +37,9 @@ def read(file: Path, data: bytes) -> ArrayTable:
         If it is no MATLAB file, holds no vector, or is v7.3 and shows what it does not hold itself.
     """
 
+    units: dict[str, str] = {}
     if any(data[at : at + len(mark)] == mark for at, mark in SIGNATURES):
-        variables = _hdf5_variables(file, data)
+        variables = _hdf5_variables(file, data, units)
     elif data.startswith(b"PK"):
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             variables = dict(archive)
@@ -46,6 +47,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
         stored = loadmat(io.BytesIO(data), simplify_cells=True)
         variables = {name: value for name, value in stored.items() if not name.startswith("__")}
     if len(variables) == 1 and isinstance(only := next(iter(variables.values())), dict):
+        units = {name.partition(".")[2]: unit for name, unit in units.items()}
         variables = only
     arrays = dict(_columns(variables))
     if not arrays:
@@ -55,7 +57,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
             found=", ".join(f'"{name}"' for name in variables) or "nothing",
             expected="a vector for each channel; save the columns of tables and timetables as such",
         )
-    return ArrayTable(str(file), arrays)
+    return ArrayTable(str(file), arrays, {name: u for name, u in units.items() if name in arrays})
 
 
 def _columns(
@@ -71,8 +73,10 @@ def _columns(
             places = enumerate(value[:_MOST_COLUMNS], start=1)
             structures = {f"{name}({i})": each for i, each in places if isinstance(each, dict)}
             yield from _columns(structures, prefix, depth)
-        elif not isinstance(value, np.ndarray) or value.dtype.names is not None:
+        elif not isinstance(value, np.ndarray) or (value.dtype.kind == "V" and value.size < 2):
             continue  # a single value, or an object of a class
+        elif value.dtype.names is not None:
+            yield from _columns({key: value[key] for key in value.dtype.names}, prefix, depth)
         elif value.dtype.kind == "O":
             if all(isinstance(cell, str) or np.size(cell) == 0 for cell in value.flat):
                 # A cell array of text: time stamps, perhaps.
@@ -84,10 +88,10 @@ def _columns(
                 yield f"{prefix}{name}(:,{column + 1})", value[:, column]
 
 
-def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
+def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str, Any]:
     require_whole(data, partial(RecordingError, file=file))
 
-    def variables(group: Any, depth: int) -> dict[str, Any]:
+    def variables(group: Any, depth: int, prefix: str = "") -> dict[str, Any]:
         found: dict[str, Any] = {}
         for name in group:
             item = group.get(name)
@@ -95,14 +99,18 @@ def _hdf5_variables(file: Path, data: bytes) -> dict[str, Any]:
                 continue
             if isinstance(item, h5py.Group):
                 if depth < _DEEPEST:
-                    found[name] = variables(item, depth + 1)
+                    found[name] = variables(item, depth + 1, f"{prefix}{name}.")
                 continue
-            kind = item.attrs.get("MATLAB_class", b"double")
-            kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+            kind = item.attrs.get("MATLAB_class")
+            kind = kind.decode() if isinstance(kind, bytes) else kind
             empty = bool(item.attrs.get("MATLAB_empty", 0))
-            if kind in _NUMERIC and item.dtype.kind in "biuf" and not empty:
-                # MATLAB stores by columns, HDF5 by rows.
-                found[name] = np.asarray(item[()]).T
+            fields = [item.dtype[field] for field in item.dtype.names or ()] or [item.dtype]
+            are_numbers = {field.kind for field in fields} <= {*"biuf"}
+            if kind in (None, *_NUMERIC) and are_numbers and not empty:
+                # MATLAB stores by columns, others by rows.
+                found[name] = np.asarray(item[()]) if kind is None else np.asarray(item[()]).T
+                for key in {"unit", "units"} & {*item.attrs}:
+                    units[prefix + name] = str(np.asarray(item.attrs[key]).astype("U"))
         return found
 
     with h5py.File(io.BytesIO(data), "r") as stored:

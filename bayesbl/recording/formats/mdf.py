@@ -30,7 +30,7 @@ def read(file: Path, data: bytes) -> ArrayTable:
     """Every channel of one dimension, in the units after its conversion where that is linear."""
     with asammdf.MDF(io.BytesIO(data)) as stored:
         groups = [_group(stored, number) for number in range(len(stored.groups))]
-        return table_of_groups(file, groups)
+        return table_of_groups(file, groups, one_origin=True)
 
 
 def _scale(conversion: Any) -> tuple[float, float, str]:

@@ -18,19 +18,27 @@ _UNITS = ("unit_string", "NI_UnitDescription")
 def read(file: Path, data: bytes) -> ArrayTable:
     """Every channel; ``GROUP/NAME`` where two groups have one of the same name."""
     stored = nptdms.TdmsFile.read(io.BytesIO(data))
-    groups = [part for group in stored.groups() for part in _groups(group)]
-    return table_of_groups(file, groups)
+    channels = [channel for group in stored.groups() for channel in group.channels()]
+    starts = [c.properties.get("wf_start_time") for c in channels if "wf_increment" in c.properties]
+    dated = all(isinstance(start, np.datetime64) for start in starts)
+    first = min(starts) if dated and starts else None
+    groups = [part for group in stored.groups() for part in _groups(group, first)]
+    return table_of_groups(file, groups, one_origin=first is not None)
 
 
-def _groups(group: Any) -> Iterator[Group]:
+def _groups(group: Any, first: np.datetime64 | None) -> Iterator[Group]:
     """Channels of a group that have one clock: waveforms that start together at one rate.
 
-    Channels that state no increment belong to the only clock, if there is only one.
+    Channels that state no increment belong to the only clock, if there is only one. ``first``: when
+    the first of all starts, if it is known of each.
     """
     channels = {str(channel.name): channel for channel in group.channels()}
     columns = {name: np.asarray(channel[:]) for name, channel in channels.items()}
     clocks = {
         name: (
+            0.0
+            if first is None
+            else (channel.properties["wf_start_time"] - first) / np.timedelta64(1, "s"),
             str(channel.properties.get("wf_start_time", "")),
             float(channel.properties.get("wf_start_offset", 0.0)),
             float(channel.properties["wf_increment"]),
@@ -51,5 +59,5 @@ def _groups(group: Any) -> Iterator[Group]:
     for clock in [*kinds, None]:
         held = {name: columns[name] for name in columns if clocks.get(name) == clock}
         if held:
-            time = None if clock is None else clock[1] + clock[2] * np.arange(clock[3])
+            time = None if clock is None else clock[0] + clock[2] + clock[3] * np.arange(clock[4])
             yield Group(str(group.name), held, time, {n: units[n] for n in held if n in units})
