@@ -836,7 +836,7 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
             shaft = shaft_torque(twist, twist_speed, region, c.sharpness, c)
         else:
             share_of_gap = gap_share(y[MOTOR_ANGLE], twist, p, c)
-            seen = eccentric_twist(y[MOTOR_ANGLE], twist, p, c) / share_of_gap
+            apparent_twist = eccentric_twist(y[MOTOR_ANGLE], twist, p, c) / share_of_gap
             seen_speed = twist_speed
             if p[Slot.gear_transmission_error__angle_rad] != 0.0:
                 order = p[Slot.gear_transmission_error__order]
@@ -846,13 +846,17 @@ def full_right_hand_side(t, y, region, p, c, dy):  # type: ignore[no-untyped-def
                 seen_speed += slope * speed
             # Twist over the gap's share, torque times it: the edges stay where they are.
             sharpness = c.sharpness * share_of_gap
-            shaft = shaft_torque(seen, seen_speed / share_of_gap, region, sharpness, c)
+            shaft = shaft_torque(apparent_twist, seen_speed / share_of_gap, region, sharpness, c)
             shaft *= share_of_gap
-            compression = math.copysign(max(0.0, abs(seen) - c.gap), seen) * share_of_gap
+            compression = (
+                math.copysign(max(0.0, abs(apparent_twist) - c.gap), apparent_twist) * share_of_gap
+            )
             shaft += p[Slot.stiffness_hardening__stiffness_nm_per_rad3] * compression**3
             shaft += exponent_torque(compression, p, c)
             if p[Slot.contact_softness__variance_rad2] > 0.0:
-                shaft += softness_torque(seen * share_of_gap, seen_speed, share_of_gap, p, c)
+                shaft += softness_torque(
+                    apparent_twist * share_of_gap, seen_speed, share_of_gap, p, c
+                )
             shaft += p[Slot.flank_asymmetry__share] * c.stiffness * abs(compression)
             damping = p[Slot.contact_damping__factor_s_per_rad] * c.stiffness * abs(compression)
             shaft += damping * seen_speed

@@ -147,14 +147,14 @@ def sampled_period(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
     instant = kernel.instant_share(parameters)
     fresh = np.zeros(states)
     fresh[kernel.SENSED_SPEED if speed_lag > 0.0 else [kernel.MOTOR_SPEED, kernel.BELT_SPEED]] = 1.0
-    seen = (1.0 - instant) * turned / period + instant * fresh
-    error = -seen
+    sensed_speed = (1.0 - instant) * turned / period + instant * fresh
+    error = -sensed_speed
     error[[kernel.MOTOR_ANGLE, kernel.BELT_TWIST, UNTIL]] -= outer
     work = np.eye(states)
     work[TICKING:] = np.eye(states)[[COMING, *range(TICKING, states)][:waiting]]
     work[kernel.MOTOR_ANGLE] -= turned
     work[UNTIL] = work[UNTIL] + turned if outer > 0.0 else 0.0
-    work[SEEN] = seen
+    work[SEEN] = sensed_speed
     work[kernel.INTEGRAL] = work[kernel.INTEGRAL] + period * error if integral > 0.0 else 0.0
     work[COMING] = gain * error + integral * work[kernel.INTEGRAL]
     noise = np.zeros(states)

@@ -796,7 +796,7 @@ class Inference:
             total += self.model.discrepancies[g].columns @ size
         return total
 
-    def noise_left(self) -> list[ResidualNoise]:
+    def residual_noise(self) -> list[ResidualNoise]:
         """Of what the average over the posterior leaves of every used piece."""
         rows = self.model.rows
         residual = rows.measured - self.predicted(self.average)
@@ -846,7 +846,7 @@ def inferred(view: View, progress: StageProgress | None = None) -> tuple[View, I
     for done in range(1, ROUNDS):
         if progress is not None:
             progress("Comparing sets of effects", done, ROUNDS)
-        noises = inference.noise_left()
+        noises = inference.residual_noise()
         view = view.refined(inference)
         inference = Inference(view.model, noises)
     return view, inference

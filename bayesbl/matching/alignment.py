@@ -60,7 +60,7 @@ def fit_aligned(
     fitted, and the noise is estimated again from the residuals. ``progress``: called with (fits
     made, fits expected).
     """
-    noise = [noise_of(seen, seen.signals) for seen in recordings]
+    noise = [noise_of(observation, observation.signals) for observation in recordings]
     model = SimulatedSignals(bench, recordings, unknowns, noise, workers)
     progress(0, STARTS_FITTED + NOISE_ROUNDS)
     starts = _each_settled(model, aligned_starts(model, _load_friction(model)))
@@ -95,16 +95,19 @@ def refitted(model: SimulatedSignals, fit: SimulatedFit) -> SimulatedFit:
 
 def _forgetful(fit: SimulatedFit, index: int) -> Observed:
     """A recording without the part of it that remembers on which flank the teeth began."""
-    seen = fit.model.recordings[index]
-    if seen.motion is None:
-        return seen
+    observation = fit.model.recordings[index]
+    if observation.motion is None:
+        return observation
     remembered = remembered_start(fit, index)
-    return without_start(seen, int(np.sum(remembered > FORGOTTEN)))
+    return without_start(observation, int(np.sum(remembered > FORGOTTEN)))
 
 
 def remaining_noise(fit: SimulatedFit) -> list[ChannelNoise]:
     """Noise of each recording from rotation differences of the fit's residuals."""
-    return [noise_of(seen, fit.unexplained(i)) for i, seen in enumerate(fit.model.recordings)]
+    return [
+        noise_of(observation, fit.unexplained(i))
+        for i, observation in enumerate(fit.model.recordings)
+    ]
 
 
 def aligned_starts(
@@ -130,8 +133,8 @@ def aligned_starts(
     starts = np.repeat(points[:, None], STARTS_FITTED, axis=1)
     total = np.zeros(starts.shape[:2])
     by_gap: dict[int | None, list[int]] = {}
-    for i, seen in enumerate(model.recordings):
-        by_gap.setdefault(model.place_of(GAP, seen.name), []).append(i)
+    for i, observation in enumerate(model.recordings):
+        by_gap.setdefault(model.place_of(GAP, observation.name), []).append(i)
     for place, members in by_gap.items():
         tried = points[:, None]
         if place is not None:
@@ -160,8 +163,8 @@ def with_shifts(model: SimulatedSignals, start: FloatArray) -> FloatArray:
     """The point with what was learned where each recording shows it, by a scan of its period."""
     start = start.copy()
     terms = model.bench.learned_terms
-    for (i, seen), term in itertools.product(enumerate(model.recordings), terms):
-        place = model.place_of(term.shift_slot, seen.name)
+    for (i, observation), term in itertools.product(enumerate(model.recordings), terms):
+        place = model.place_of(term.shift_slot, observation.name)
         if place is None:
             continue
         tried = SHIFTS_TRIED * term.orders
@@ -180,10 +183,10 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
     A motion has more valleys than a rotation, and the best of one recording is not that of another.
     """
     settled = [start.copy() for start in starts]
-    for i, seen in enumerate(model.recordings):
-        if seen.motion is None:
+    for i, observation in enumerate(model.recordings):
+        if observation.motion is None:
             continue
-        own = [k for k, u in enumerate(model.unknowns) if u.recording == seen.name]
+        own = [k for k, u in enumerate(model.unknowns) if u.recording == observation.name]
         if all(model.unknowns[k].name != GAP for k in own):
             continue
         shared = {
@@ -193,7 +196,7 @@ def _each_settled(model: SimulatedSignals, starts: list[FloatArray]) -> list[Flo
         }
         alone = SimulatedSignals(
             model.bench,
-            [seen],
+            [observation],
             [model.unknowns[k] for k in own],
             [model.noise[i]],
             model.workers,
@@ -258,12 +261,12 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
 
     Means are subtracted: an offset of a channel says nothing about the phase.
     """
-    seen = model.recordings[recording]
-    folded, weight = _folded(seen), 1.0 / model.noise[recording].sd ** 2
+    observation = model.recordings[recording]
+    folded, weight = _folded(observation), 1.0 / model.noise[recording].sd ** 2
     channels, size = folded.shape
-    rate = size / seen.rotation_period_s
-    matrix = model.vectors(points, seen, **{START_ANGLE: 0.0})
-    matrix = model.bench.measurement.seen_by(matrix, seen.sampling_hz)
+    rate = size / observation.rotation_period_s
+    matrix = model.vectors(points, observation, **{START_ANGLE: 0.0})
+    matrix = model.bench.measurement.seen_by(matrix, observation.sampling_hz)
     simulated = model.recent.signals(
         matrix,
         ("a rotation", channels, size, rate),
@@ -279,8 +282,8 @@ def _align(model: SimulatedSignals, points: FloatArray, recording: int) -> Float
     best = np.argmax(np.nan_to_num(gain, nan=-np.inf), axis=1)
     own = float(weight @ (folded**2).sum(axis=1))
     chi_square = own + power - 2.0 * gain[np.arange(len(points)), best]
-    rotations = seen.samples / seen.lag
-    direction = math.copysign(1.0, seen.reference_speed_rpm)
+    rotations = observation.samples / observation.lag
+    direction = math.copysign(1.0, observation.reference_speed_rpm)
     angle = direction * 2.0 * math.pi * best / size
     return np.column_stack(
         [angle, np.where(np.isfinite(chi_square), rotations * chi_square, np.inf)]
@@ -295,14 +298,16 @@ def _rotations(
     return simulated[:, [SPEED, CURRENT][:channels]]
 
 
-def _folded(seen: Observed) -> FloatArray:
+def _folded(observation: Observed) -> FloatArray:
     """Channels averaged over the whole rotations, shape (c, lag)."""
-    whole = int((seen.samples - 1) / (seen.rotation_period_s * seen.sampling_hz))
-    size = seen.lag
-    phase = (np.arange(size) / size + np.arange(whole)[:, None]) * seen.rotation_period_s
-    at = phase * seen.sampling_hz
-    grid = np.arange(seen.samples)
-    return np.stack([np.interp(at, grid, row).mean(axis=0) for row in seen.signals])
+    whole = int(
+        (observation.samples - 1) / (observation.rotation_period_s * observation.sampling_hz)
+    )
+    size = observation.lag
+    phase = (np.arange(size) / size + np.arange(whole)[:, None]) * observation.rotation_period_s
+    at = phase * observation.sampling_hz
+    grid = np.arange(observation.samples)
+    return np.stack([np.interp(at, grid, row).mean(axis=0) for row in observation.signals])
 
 
 def believed(fit: SimulatedFit) -> SimulatedFit:
@@ -331,7 +336,9 @@ def _others(fit: SimulatedFit) -> Iterator[SimulatedFit]:
 
 def in_motion(fit: SimulatedFit) -> SimulatedFit | None:
     """The fit without its motions' standstills; ``None`` where that leaves too little or all."""
-    moving = [without_standstill(seen, fit.model.bench) for seen in fit.model.recordings]
+    moving = [
+        without_standstill(observation, fit.model.bench) for observation in fit.model.recordings
+    ]
     if _compared(moving) == _compared(fit.model.recordings):
         return None
     with suppress(RecordingError):
@@ -345,16 +352,16 @@ def _held(fit: SimulatedFit) -> SimulatedFit:
     kept = [k for k, u in enumerate(model.unknowns) if u.name != REFERENCE_DELAY]
     held = replace(
         model,
-        recordings=[with_held_reference(seen) for seen in model.recordings],
+        recordings=[with_held_reference(observation) for observation in model.recordings],
         unknowns=[model.unknowns[k] for k in kept],
     )
     return refitted(held, replace(fit, point=fit.point[kept], steps=fit.steps[kept]))
 
 
 def _moves(fit: SimulatedFit) -> bool:
-    return any(seen.motion is not None for seen in fit.model.recordings)
+    return any(observation.motion is not None for observation in fit.model.recordings)
 
 
 def _compared(recordings: Sequence[Observed]) -> int:
     """Samples that are compared, of all recordings."""
-    return sum(int(seen.compared.sum()) for seen in recordings)
+    return sum(int(observation.compared.sum()) for observation in recordings)

@@ -39,14 +39,14 @@ class _Rest(TypedDict):
     failures: str
 
 
-def accuracy_rpm(noise: ChannelNoise, seen: Observed) -> float:
+def accuracy_rpm(noise: ChannelNoise, observation: Observed) -> float:
     """How near its simulations have to be to a recording of this noise."""
-    coarsest = ACCURACY * abs(seen.reference_speed_rpm)
+    coarsest = ACCURACY * abs(observation.reference_speed_rpm)
     return float(np.clip(ACCURACY_SHARE * noise.sd[0], FINEST * coarsest, coarsest))
 
 
 def simulated(
-    seen: Observed,
+    observation: Observed,
     samples: int,
     accuracy_rpm: float,
     workers: int,
@@ -55,14 +55,16 @@ def simulated(
 ) -> FloatArray:
     """Channels as observed, (m, SLOTS) to (m, c, samples)."""
     rest = _Rest(accuracy_rpm=accuracy_rpm, workers=workers, failures=failures)
-    if seen.motion is not None:
-        made = simulate_motions(matrix, seen.motion, samples, seen.sampling_hz, **rest)
-        return made[:, seen.rows]
-    if seen.motor_start_rad is not None:
-        matrix = _begun_at(matrix, seen.motor_start_rad, workers)
-    size = samples, seen.sampling_hz
-    moments, order = _within_a_rotation(matrix, samples, seen.sampling_hz)
-    alone = len(seen.signals) == 1
+    if observation.motion is not None:
+        made = simulate_motions(
+            matrix, observation.motion, samples, observation.sampling_hz, **rest
+        )
+        return made[:, observation.rows]
+    if observation.motor_start_rad is not None:
+        matrix = _begun_at(matrix, observation.motor_start_rad, workers)
+    size = samples, observation.sampling_hz
+    moments, order = _within_a_rotation(matrix, samples, observation.sampling_hz)
+    alone = len(observation.signals) == 1
     made = simulate_channels(matrix, *size, moments_s=moments, speed_alone=alone, **rest)
     if not alone:
         made = made[:, [SPEED, CURRENT]]
@@ -118,16 +120,16 @@ def continued(begun: FloatArray, samples: int) -> FloatArray:
     return begun[:, :, np.arange(samples) % begun.shape[2]]
 
 
-def in_whole_ticks(matrix: FloatArray, seen: Observed) -> FloatArray:
+def in_whole_ticks(matrix: FloatArray, observation: Observed) -> FloatArray:
     """Sampled controllers with a whole number of ticks a rotation, so that it repeats.
 
     The period changes by less than its share of two rotations, far below what recordings tell. One
     that is a whole number of samples stays: there each sample is of a tick.
     """
     period = matrix[:, Slot.sampled_control__period_s]
-    samples = period * seen.sampling_hz
+    samples = period * observation.sampling_hz
     free = (period > 0.0) & (np.abs(samples - np.round(samples)) > 1e-6)
-    if seen.motion is not None or not free.any():
+    if observation.motion is not None or not free.any():
         return matrix
     matrix = matrix.copy()
     turn = rotation_period_s(matrix)[free]
@@ -135,12 +137,12 @@ def in_whole_ticks(matrix: FloatArray, seen: Observed) -> FloatArray:
     return matrix
 
 
-def repeats(matrix: FloatArray, seen: Observed) -> bool:
+def repeats(matrix: FloatArray, observation: Observed) -> bool:
     """Whether these benches repeat after a whole number of samples, less than the recording has."""
-    if seen.motion is not None or seen.lag >= seen.samples:
+    if observation.motion is not None or observation.lag >= observation.samples:
         return False
     turn_s = _common_rotation_s(matrix)
-    return turn_s is not None and abs(turn_s * seen.sampling_hz - seen.lag) <= 1e-6
+    return turn_s is not None and abs(turn_s * observation.sampling_hz - observation.lag) <= 1e-6
 
 
 MOST_BYTES = 32_000_000

@@ -73,13 +73,13 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
     hidden = 2.0 * covariance - covariance @ whole @ covariance
     rows = [model.by_recording(row) for row in (fit.residual, *derivatives.T)]
     impacts = []
-    for place, seen in enumerate(model.recordings):
-        residual, *columns = (turns_of(row[place], seen) for row in rows)
+    for place, observation in enumerate(model.recordings):
+        residual, *columns = (turns_of(row[place], observation) for row in rows)
         slopes = np.stack(columns, axis=-1)
-        gap = model.place_of(GAP, seen.name)
+        gap = model.place_of(GAP, observation.name)
         assert gap is not None
         along = slopes @ covariance[gap]
-        halves = _halves(along, len(seen.signals))
+        halves = _halves(along, len(observation.signals))
 
         def scores(
             weights: FloatArray,
@@ -101,9 +101,9 @@ def by_impact(fit: SimulatedFit, covariance: FloatArray) -> list[Impacts]:
         scatter = Scatter.of(*scores(along), None if loop is None else loop.factors(along))
         factors = scatter.likely(FACTORS)
         late = np.zeros(FACTORS)
-        angle = model.place_of(START_ANGLE, seen.name)
-        if angle is not None and seen.motion is None and scatter.freedom > 0.0:
-            fast = _fast(slopes[..., angle], len(seen.signals))
+        angle = model.place_of(START_ANGLE, observation.name)
+        if angle is not None and observation.motion is None and scatter.freedom > 0.0:
+            fast = _fast(slopes[..., angle], len(observation.signals))
             power = np.median(np.sum((fast[:, None] * halves) ** 2, axis=2))
             if power > 0.0:
                 late = early_and_late(*scores(fast / power), factors)

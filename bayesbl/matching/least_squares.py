@@ -121,7 +121,7 @@ class SimulatedFit:
 
     def unexplained(self, place: int) -> FloatArray:
         """Its channels less their simulation, shape (c, n); 0 where excluded."""
-        return self.model.recordings[place].left_by(self.simulated(place))
+        return self.model.recordings[place].residual_of(self.simulated(place))
 
     def value(self, name: str, recording: str | None = None) -> float:
         """Value of an unknown at the optimum."""

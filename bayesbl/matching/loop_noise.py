@@ -49,14 +49,14 @@ UNKNOWN_SHARES = (np.arange(10) + 0.5) / 10
 """Without a current any share is as likely as any other."""
 
 
-def turns_of(rows: FloatArray, seen: Observed) -> FloatArray:
+def turns_of(rows: FloatArray, observation: Observed) -> FloatArray:
     """Whitened channels (c, n − p) of each rotation one after the other, (rotation, c lag).
 
     Of a motion its cycles; of one that does not repeat, a single one. What the last lacks by its
     rounding is taken for zero.
     """
-    rows = rows[:, seen.first_compared :]
-    lag = seen.lag if seen.repeats else rows.shape[1]
+    rows = rows[:, observation.first_compared :]
+    lag = observation.lag if observation.repeats else rows.shape[1]
     return np.concatenate([whole_rotations(row, lag) for row in rows], axis=1)
 
 
@@ -169,45 +169,45 @@ def _factors(fit: SimulatedFit, place: int) -> Callable[[FloatArray], FloatArray
 def loop_noise(fit: SimulatedFit, place: int) -> LoopNoise | None:
     """Of a recording; ``None`` where noise is not in the loop, or cannot be told from rounding."""
     model = fit.model
-    seen, noise = model.recordings[place], model.noise[place]
+    observation, noise = model.recordings[place], model.noise[place]
     spectra = None if noise.repeats else _spectra(fit, place)
     if spectra is None:
         return None
     frequency, speed_power, cross_power = spectra
-    vector = model.vectors(fit.point[None], seen)
-    loop = _around_the_loop(vector[0], seen)
+    vector = model.vectors(fit.point[None], observation)
+    loop = _around_the_loop(vector[0], observation)
     in_speed, in_current = (np.interp(frequency, *row) for row in loop)
     # What the loop holds down is hardly seen, and what is seen there may come from elsewhere.
     passed = np.flatnonzero((np.abs(in_speed) >= 1.0) & (speed_power > 0.0))
     if not passed.size:
         return None
     shares = UNKNOWN_SHARES
-    if len(seen.signals) > 1:
+    if len(observation.signals) > 1:
         gain, power = in_current[passed] / in_speed[passed], speed_power[passed]
         weight = float(np.sum(power * np.abs(gain) ** 2))
         share = float(np.sum(np.real(cross_power[passed] * gain.conj()))) / weight
-        left = np.abs(cross_power[passed] - share * gain * power)
-        sd = math.sqrt(0.5 * float(np.sum((left * np.abs(gain)) ** 2))) / weight
+        unexplained_power = np.abs(cross_power[passed] - share * gain * power)
+        sd = math.sqrt(0.5 * float(np.sum((unexplained_power * np.abs(gain)) ** 2))) / weight
         if share < LEAST_SHARE:
             return None
         shares = np.clip(share + sd * QUANTILES, 0.0, 1.0)
     sensor_power = speed_power[passed] / np.abs(in_speed[passed]) ** 2
     lowest = frequency[passed] <= 2.0 * frequency[passed[0]]
     level = float(sensor_power[lowest].mean())
-    every = np.fft.rfftfreq(seen.samples)
+    every = np.fft.rfftfreq(observation.samples)
     sensor = np.sqrt(np.interp(every, frequency[passed], sensor_power, left=level))
-    linear = np.stack([np.interp(every, *row) for row in loop])[: len(seen.signals)]
+    linear = np.stack([np.interp(every, *row) for row in loop])[: len(observation.signals)]
     made = _rotations(fit, place, "noise in the loop", _noise(fit, place, sensor, linear))
     return LoopNoise(shares, *made) if np.all(np.isfinite(made)) else None
 
 
 def _around_the_loop(
-    parameters: FloatArray, seen: Observed
+    parameters: FloatArray, observation: Observed
 ) -> tuple[tuple[FloatArray, ComplexArray], tuple[FloatArray, ComplexArray]]:
     """S and H, each with its frequencies in cycles per sample."""
-    impulse = np.zeros(min(seen.samples, seen.lag))
+    impulse = np.zeros(min(observation.samples, observation.lag))
     impulse[0] = 1.0
-    moved, answer = noise_through_loop(parameters, impulse, 1.0 / seen.sampling_hz)
+    moved, answer = noise_through_loop(parameters, impulse, 1.0 / observation.sampling_hz)
     grid = np.asarray(np.fft.rfftfreq(impulse.size), dtype=np.float64)
     return (grid, np.fft.rfft(impulse + moved)), (grid, np.fft.rfft(answer))
 
@@ -218,12 +218,14 @@ def _spectra(fit: SimulatedFit, place: int) -> tuple[FloatArray, FloatArray, Com
     By Welch's method, of what does not repeat; white noise has its variance for power. ``None``
     where hardly a stretch is without lost samples.
     """
-    seen = fit.model.recordings[place]
+    observation = fit.model.recordings[place]
     unexplained = fit.unexplained(place)
-    kept = seen.compared
-    if seen.repeats:
-        unexplained = (unexplained[:, seen.lag :] - unexplained[:, : -seen.lag]) / math.sqrt(2.0)
-        kept = kept[seen.lag :] & kept[: -seen.lag]
+    kept = observation.compared
+    if observation.repeats:
+        unexplained = (
+            unexplained[:, observation.lag :] - unexplained[:, : -observation.lag]
+        ) / math.sqrt(2.0)
+        kept = kept[observation.lag :] & kept[: -observation.lag]
     size = unexplained.shape[1] // STRETCHES
     if size < STRETCHES:
         return None
@@ -247,16 +249,18 @@ def _rotations(
     noise, and made once.
     """
     model = fit.model
-    seen, noise = model.recordings[place], model.noise[place]
+    observation, noise = model.recordings[place], model.noise[place]
 
     def made(_: FloatArray) -> FloatArray:
         turns: list[list[FloatArray]] = []
         while sum(len(first) for first, _ in turns) < ROTATIONS:
-            turns.append([turns_of(noise.whiten(channels), seen) for channels in next(draws)])
+            turns.append(
+                [turns_of(noise.whiten(channels), observation) for channels in next(draws)]
+            )
         return np.stack([np.concatenate(kind) for kind in zip(*turns, strict=True)])[None]
 
-    vector = model.vectors(fit.point[None], seen)
-    key = (what, seen.name, noise.coefficients.tobytes(), noise.root.tobytes())
+    vector = model.vectors(fit.point[None], observation)
+    key = (what, observation.name, noise.coefficients.tobytes(), noise.root.tobytes())
     return np.asarray(model.recent.signals(vector, key, made)[0])
 
 
@@ -268,15 +272,15 @@ def _noise(
     ``sensor``: of white noise to that of the speed sensor, by frequency, (n//2 + 1,); ``linear``:
     of that to the channels, (c, n//2 + 1).
     """
-    seen = fit.model.recordings[place]
-    undisturbed = _simulated(fit, place, np.zeros(seen.samples), seen.sampling_hz)
+    observation = fit.model.recordings[place]
+    undisturbed = _simulated(fit, place, np.zeros(observation.samples), observation.sampling_hz)
     rng = np.random.default_rng(0)  # a fixed sample of an integral, not a draw of the answer
     while True:
-        drawn = sensor * np.fft.rfft(rng.standard_normal(seen.samples))
-        disturbance = np.fft.irfft(drawn, seen.samples)
-        added = _simulated(fit, place, disturbance, seen.sampling_hz) - undisturbed
+        drawn = sensor * np.fft.rfft(rng.standard_normal(observation.samples))
+        disturbance = np.fft.irfft(drawn, observation.samples)
+        added = _simulated(fit, place, disturbance, observation.sampling_hz) - undisturbed
         added[0] += disturbance
-        yield added, np.fft.irfft(linear * drawn, seen.samples)
+        yield added, np.fft.irfft(linear * drawn, observation.samples)
 
 
 def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
@@ -293,16 +297,16 @@ def rounded_rotations(fit: SimulatedFit, place: int) -> list[FloatArray]:
 
 def _rounded(fit: SimulatedFit, place: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Draws of both cases; the second nan where the speed is not in steps."""
-    model, seen = fit.model, fit.model.recordings[place]
+    model, observation = fit.model, fit.model.recordings[place]
     exact, unexplained = fit.simulated(place), fit.unexplained(place)
     # A controller that is slower or faster than the recorder differentiates from tick to tick.
-    vector = model.vectors(fit.point[None], seen)
+    vector = model.vectors(fit.point[None], observation)
     period = float(vector[0, Slot.sampled_control__period_s])
-    ticks_hz = 1.0 / period if period > 0.0 else seen.sampling_hz
-    time = np.arange(seen.samples) / seen.sampling_hz
+    ticks_hz = 1.0 / period if period > 0.0 else observation.sampling_hz
+    time = np.arange(observation.samples) / observation.sampling_hz
     shown = np.floor(time * ticks_hz + ROUNDING).astype(int)
     at_ticks = np.interp(np.arange(shown[-1] + 1) / ticks_hz, time, exact[0])
-    steps = seen.rounding[0].steps
+    steps = observation.rounding[0].steps
     if steps is not None and period > 0.0:
         steps = replace(steps, differentiated=True)
     undisturbed = _simulated(fit, place, np.zeros(at_ticks.size), ticks_hz)
@@ -311,7 +315,7 @@ def _rounded(fit: SimulatedFit, place: int) -> Iterator[tuple[FloatArray, FloatA
         alone = np.stack(
             [
                 own.drawn(a, b, rng)
-                for own, a, b in zip(seen.rounding, exact, unexplained, strict=False)
+                for own, a, b in zip(observation.rounding, exact, unexplained, strict=False)
             ]
         )
         around = np.full_like(alone, np.nan)
@@ -331,16 +335,16 @@ def _simulated(
     From the second tick on: a motion starts at the speed asked for, load and all, and by noise of
     the sensor no load turns faster.
     """
-    model, seen = fit.model, fit.model.recordings[place]
+    model, observation = fit.model, fit.model.recordings[place]
     point = fit.point.copy()
     time = np.arange(disturbance_rpm.size) / ticks_hz
-    asked = np.full(time.size, seen.reference_speed_rpm)
-    known = {"reference_speed_rpm": seen.reference_speed_rpm, **seen.known}
-    if seen.motion is not None:
-        known = dict(seen.known)
-        late = model.place_of(REFERENCE_DELAY, seen.name)
+    asked = np.full(time.size, observation.reference_speed_rpm)
+    known = {"reference_speed_rpm": observation.reference_speed_rpm, **observation.known}
+    if observation.motion is not None:
+        known = dict(observation.known)
+        late = model.place_of(REFERENCE_DELAY, observation.name)
         # The reference is late; the noise, which is put into it, is not.
-        asked = seen.motion.speed_rpm(time - (0.0 if late is None else float(point[late])))
+        asked = observation.motion.speed_rpm(time - (0.0 if late is None else float(point[late])))
         if late is not None:
             point[late] = 0.0
     asked[1:] -= disturbance_rpm[1:]
@@ -348,7 +352,7 @@ def _simulated(
     ticks = held_motion(Motion(through(time, speed), time[-1]), time.size, ticks_hz)
     alone = replace(
         model,
-        recordings=[replace(seen, motion=ticks, cycle=None, known=known)],
+        recordings=[replace(observation, motion=ticks, cycle=None, known=known)],
         noise=[model.noise[place]],
         recent=RecentSimulations(),
     )

@@ -54,7 +54,7 @@ _Scan = Callable[[int, FloatArray], tuple[FloatArray, FloatArray]]
 """So many gaps at start angles (k,): points (k, m, d) and χ² there (k, m)."""
 
 
-def noise_of(seen: Observed, residual: FloatArray) -> ChannelNoise:
+def noise_of(observation: Observed, residual: FloatArray) -> ChannelNoise:
     """Noise from what is left of a recording, shape (c, n), where it repeats or where it does not.
 
     Raises
@@ -62,22 +62,22 @@ def noise_of(seen: Observed, residual: FloatArray) -> ChannelNoise:
     RecordingError
         If there is too little of it.
     """
-    rounding = _rounding_of(seen, residual)
-    if seen.motion is None:
-        return estimate_channel_noise(residual, seen.lag, rounding=rounding)
-    kept = None if seen.excluded is None else ~seen.excluded
-    if seen.cycle is None:
-        samples = round(FAST_S * seen.sampling_hz)
+    rounding = _rounding_of(observation, residual)
+    if observation.motion is None:
+        return estimate_channel_noise(residual, observation.lag, rounding=rounding)
+    kept = None if observation.excluded is None else ~observation.excluded
+    if observation.cycle is None:
+        samples = round(FAST_S * observation.sampling_hz)
         return estimate_fast_noise(residual, samples, kept, rounding)
-    return estimate_channel_noise(residual, seen.cycle, kept, rounding)
+    return estimate_channel_noise(residual, observation.cycle, kept, rounding)
 
 
-def _rounding_of(seen: Observed, residual: FloatArray) -> FloatArray | None:
+def _rounding_of(observation: Observed, residual: FloatArray) -> FloatArray | None:
     """Autocovariance of each channel's rounding where the simulation leaves this, shape (c, n)."""
-    if not seen.rounding:
+    if not observation.rounding:
         return None
-    simulated = seen.signals - residual
-    rows = zip(seen.rounding[: len(residual)], simulated, residual, strict=True)
+    simulated = observation.signals - residual
+    rows = zip(observation.rounding[: len(residual)], simulated, residual, strict=True)
     return np.stack([own.autocovariance(a, b, HIGHEST_ORDER + 1) for own, a, b in rows])
 
 
@@ -89,22 +89,22 @@ def remembered_start(fit: SimulatedFit, index: int) -> FloatArray:
     start angle takes up moves nothing else, and what is left out of the comparison counts for
     nothing; zero where the torque at the start decides the flank.
     """
-    model, seen = fit.model, fit.model.recordings[index]
-    assert seen.motion is not None
-    row = model.vectors(fit.point[None], seen)
-    size = seen.samples, seen.sampling_hz
-    twist = np.abs(simulate_motions(row, seen.motion, *size, states=True)[0, TWIST])
+    model, observation = fit.model, fit.model.recordings[index]
+    assert observation.motion is not None
+    row = model.vectors(fit.point[None], observation)
+    size = observation.samples, observation.sampling_hz
+    twist = np.abs(simulate_motions(row, observation.motion, *size, states=True)[0, TWIST])
     pressed = twist - row[0, Slot.gap_rad] - row[0, Slot.backlash__gap_rad]
     if pressed[0] > LOADED_SHARE * pressed.max():
-        return np.zeros(seen.samples)
-    motion = seen.motion
+        return np.zeros(observation.samples)
+    motion = observation.motion
 
     def signals(shift_rad: float, flank: float) -> FloatArray:
         moved = row.copy()
         moved[0, Slot.start_angle_rad] += shift_rad
-        return simulate_motions(moved, motion, *size, start_flank=flank)[0, seen.rows]
+        return simulate_motions(moved, motion, *size, start_flank=flank)[0, observation.rows]
 
-    weight = seen.compared / model.noise[index].sd[:, None] ** 2
+    weight = observation.compared / model.noise[index].sd[:, None] ** 2
     forward = signals(0.0, 1.0)
     if _angle_place(model, index) is None:
         return _from_each_sample_on(weight * (forward - signals(0.0, -1.0)) ** 2)
@@ -241,26 +241,30 @@ def _angle_place(model: SimulatedSignals, recording: int) -> int | None:
 
 def _rough_chi_square(model: SimulatedSignals, points: FloatArray, recording: int) -> FloatArray:
     """χ² of one motion as if its noise were white, from its first seconds, (m, d) to (m,)."""
-    seen = model.recordings[recording]
-    assert seen.motion is not None
-    scanned = seen.first_compared + max(seen.cycle or 0, round(SCANNED_S * seen.sampling_hz))
-    compared = seen.compared[:scanned].astype(np.float64)
-    signals = seen.signals[:, :scanned]
-    matrix = model.bench.measurement.seen_by(model.vectors(points, seen), seen.sampling_hz)
+    observation = model.recordings[recording]
+    assert observation.motion is not None
+    scanned = observation.first_compared + max(
+        observation.cycle or 0, round(SCANNED_S * observation.sampling_hz)
+    )
+    compared = observation.compared[:scanned].astype(np.float64)
+    signals = observation.signals[:, :scanned]
+    matrix = model.bench.measurement.seen_by(
+        model.vectors(points, observation), observation.sampling_hz
+    )
     cost = np.empty(len(points))
     for begin in range(0, len(points), AT_ONCE):
         rows = slice(begin, begin + AT_ONCE)
         simulated = simulate_motions(
             matrix[rows],
-            seen.motion,
+            observation.motion,
             compared.size,
-            seen.sampling_hz,
+            observation.sampling_hz,
             workers=model.workers,
             failures="nan",
-        )[:, seen.rows]
+        )[:, observation.rows]
         squares = (signals - simulated) ** 2
         cost[rows] = np.einsum("c,mcn,n->m", model.noise[recording].sd ** -2.0, squares, compared)
-    cost *= seen.samples / compared.size
+    cost *= observation.samples / compared.size
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
@@ -283,14 +287,14 @@ class FlankChange:
 
 def flank_changes(fit: SimulatedFit, recording: int) -> list[FlankChange]:
     """Every change of flank in the part of a motion that is compared, at the fit's optimum."""
-    model, seen = fit.model, fit.model.recordings[recording]
-    assert seen.motion is not None
-    row = model.vectors(fit.point[None], seen)
-    twist = simulate_motions(row, seen.motion, seen.samples, seen.sampling_hz, states=True)[
-        0, TWIST
-    ]
+    model, observation = fit.model, fit.model.recordings[recording]
+    assert observation.motion is not None
+    row = model.vectors(fit.point[None], observation)
+    twist = simulate_motions(
+        row, observation.motion, observation.samples, observation.sampling_hz, states=True
+    )[0, TWIST]
     gap = float(row[0, Slot.gap_rad] + row[0, Slot.backlash__gap_rad])
-    return changes_of(twist, gap, 1.0 / seen.sampling_hz, seen.excluded)
+    return changes_of(twist, gap, 1.0 / observation.sampling_hz, observation.excluded)
 
 
 def changes_of(

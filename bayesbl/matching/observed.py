@@ -182,17 +182,17 @@ class Observed:
         """First sample of a motion that is compared."""
         return 0 if self.motion is None else int(np.argmax(self.compared))
 
-    def left_by(self, simulated: FloatArray) -> FloatArray:
+    def residual_of(self, simulated: FloatArray) -> FloatArray:
         """Recording − simulation, shape (c, n); 0 where excluded: nothing was measured there.
 
         Without what turns with the motor, where that is marginalised.
         """
-        left = self.signals - simulated
+        residual = self.signals - simulated
         if self.excluded is not None:
-            left[:, self.excluded] = 0.0
+            residual[:, self.excluded] = 0.0
         if self.motor_lines is not None:
-            self.motor_lines.project_out(left)
-        return left
+            self.motor_lines.project_out(residual)
+        return residual
 
     @property
     def motor_start_rad(self) -> float | None:
@@ -273,8 +273,8 @@ def observed(
     speed, period = recording.motor_speed_rpm, recording.sampling_period_s
     known = _known(recording, bench)
     if moves(recording):
-        seen = _motion(recording, bench, period)
-        return replace(seen, known=known, notes=(*notes, *seen.notes))
+        observation = _motion(recording, bench, period)
+        return replace(observation, known=known, notes=(*notes, *observation.notes))
     reference = reference_speed(recording, bench, reference_speed_rpm)
     if reference_speed_rpm is None:
         notes += tuple(filter(None, [asked_speed(recording, bench)[1]]))
@@ -331,27 +331,27 @@ def _as_it_repeats(
         inexact = _rounding(recording.motor_speed_rpm[None], bench, reference_rpm)[0]
         return repetition(recording.motor_speed_rpm, 1.0 / period_s, stated_s, inexact.sd)
 
-    found = repeats_after(stated_rpm)
-    if found is None:
+    repeating = repeats_after(stated_rpm)
+    if repeating is None:
         return stated_rpm, period_s, ()
     reference, notes = stated_rpm, []
-    off = abs(found.mean_rpm - abs(stated_rpm))
-    if off > SURELY_OTHER * found.mean_sd_rpm and bench.value("integral_gain_nm_per_rad") > 0.0:
-        reference = math.copysign(found.mean_rpm, stated_rpm)
+    off = abs(repeating.mean_rpm - abs(stated_rpm))
+    if off > SURELY_OTHER * repeating.mean_sd_rpm and bench.value("integral_gain_nm_per_rad") > 0.0:
+        reference = math.copysign(repeating.mean_rpm, stated_rpm)
         notes.append(
             f"Its mean speed over whole rotations, {reference:.6g} rpm, is taken for its "
             f"reference, not {stated_rpm:g} rpm."
         )
-        found = repeats_after(reference) or found
-    if found.gain > SURELY_OTHER**2:
-        late = found.period_s / bench.rotation_period_s(reference) - 1.0
+        repeating = repeats_after(reference) or repeating
+    if repeating.gain > SURELY_OTHER**2:
+        late = repeating.period_s / bench.rotation_period_s(reference) - 1.0
         if abs(late) > LARGEST_CLOCK_ERROR:
             # Of the bench, not of the recording: what else rests on that bench is wrong too.
             raise ConfigError(
                 "The recording does not repeat when the bench's load has turned once.",
                 file=recording.place,
                 where="gear_ratio",
-                found=f"{found.motor_turns:.5g} turns of the motor until the impacts come again",
+                found=f"{repeating.motor_turns:.5g} motor turns until the impacts come again",
                 expected=f"{ratio:g}, the bench's gear ratio: correct it in the bench file, or "
                 "record again if a machine shakes the joint",
             )
@@ -375,7 +375,7 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
     cycle = cycle_of(asked)
     signals = _signals(recording, bench)
     fastest = float(np.max(np.abs(asked)))
-    seen = Observed(
+    observation = Observed(
         recording.name,
         signals,
         1.0 / period_s,
@@ -386,7 +386,7 @@ def _motion(recording: Recording, bench: Bench, period_s: float) -> Observed:
         cycle=cycle,
         rounding=_rounding(signals, bench, fastest),
     )
-    return without_start(seen, first_move(asked) + _recovery(seen, bench))
+    return without_start(observation, first_move(asked) + _recovery(observation, bench))
 
 
 def _signals(recording: Recording, bench: Bench) -> FloatArray:
@@ -442,8 +442,8 @@ def _require_current_sign(
         speed, current = (_beside(row, fed) for row in (speed, current))
     squares = max(float(np.sum(np.abs(speed) ** 2)), 1e-300)
     slope = float(np.real(np.vdot(speed, current))) / squares
-    left = np.abs(current - slope * speed) ** 2
-    sd = math.sqrt(float(np.sum(left * np.abs(speed) ** 2))) / squares
+    residual_power = np.abs(current - slope * speed) ** 2
+    sd = math.sqrt(float(np.sum(residual_power * np.abs(speed) ** 2))) / squares
     gain = proportional / bench.value("torque_constant_nm_per_a")
     if slope < max(SURE_SLOPE * sd, LEAST_SLOPE * gain):
         return
@@ -473,7 +473,7 @@ def _rounding(signals: FloatArray, bench: Bench, reference_rpm: float) -> tuple[
     return tuple(Rounding(speed_steps(row), sd) for row, sd in zip(signals, exact, strict=False))
 
 
-def marginalising_motor_lines(seen: Observed, bench: Bench) -> Observed:
+def marginalising_motor_lines(observation: Observed, bench: Bench) -> Observed:
     """A steady rotation of which nothing that turns with the motor is compared.
 
     Lines that the bench has itself are simulated, so that their response on either side of a flank
@@ -481,65 +481,74 @@ def marginalising_motor_lines(seen: Observed, bench: Bench) -> Observed:
     """
     ratio = bench.value("gear_ratio")
     has_lines = any(effect_named(e.name).is_periodic for e in bench.effects) or bench.learned_terms
-    if seen.motion is not None or has_lines or ratio < FEWEST_MOTOR_TURNS:
-        return seen
+    if observation.motion is not None or has_lines or ratio < FEWEST_MOTOR_TURNS:
+        return observation
     # As many turns as the load's rotations have: an error of the mean speed adds up over them.
-    speed = np.where(seen.compared, seen.signals[0], seen.signals[0][seen.compared].mean())
-    rotation = seen.rotation_period_s * seen.sampling_hz
+    speed = np.where(
+        observation.compared,
+        observation.signals[0],
+        observation.signals[0][observation.compared].mean(),
+    )
+    rotation = observation.rotation_period_s * observation.sampling_hz
     whole = round(speed.size // rotation * rotation)
     turns = np.cumsum(speed / speed[:whole].mean()) * ratio / rotation
-    return replace(seen, motor_lines=MotorLines(turns, seen.compared))
+    return replace(observation, motor_lines=MotorLines(turns, observation.compared))
 
 
-def without_start(seen: Observed, samples: int) -> Observed:
+def without_start(observation: Observed, samples: int) -> Observed:
     """The same without its first samples, or ``MOST_LEFT_OUT`` of it."""
-    begin = min(samples, int(MOST_LEFT_OUT * seen.samples))
-    return _without(seen, np.arange(seen.samples) < begin)
+    begin = min(samples, int(MOST_LEFT_OUT * observation.samples))
+    return _without(observation, np.arange(observation.samples) < begin)
 
 
-def without_standstill(seen: Observed, bench: Bench) -> Observed:
+def without_standstill(observation: Observed, bench: Bench) -> Observed:
     """The same without every standstill and what still remembers it.
 
     What friction does at rest (sticking, creep, a brake) is not what it does in motion, and a bench
     knows it badly.
     """
-    if seen.motion is None:
-        return seen
-    memory = np.ones(_recovery(seen, bench) + 1)
-    remembers = np.convolve(standstills(seen, bench), memory)[: seen.samples] > 0.5
+    if observation.motion is None:
+        return observation
+    memory = np.ones(_recovery(observation, bench) + 1)
+    remembers = np.convolve(standstills(observation, bench), memory)[: observation.samples] > 0.5
     # The motor lags behind its reference, so it stands a little later too: within the memory.
-    return _without(seen, remembers)
+    return _without(observation, remembers)
 
 
-def standstills(seen: Observed, bench: Bench) -> BoolArray:
+def standstills(observation: Observed, bench: Bench) -> BoolArray:
     """Samples at which a motion's reference is at rest, or next to it, shape (n,)."""
-    assert seen.motion is not None
-    time = np.arange(seen.samples, dtype=np.float64) / seen.sampling_hz
-    fastest = max(seen.reference_speed_rpm, abs(bench.value("reference_speed_rpm")))
-    return np.asarray(np.abs(seen.motion.speed_rpm(time)) < STANDSTILL * fastest)
+    assert observation.motion is not None
+    time = np.arange(observation.samples, dtype=np.float64) / observation.sampling_hz
+    fastest = max(observation.reference_speed_rpm, abs(bench.value("reference_speed_rpm")))
+    return np.asarray(np.abs(observation.motion.speed_rpm(time)) < STANDSTILL * fastest)
 
 
-def with_held_reference(seen: Observed) -> Observed:
+def with_held_reference(observation: Observed) -> Observed:
     """The same with a reference that a digital drive holds from sample to sample."""
-    if seen.motion is None:
-        return seen
-    return replace(seen, motion=held_motion(seen.motion, seen.samples, seen.sampling_hz))
+    if observation.motion is None:
+        return observation
+    return replace(
+        observation,
+        motion=held_motion(observation.motion, observation.samples, observation.sampling_hz),
+    )
 
 
-def _recovery(seen: Observed, bench: Bench) -> int:
+def _recovery(observation: Observed, bench: Bench) -> int:
     """Samples after which the bench has forgotten what it did, to a tenth of the noise."""
-    fastest = bench.vector(reference_speed_rpm=seen.reference_speed_rpm)
+    fastest = bench.vector(reference_speed_rpm=observation.reference_speed_rpm)
     # By second differences, which a motion hardly has; noise that lasts counts as a little less.
-    bends = np.abs(np.diff(seen.signals[0], 2))
+    bends = np.abs(np.diff(observation.signals[0], 2))
     noise = float(np.median(bends)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
-    accuracy_rpm = max(noise, LEAST_NOISE * abs(seen.reference_speed_rpm))
+    accuracy_rpm = max(noise, LEAST_NOISE * abs(observation.reference_speed_rpm))
     settled = float(settling_time_s(fastest, accuracy_rpm)[0])
-    return math.ceil(settled * seen.sampling_hz)
+    return math.ceil(settled * observation.sampling_hz)
 
 
-def _without(seen: Observed, left_out: BoolArray) -> Observed:
-    excluded: BoolArray = left_out if seen.excluded is None else left_out | seen.excluded
-    return replace(seen, excluded=excluded)
+def _without(observation: Observed, left_out: BoolArray) -> Observed:
+    excluded: BoolArray = (
+        left_out if observation.excluded is None else left_out | observation.excluded
+    )
+    return replace(observation, excluded=excluded)
 
 
 def whole_rotations(rows: FloatArray, lag: int) -> FloatArray:

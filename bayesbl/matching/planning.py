@@ -179,9 +179,12 @@ def _planned(
     signals = simulate_motions(row, motion, samples, sampling_hz)[0, [SPEED, CURRENT]]
     if np.max(np.abs(signals[1])) > LARGEST_CURRENT_SHARE * bench.value("current_limit_a"):
         return None
-    seen = _as_recorded(motion, signals, sampling_hz)
+    observation = _as_recorded(motion, signals, sampling_hz)
     changes, sds = zip(
-        *(_expected(bench, seen, start_rad, share * gap_rad, workers) for share in GAPS_TRIED),
+        *(
+            _expected(bench, observation, start_rad, share * gap_rad, workers)
+            for share in GAPS_TRIED
+        ),
         strict=True,
     )
     expected = math.sqrt(sum(sd**2 for sd in sds) / len(sds))
@@ -193,7 +196,7 @@ def _planned(
 
 
 def _expected(
-    bench: Bench, seen: Observed, start_angle_rad: float, gap_rad: float, workers: int
+    bench: Bench, observation: Observed, start_angle_rad: float, gap_rad: float, workers: int
 ) -> tuple[int, float]:
     """Changes of flank at a gap, and the standard deviation of ln δ, infinite without any."""
     unknowns = [
@@ -205,7 +208,7 @@ def _expected(
     ]
     point = np.array([u.middle for u in unknowns])
     point[:2] = math.log(gap_rad), start_angle_rad
-    model = SimulatedSignals(bench, [seen], unknowns, [noise_of_bench(bench)], workers)
+    model = SimulatedSignals(bench, [observation], unknowns, [noise_of_bench(bench)], workers)
     fit = fit_at(model, point)
     changes = len(flank_changes(fit, 0))
     return changes, fit.sd(GAP) if changes else math.inf

@@ -85,11 +85,11 @@ class NoiseOnly:
     def by(cls, model: SimulatedSignals, surrogate: Surrogate, draws: FloatArray) -> NoiseOnly:
         """``draws``: of that surrogate, shape (chain, draw, d)."""
         each = surrogate.chi_square_by_rotation(draws.reshape(-1, draws.shape[-1]))
-        found = [
+        groups = [
             (model.rotation_log_density(i) - 0.5 * own).reshape(*draws.shape[:2], -1)
             for i, own in enumerate(each)
         ]
-        return cls(draws, tuple(found))
+        return cls(draws, tuple(groups))
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,14 +181,14 @@ class DirectPosterior:
         root = np.linalg.inv(np.linalg.cholesky(stated))
         shares, axes = np.linalg.eigh(root @ np.cov(draws, rowvar=False) @ root.T)
         axes = root.T @ axes
-        told = (axes * np.maximum(1.0 / shares - 1.0, 0.0)) @ axes.T
-        pull = (told + root.T @ root) @ off
+        gain = (axes * np.maximum(1.0 / shares - 1.0, 0.0)) @ axes.T
+        pull = (gain + root.T @ root) @ off
 
         def chance(worst: int) -> float:
             """Of the others, where nothing is stated of one; by the moments of the sum."""
             own = [k for k in range(len(at)) if k != worst]
             root = np.linalg.inv(np.linalg.cholesky(stated[np.ix_(own, own)]))
-            precision = told.copy()
+            precision = gain.copy()
             precision[np.ix_(own, own)] += root.T @ root
             posterior = np.linalg.pinv(precision, hermitian=True)
             along = root @ (posterior @ pull)[own]
@@ -579,10 +579,12 @@ def _contradicted(
             low, high = (unknown.centre + k * math.sqrt(3.0) * unknown.sd for k in (-1.0, 1.0))
             off, variance = float(own.mean()) - unknown.centre, float(own.var(ddof=1))
             # A variance is known no better by so many draws.
-            told = max(believed - variance, math.sqrt(2.0 / own.size) * believed)
+            learned_variance = max(believed - variance, math.sqrt(2.0 / own.size) * believed)
             beyond = not low < own.mean() < high
-            if beyond and chi2_sf(off**2 / told, 1.0) < CONTRADICTED_BY_CHANCE / len(precision):
-                sides["upper" if off > 0.0 else "lower"] = abs(off) * variance / told
+            if beyond and chi2_sf(off**2 / learned_variance, 1.0) < CONTRADICTED_BY_CHANCE / len(
+                precision
+            ):
+                sides["upper" if off > 0.0 else "lower"] = abs(off) * variance / learned_variance
         else:
             info = PARAMETER_INFO.get(unknown.name)
             positive = low > 0.0 and not (info is not None and info.signed)
@@ -600,7 +602,7 @@ def _contradicted(
 
 def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
     """Each gap whose posterior is cut by its prior's range."""
-    found = []
+    flaws = []
     for i, unknown in enumerate(model.unknowns):
         if unknown.name != GAP:
             continue
@@ -613,5 +615,5 @@ def _at_bound(model: SimulatedSignals, draws: FloatArray) -> list[Flaw]:
             # Where the range begins at no gap there is nothing below.
             if share > AT_BOUND_SHARE and not (side == "lower" and unknown.offset):
                 low, high = unknown.value(np.array([unknown.low, unknown.high])).tolist()
-                found.append(Flaw("gap_at_bound", {"side": side, "low": low, "high": high}))
-    return found
+                flaws.append(Flaw("gap_at_bound", {"side": side, "low": low, "high": high}))
+    return flaws

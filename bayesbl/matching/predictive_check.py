@@ -61,11 +61,13 @@ def disagreements(fit: SimulatedFit) -> list[RepeatingPower]:
     parts = model.by_recording(fit.residual)
     by_recording = [
         [
-            RepeatingPower(seen.name, channel, *entry)
-            for channel, row in zip(seen.channels, part[:, seen.first_compared :], strict=True)
-            for entry in _by_band(row, seen, scatters=not noise.repeats)
+            RepeatingPower(observation.name, channel, *entry)
+            for channel, row in zip(
+                observation.channels, part[:, observation.first_compared :], strict=True
+            )
+            for entry in _by_band(row, observation, scatters=not noise.repeats)
         ]
-        for seen, noise, part in zip(model.recordings, model.noise, parts, strict=True)
+        for observation, noise, part in zip(model.recordings, model.noise, parts, strict=True)
     ]
     count = sum(map(len, by_recording))
     for place, entries in enumerate(by_recording):
@@ -85,18 +87,18 @@ def _looked_at_closer(
     the same in all rotations is held against its own simulation; whether it goes round is not
     known, and what either leaves is no disagreement.
     """
-    seen, noise = fit.model.recordings[place], fit.model.noise[place]
-    rows = fit.model.by_recording(fit.residual)[place][:, seen.first_compared :]
-    if not seen.repeats:
+    observation, noise = fit.model.recordings[place], fit.model.noise[place]
+    rows = fit.model.by_recording(fit.residual)[place][:, observation.first_compared :]
+    if not observation.repeats:
         return entries
-    turns = np.stack([whole_rotations(row, seen.lag) for row in rows], axis=1)
+    turns = np.stack([whole_rotations(row, observation.lag) for row in rows], axis=1)
     rotations = len(turns)
     if rotations < 2:
         return entries
 
     def in_band(entry: RepeatingPower, rows: FloatArray) -> FloatArray:
-        channel = seen.channels.index(entry.channel)
-        own = rows.reshape(len(rows), len(seen.channels), -1)[:, channel]
+        channel = observation.channels.index(entry.channel)
+        own = rows.reshape(len(rows), len(observation.channels), -1)[:, channel]
         return _band(_spectrum(own), entry.highest_order)
 
     if not noise.repeats:
@@ -141,16 +143,18 @@ def _powers(band: FloatArray) -> tuple[float, float]:
     return len(band) * float(np.sum(mean**2)), float(np.sum((band - mean) ** 2))
 
 
-def _by_band(row: FloatArray, seen: Observed, *, scatters: bool) -> list[tuple[int, float, float]]:
+def _by_band(
+    row: FloatArray, observation: Observed, *, scatters: bool
+) -> list[tuple[int, float, float]]:
     """Of what repeats; of what is slow where nothing does, or one cycle would have to scatter.
 
     Without its begin a motion of two cycles has less than two that are compared.
     """
-    if not seen.repeats:
-        return _slow(row, seen.lag, scatters=scatters)
-    if scatters and len(whole_rotations(row, seen.lag)) < 2:
+    if not observation.repeats:
+        return _slow(row, observation.lag, scatters=scatters)
+    if scatters and len(whole_rotations(row, observation.lag)) < 2:
         return _slow(row, row.size // 4, scatters=scatters)
-    return _repeating(row, seen.lag, scatters=scatters)
+    return _repeating(row, observation.lag, scatters=scatters)
 
 
 def standing_out(entries: Sequence[RepeatingPower]) -> list[RepeatingPower]:

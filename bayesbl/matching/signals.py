@@ -308,7 +308,7 @@ class SimulatedSignals:
 
     def __post_init__(self, white_recordings: Sequence[FloatArray] | None) -> None:
         self.recordings, self.unknowns = tuple(self.recordings), tuple(self.unknowns)
-        names = [seen.name for seen in self.recordings]
+        names = [observation.name for observation in self.recordings]
         if len(set(names)) < len(names):
             raise ValueError(f"Unknowns belong to recordings by name, and two are alike: {names}")
         self.normal_prior = NormalPrior.of(
@@ -318,7 +318,8 @@ class SimulatedSignals:
             self.bench.identified,
         )
         self._white_recordings = white_recordings or [
-            n.whiten(seen.signals) for n, seen in zip(self.noise, self.recordings, strict=True)
+            n.whiten(observation.signals)
+            for n, observation in zip(self.noise, self.recordings, strict=True)
         ]
 
     @property
@@ -357,7 +358,7 @@ class SimulatedSignals:
     @property
     def size(self) -> int:
         """Whitened residuals of all recordings, N."""
-        return sum(seen.size for seen in self._white_recordings)
+        return sum(observation.size for observation in self._white_recordings)
 
     def samples_of(self, recording: int) -> int:
         """Whitened residuals of one recording, over its channels."""
@@ -369,14 +370,21 @@ class SimulatedSignals:
 
     def stretch(self, points: FloatArray, recording: int) -> FloatArray:
         """Like :meth:`signals`, but a single rotation where all are alike, (m, c, lag)."""
-        seen = self.recordings[recording]
-        matrix = self._benches(np.atleast_2d(points), seen)
-        accuracy = accuracy_rpm(self.noise[recording], seen)
-        samples = seen.lag if repeats(matrix, seen) else seen.samples
+        observation = self.recordings[recording]
+        matrix = self._benches(np.atleast_2d(points), observation)
+        accuracy = accuracy_rpm(self.noise[recording], observation)
+        samples = observation.lag if repeats(matrix, observation) else observation.samples
         return self.recent.signals(
             matrix,
-            (*seen.rows, samples, seen.sampling_hz, accuracy, seen.motor_start_rad, seen.motion),
-            partial(simulated, seen, samples, accuracy, self.workers, "nan"),
+            (
+                *observation.rows,
+                samples,
+                observation.sampling_hz,
+                accuracy,
+                observation.motor_start_rad,
+                observation.motion,
+            ),
+            partial(simulated, observation, samples, accuracy, self.workers, "nan"),
         )
 
     def require(self, point: FloatArray) -> None:
@@ -387,38 +395,47 @@ class SimulatedSignals:
         BenchError
             That says why one of them cannot be.
         """
-        for seen, noise in zip(self.recordings, self.noise, strict=True):
-            matrix = self._benches(point[None], seen)
-            simulated(seen, seen.samples, accuracy_rpm(noise, seen), 1, "raise", matrix)
+        for observation, noise in zip(self.recordings, self.noise, strict=True):
+            matrix = self._benches(point[None], observation)
+            simulated(
+                observation,
+                observation.samples,
+                accuracy_rpm(noise, observation),
+                1,
+                "raise",
+                matrix,
+            )
 
-    def vectors(self, points: FloatArray, seen: Observed, **given: float) -> FloatArray:
+    def vectors(self, points: FloatArray, observation: Observed, **given: float) -> FloatArray:
         """Parameters of a recording's bench at points, (m, d) to (m, SLOTS), these values given."""
-        matrix = self.bench.vector(**(self.settings_of(points, seen) | given))
+        matrix = self.bench.vector(**(self.settings_of(points, observation) | given))
         return matrix if len(matrix) == len(points) else np.repeat(matrix, len(points), axis=0)
 
-    def _benches(self, points: FloatArray, seen: Observed) -> FloatArray:
+    def _benches(self, points: FloatArray, observation: Observed) -> FloatArray:
         """What a recording's simulations run with, (m, d) to (m, SLOTS)."""
-        matrix = self.vectors(points, seen)
-        if seen.begin_s:
-            matrix = after(matrix, seen.begin_s)
-        return in_whole_ticks(self.bench.measurement.seen_by(matrix, seen.sampling_hz), seen)
+        matrix = self.vectors(points, observation)
+        if observation.begin_s:
+            matrix = after(matrix, observation.begin_s)
+        return in_whole_ticks(
+            self.bench.measurement.seen_by(matrix, observation.sampling_hz), observation
+        )
 
-    def settings_of(self, points: FloatArray, seen: Observed) -> dict[str, Any]:
+    def settings_of(self, points: FloatArray, observation: Observed) -> dict[str, Any]:
         """What a recording's simulations differ in from the bench, as :meth:`Bench.vector` takes.
 
         What is known of the recording goes before what all share, its own unknowns before both.
         """
         settings: dict[str, Any] = {}
-        if seen.motion is None:
-            settings["reference_speed_rpm"] = seen.reference_speed_rpm
+        if observation.motion is None:
+            settings["reference_speed_rpm"] = observation.reference_speed_rpm
         settings |= self.settings
         own = []
         for i, unknown in enumerate(self.unknowns):
             if unknown.recording is None:
                 settings[unknown.name] = unknown.value(points[:, i])
-            elif unknown.recording == seen.name:
+            elif unknown.recording == observation.name:
                 own.append((unknown, unknown.value(points[:, i])))
-        settings |= seen.known
+        settings |= observation.known
         for unknown, value in own:
             if unknown.added:
                 nominal = unknown.reference or self.bench.value(unknown.name)
@@ -433,7 +450,7 @@ class SimulatedSignals:
     def whitened(self, points: FloatArray) -> FloatArray:
         """Whitened residuals of all recordings, (m, d) to (m, N): their squares sum to χ²."""
         points = np.atleast_2d(points)
-        sizes = [seen.size for seen in self._white_recordings]
+        sizes = [observation.size for observation in self._white_recordings]
         white = np.empty((len(points), self.size))
         parts = np.split(white, np.cumsum(sizes)[:-1], axis=1)
 
@@ -446,10 +463,10 @@ class SimulatedSignals:
 
     def by_recording(self, white: FloatArray) -> list[FloatArray]:
         """Whitened residuals (N,) of one point as views by recording, each of shape (c, n − p)."""
-        ends = np.cumsum([seen.size for seen in self._white_recordings])
+        ends = np.cumsum([observation.size for observation in self._white_recordings])
         return [
-            part.reshape(len(seen.signals), -1)
-            for part, seen in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
+            part.reshape(len(observation.signals), -1)
+            for part, observation in zip(np.split(white, ends[:-1]), self.recordings, strict=True)
         ]
 
     def rotations(self, recording: int) -> NDArray[np.int64]:
@@ -457,27 +474,29 @@ class SimulatedSignals:
 
         A rest shorter than half a rotation belongs to the one before it.
         """
-        seen = self.recordings[recording]
-        number = np.arange(self.noise[recording].order, seen.samples) // seen.lag
-        return np.minimum(number, max(round(seen.samples / seen.lag) - 1, 0))
+        observation = self.recordings[recording]
+        number = np.arange(self.noise[recording].order, observation.samples) // observation.lag
+        return np.minimum(number, max(round(observation.samples / observation.lag) - 1, 0))
 
     def rotation_log_density(self, recording: int) -> FloatArray:
         """ln of the density of each rotation of a recording where its χ² is 0, (rotation,)."""
-        seen, noise, rotation = (
+        observation, noise, rotation = (
             self.recordings[recording],
             self.noise[recording],
             self.rotations(recording),
         )
-        each = np.log(np.diag(noise.root)).sum() + 0.5 * len(seen.signals) * math.log(2.0 * math.pi)
+        each = np.log(np.diag(noise.root)).sum() + 0.5 * len(observation.signals) * math.log(
+            2.0 * math.pi
+        )
         counts = np.bincount(rotation[self._counts(recording)], minlength=rotation[-1] + 1)
         return np.asarray(-each * counts)
 
     def _counts(self, recording: int) -> BoolArray:
         """Whitened samples that nothing excluded is in, shape (n − p,)."""
-        seen, order = self.recordings[recording], self.noise[recording].order
-        if seen.excluded is None:
-            return np.ones(seen.samples - order, dtype=bool)
-        return np.asarray(~sliding_window_view(seen.excluded, order + 1).any(axis=1))
+        observation, order = self.recordings[recording], self.noise[recording].order
+        if observation.excluded is None:
+            return np.ones(observation.samples - order, dtype=bool)
+        return np.asarray(~sliding_window_view(observation.excluded, order + 1).any(axis=1))
 
     def only_in(self, recording: int, white: FloatArray) -> FloatArray:
         """Whitened residuals (N,) of one recording, zero in all others."""
@@ -493,10 +512,12 @@ class SimulatedSignals:
         return white
 
     def _whiten_into(self, out: FloatArray, points: FloatArray, recording: int) -> None:
-        seen, noise = self.recordings[recording], self.noise[recording]
+        observation, noise = self.recordings[recording], self.noise[recording]
         begun = self.stretch(points, recording)
         # Whitening is linear, and what repeats still repeats when it is whitened.
-        made = noise.whiten(continued(begun, min(begun.shape[2] + noise.order, seen.samples)))
+        made = noise.whiten(
+            continued(begun, min(begun.shape[2] + noise.order, observation.samples))
+        )
         observed = self._white_recordings[recording]
         white = out.reshape(len(points), *observed.shape)
         length = made.shape[2]
@@ -504,10 +525,10 @@ class SimulatedSignals:
             here = slice(first, first + length)
             turn = observed[:, here]
             np.subtract(turn, made[:, :, : turn.shape[1]], out=white[:, :, here])
-        if seen.excluded is not None:
+        if observation.excluded is not None:
             white[..., ~self._counts(recording)] = 0.0
-        if seen.motor_lines is not None:
-            seen.motor_lines.project_out(white)
+        if observation.motor_lines is not None:
+            observation.motor_lines.project_out(white)
 
     def log_prior(self, points: FloatArray) -> FloatArray:
         """Log prior density up to a constant, (m, d) to (m,); −inf outside the ranges."""

@@ -96,7 +96,7 @@ and another question is asked of the recordings."""
 ABSENT = 0.5
 """Probability that a joint has nothing of a law that is there or is not. A judgement: even odds."""
 
-LEAST_LEFT = 0.01
+LEAST_SHARE = 0.01
 """Share of a positive parameter that no drift or change takes."""
 
 SAMPLED = "sampled_control"
@@ -342,7 +342,7 @@ class Label:
 
         ``vector``, (slots,): what they differ from, the bench's values or the first snapshot's.
         """
-        found = []
+        unknowns = []
         widths = np.sqrt(0.5 * (1.0 + sizes**2)) * self.scales
         for own, scale in zip(self.directions, widths.tolist(), strict=True):
             value = float(vector[Slot[own.slot]])
@@ -351,16 +351,16 @@ class Label:
             least = own.least if is_bounded else -math.inf
             if self.recording is None:
                 high = simulated_range(own.slot)[1]
-                found.append(Unknown(own.slot, least, high, centre=value, sd=scale))
+                unknowns.append(Unknown(own.slot, least, high, centre=value, sd=scale))
                 continue
             # A change is as large as the recordings have it.
             sd = scale / CHANGED_SHARE if self.cause else scale
-            low = LEAST_LEFT * value - value if is_bounded else -math.inf
+            low = LEAST_SHARE * value - value if is_bounded else -math.inf
             # In proportion to the value that the range is of, not to the bench's.
-            found.append(
+            unknowns.append(
                 Unknown(own.slot, low, sd=sd, recording=self.recording, added=True, reference=value)
             )
-        return found
+        return unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -516,11 +516,11 @@ def beside(fit: SimulatedFit, among: Sequence[Direction]) -> Beside:
     posterior = search(linearised, MOST_CHANGED, changed)
     drawn = posterior.draw(np.random.default_rng(0), SIZES_DRAWN)
     size, shift = drawn.sizes.mean(axis=0), drawn.shift.mean(axis=0)
-    left = [
+    residual_parts = [
         residual - jacobian @ shift - by @ size[own]
         for residual, jacobian, own, by in zip(residuals, jacobians, acting, columns, strict=True)
     ]
-    return Beside(fit, labels, posterior, drawn.sizes, np.concatenate(left), _lag_s(fit))
+    return Beside(fit, labels, posterior, drawn.sizes, np.concatenate(residual_parts), _lag_s(fit))
 
 
 def _lag_s(fit: SimulatedFit) -> float:
@@ -557,7 +557,9 @@ def _dry_shares(fit: SimulatedFit) -> Iterator[Direction]:
     stated = {effect.name for effect in model.bench.effects}
     # What a bench says of its viscous friction is of that alone.
     open_to_all = {u.name for u in model.unknowns if u.recording is None and u.centre == 0.0}
-    motor_rad_per_s = max(abs(seen.reference_speed_rpm) for seen in model.recordings) / RPM
+    motor_rad_per_s = (
+        max(abs(observation.reference_speed_rpm) for observation in model.recordings) / RPM
+    )
     load_rad_per_s = motor_rad_per_s / model.bench.value("gear_ratio")
     for side, speed_rad_per_s in (("motor", motor_rad_per_s), ("load", load_rad_per_s)):
         effect, viscous = f"{side}_coulomb_friction", f"{side}_viscous_friction"
@@ -578,7 +580,7 @@ def _labels(fit: SimulatedFit, among: Sequence[Direction]) -> tuple[Label, ...]:
     """Each direction for all snapshots together, and drift and causes for each but the first."""
     model, among = fit.model, [*among, *_dry_shares(fit)]
     taken = {(u.name, u.recording) for u in model.unknowns}
-    owners = [seen.name for seen in model.recordings[1:]]
+    owners = [observation.name for observation in model.recordings[1:]]
     labels = [Label((d,), None) for d in among if d.usual > 0.0]
     labels += [Label((d,), owner) for d in among if d.drift > 0.0 for owner in owners]
     for owner in owners:
@@ -597,7 +599,7 @@ def _columns(
     fit: SimulatedFit, place: int, labels: Sequence[Label]
 ) -> tuple[list[int], FloatArray]:
     """Columns that act in a recording, and its whitened signals by each, shape (N, acting)."""
-    model, seen = fit.model, fit.model.recordings[place]
+    model, observation = fit.model, fit.model.recordings[place]
     every = [
         (label.recording, direction, scale)
         for label in labels
@@ -606,12 +608,12 @@ def _columns(
     acting = [
         k
         for k, (owner, direction, _) in enumerate(every)
-        if owner in (None, seen.name) and direction.slot not in seen.known
+        if owner in (None, observation.name) and direction.slot not in observation.known
     ]
     if not acting:
         return [], np.zeros((fit.model.by_recording(fit.residual)[place].size, 0))
     among = list(dict.fromkeys(every[k][1] for k in acting))
-    own = [Unknown(d.slot, recording=seen.name, added=True) for d in among]
+    own = [Unknown(d.slot, recording=observation.name, added=True) for d in among]
     point = np.concatenate([fit.point, np.zeros(len(own))])
     slopes = _slopes(model.beside(with_neutral(model.bench, among), own), point, place, among)
     rows = [among.index(every[k][1]) for k in acting]
@@ -745,7 +747,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     from tick to tick. None where a dead time is stated or fitted already, nor of usual periods in a
     motion, whose reference comes in steps too.
     """
-    moving = any(seen.motion is not None for seen in fit.model.recordings)
+    moving = any(observation.motion is not None for observation in fit.model.recordings)
     stated = next((e for e in fit.model.bench.effects if e.name == SAMPLED), None)
     taken = {unknown.name for unknown in fit.model.unknowns}
     if stated is None:
@@ -753,7 +755,7 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
     else:
         is_known = DEAD_TIME in taken or "delay_periods" in stated.parameters
         periods_s = () if is_known else (stated.complete()["period_s"],)
-    left_beside, models, promises = _left_beside(fit, among), {}, []
+    chi_square_beside, models, promises = _chi_square_beside(fit, among), {}, []
     for period_s in periods_s:
         bench = fit.model.bench
         if stated is None:
@@ -766,9 +768,9 @@ def _sampled_loops(fit: SimulatedFit, among: Sequence[Direction]) -> list[Simula
             point = np.concatenate([fit.point, loop[: len(own)]])
             residual = models[period_s].whitened(point)[0]
             if np.all(np.isfinite(residual)):
-                left, shift = left_beside(residual)
+                chi_square, shift = chi_square_beside(residual)
                 point[: shift.size] += shift
-                promises.append((left, period_s, point))
+                promises.append((chi_square, period_s, point))
     fits: list[SimulatedFit] = []
     if not promises:
         return fits
@@ -856,7 +858,7 @@ def edge_variances(posterior: DirectPosterior) -> FloatArray:
     return posterior.draws[..., names.index(EDGE_VARIANCE)]
 
 
-def _left_beside(
+def _chi_square_beside(
     fit: SimulatedFit, among: Sequence[Direction]
 ) -> Callable[[FloatArray], tuple[float, FloatArray]]:
     """χ² that is left of a residual (N,), and the shift of the fit's unknowns with it, (d,), where

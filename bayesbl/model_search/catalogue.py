@@ -220,7 +220,7 @@ def candidates(
         if "load_angle" in effect.depends_on and not load_angle_known:
             continue
         between_channels = effect.enters == "measurement" and effect.sought_alone is not None
-        if between_channels and any(len(seen.signals) < 2 for seen in recordings):
+        if between_channels and any(len(observation.signals) < 2 for observation in recordings):
             continue
         if effect.is_periodic:
             hypotheses += _periodic(bench, effect, recordings, peaks, motor_angle_known)

@@ -403,7 +403,7 @@ class SetSearch:
 
     def _is_far(self, own: FittedSet) -> bool:
         """Whether what a bench lacks may have drawn the gap away from where it is."""
-        moving = any(seen.motion is not None for seen in own.fit.model.recordings)
+        moving = any(observation.motion is not None for observation in own.fit.model.recordings)
         return not moving and self._is_unexplained(own)
 
     def _find_orders(self, own: FittedSet) -> None:
@@ -443,10 +443,10 @@ class SetSearch:
         labels = {c.label for c in self._candidates.values()}
         posterior = search(view, min(2, room), dict.fromkeys(labels, self._probability))
         gains = posterior.single_gains()
-        left = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
-        least = max(min(left.values(), default=0.0), 0.0)
-        contend = [(k,) for k in sorted(left, key=lambda k: left[k])]
-        contend = [t for t in contend if left[t[0]] < LEAVES_MOST * least + SLACK]
+        excess = {k: base.excess - 2.0 * gain for k, gain in gains.items() if gain > 0.0}
+        least = max(min(excess.values(), default=0.0), 0.0)
+        contend = [(k,) for k in sorted(excess, key=lambda k: excess[k])]
+        contend = [t for t in contend if excess[t[0]] < LEAVES_MOST * least + SLACK]
         best = self.best.log_evidence + math.log(1.0 - NAMED_AT)
         pairs = [
             terms
@@ -543,7 +543,9 @@ class SetSearch:
             shared = tuple(replace(u, recording=None) for u in candidate.unknowns)
             everywhere = replace(candidate, recording=None, unknowns=shared)
             simulated[key] = columns_of(fit, everywhere)
-        place = [seen.name for seen in fit.model.recordings].index(candidate.recording)
+        place = [observation.name for observation in fit.model.recordings].index(
+            candidate.recording
+        )
         return [[fit.model.only_in(place, column) for column in own] for own in simulated[key]]
 
     def _excluded(self, candidate: Candidate) -> frozenset[str]:
@@ -639,14 +641,16 @@ def _banded(
     total = np.zeros((size, size))
     pieces: list[list[FloatArray]] = [[] for _ in BANDS]
     ends = np.cumsum([0, *(part.size for part in model.by_recording(fit.residual))])
-    for seen, (begin, end) in zip(model.recordings, itertools.pairwise(ends), strict=True):
+    for observation, (begin, end) in zip(model.recordings, itertools.pairwise(ends), strict=True):
         # One recording after the other: all columns of all of them once more would fill the memory.
         rows = np.hstack([part[begin:end] for part in columns])
         rows[:, :d][:, stopped] = 0.0
         total += rows.T @ rows
-        channels = rows.reshape(len(seen.signals), -1, size)
+        channels = rows.reshape(len(observation.signals), -1, size)
         for channel in channels:
-            for place, piece in enumerate(_by_band(channel[seen.first_compared :], seen)):
+            for place, piece in enumerate(
+                _by_band(channel[observation.first_compared :], observation)
+            ):
                 pieces[place].append(piece)
     first = d + sum(widths)
     several = sum(len(band) for band in pieces)
@@ -697,9 +701,9 @@ def _banded(
 def _largest_line(model: SimulatedSignals) -> float:
     """Of the whitened channels beside their means, in the mean rotation's units: the median."""
     largest = []
-    for seen, noise in zip(model.recordings, model.noise, strict=True):
-        for row in noise.whiten(seen.signals):
-            _, *bands = _by_band(row[seen.first_compared :, None], seen)
+    for observation, noise in zip(model.recordings, model.noise, strict=True):
+        for row in noise.whiten(observation.signals):
+            _, *bands = _by_band(row[observation.first_compared :, None], observation)
             largest.append(max((float(np.abs(b).max()) for b in bands if len(b)), default=0.0))
     return max(float(np.median(largest)), 1.0)
 
@@ -713,10 +717,12 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
     """
     model = fit.model
     made: list[tuple[int, FloatArray]] = []
-    for place, seen in enumerate(model.recordings):
+    for place, observation in enumerate(model.recordings):
         loop = loop_noise(fit, place)
         if loop is not None:
-            rows = (loop.around - loop.linear).reshape(len(loop.around), len(seen.signals), -1)
+            rows = (loop.around - loop.linear).reshape(
+                len(loop.around), len(observation.signals), -1
+            )
             scale = math.sqrt(float(loop.shares.mean()) / len(rows))
             made.append((place, scale * rows))
     if not made:
@@ -724,20 +730,20 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
     columns: list[list[FloatArray]] = [[] for _ in BANDS]
     width = LOOP_COLUMNS * len(made)
     by_place = dict(made)
-    for place, seen in enumerate(model.recordings):
+    for place, observation in enumerate(model.recordings):
         around = by_place.get(place)
         bands: list[FloatArray] = []
-        for channel in range(len(seen.signals)):
-            length = seen.lag if around is None else around.shape[2]
+        for channel in range(len(observation.signals)):
+            length = observation.lag if around is None else around.shape[2]
             own = np.zeros((length, 1)) if around is None else around[:, channel].T
-            bands += list(_spectral_bands(own, seen))
+            bands += list(_spectral_bands(own, observation))
         stacked = np.concatenate(bands)
         out = np.zeros((len(stacked), width))
         if around is not None:
             at = LOOP_COLUMNS * [p for p, _ in made].index(place)
-            left, sizes, _ = np.linalg.svd(stacked, full_matrices=False)
+            basis, sizes, _ = np.linalg.svd(stacked, full_matrices=False)
             most = min(LOOP_COLUMNS, sizes.size)
-            out[:, at : at + most] = left[:, :most] * sizes[:most]
+            out[:, at : at + most] = basis[:, :most] * sizes[:most]
         begin = 0
         for k, band in enumerate(bands):
             columns[k % len(BANDS)].append(out[begin : begin + len(band)])
@@ -745,23 +751,23 @@ def noise_in_loop(fit: SimulatedFit) -> list[list[FloatArray]]:
     return columns
 
 
-def _by_band(rows: FloatArray, seen: Observed) -> Iterator[FloatArray]:
+def _by_band(rows: FloatArray, observation: Observed) -> Iterator[FloatArray]:
     """Of whitened rows (n, p) the mean rotation by bands of load orders, noise alike in each.
 
     A motion that does not repeat counts as one rotation, in cycles a quarter of it.
     """
-    lag = seen.lag if seen.repeats else len(rows)
+    lag = observation.lag if observation.repeats else len(rows)
     turns = whole_rotations(rows, lag)
-    yield from _spectral_bands(turns.sum(axis=0) / math.sqrt(len(turns)), seen)
+    yield from _spectral_bands(turns.sum(axis=0) / math.sqrt(len(turns)), observation)
 
 
-def _spectral_bands(mean: FloatArray, seen: Observed) -> Iterator[FloatArray]:
+def _spectral_bands(mean: FloatArray, observation: Observed) -> Iterator[FloatArray]:
     """Of a rotation (lag, p) by bands of load orders, (k, p) each."""
     spectrum = np.fft.rfft(mean, axis=0) / math.sqrt(len(mean))
     yield spectrum[:1].real
     below = 1
     for highest in BANDS[1:]:
-        end = min(highest if seen.repeats else 4 * highest, len(spectrum) - 2) + 1
+        end = min(highest if observation.repeats else 4 * highest, len(spectrum) - 2) + 1
         band = spectrum[below : max(end, below)] * math.sqrt(2.0)
         yield np.concatenate([band.real, band.imag])
         below = max(end, below)

@@ -202,21 +202,21 @@ def elastic_parts(
     return SetSearch(Explanation((), fit), lambda _: parts, 1, among).sets
 
 
-def with_part(nominal: SimulatedFit, found: Explanation, probability: float) -> ElasticPart:
+def with_part(nominal: SimulatedFit, explanation: Explanation, probability: float) -> ElasticPart:
     """A fitted part put into the bench, its values as directions of their flat priors.
 
     Laws and drift that stood in for it in the fit are linear again beside it, as they are next to
     nothing then: a lag of microseconds is what the simulator is slowest with.
     """
-    (part,) = found.candidates
-    places, own = found.places(part), nominal.point.size
-    sds = np.sqrt(np.diag(found.fit.covariance))[places].tolist()
+    (part,) = explanation.candidates
+    places, own = explanation.places(part), nominal.point.size
+    sds = np.sqrt(np.diag(explanation.fit.covariance))[places].tolist()
     values = {
-        u.name.partition("__")[2]: float(found.fit.point[k])
+        u.name.partition("__")[2]: float(explanation.fit.point[k])
         for u, k in zip(part.unknowns, places, strict=True)
     }
     effect = BenchEffect(part.name, {k: EffectParameterValue(v) for k, v in values.items()})
-    bench, fit = nominal.model.bench, found.fit
+    bench, fit = nominal.model.bench, explanation.fit
     stated = {own.name for own in bench.effects}
     # How the controller samples is kept: it did not stand in for the part.
     ticks = [e for e in fit.model.bench.effects if e.name == SAMPLED and e.name not in stated]
@@ -281,7 +281,7 @@ def find_changes(
     explained = is_explained(final.fit) if rest is None else rest.explains
     names = dict.fromkeys(name for effect in naming.effects for name in effect.members)
     return naming, JointFindings(
-        tuple(seen.name for seen in nominal.model.recordings),
+        tuple(observation.name for observation in nominal.model.recordings),
         explained,
         tuple(_parameters(final)),
         tuple(names),
@@ -297,7 +297,7 @@ def changed_beside(
     ``among``: what was marginalised, and so is no blind spot; what was far is now an unknown.
     ``part``: which of them is an elastic part that the bench lacks.
     """
-    names = tuple(seen.name for seen in fit.model.recordings)
+    names = tuple(observation.name for observation in fit.model.recordings)
     by_slot = {direction.slot: direction for direction in among}
     changed: list[ChangedParameter] = []
     allowed = [] if part is None else [*part.values]
@@ -342,7 +342,7 @@ def _parameters(final: Explanation) -> Iterator[ChangedParameter]:
     changed.
     """
     fit = final.fit
-    first, *later = [seen.name for seen in fit.model.recordings]
+    first, *later = [observation.name for observation in fit.model.recordings]
     freed = {unknown.key for unknown in fit.model.unknowns}
     for candidate in final.candidates:
         unknowns = [candidate.unknowns[place] for place in _stated_places(candidate)]
@@ -389,10 +389,10 @@ def _against(fit: SimulatedFit, name: str, one: str, other: str) -> ChangedParam
     points = np.concatenate([fit.point[None], fit.point + steps, fit.point - steps])
     by_bench = fit.model.bench.vector()[0, Slot[name]]
     values = [
-        np.broadcast_to(fit.model.settings_of(points, seen).get(name, by_bench), len(points))
+        np.broadcast_to(fit.model.settings_of(points, observation).get(name, by_bench), len(points))
         for recording in (one, other)
-        for seen in fit.model.recordings
-        if seen.name == recording
+        for observation in fit.model.recordings
+        if observation.name == recording
     ]
     up, down = np.split((values[0] - values[1])[1:], 2)
     slopes = np.divide(up - down, 2.0 * own_sd, out=np.zeros(own_sd.size), where=own_sd > 0.0)
@@ -420,7 +420,7 @@ def _candidates(fit: SimulatedFit, peaks: Sequence[float]) -> list[Candidate]:
     if len(recordings) == 1:
         return everywhere
     own = {unknown.key for unknown in model.unknowns}
-    within = [c.within(seen.name) for seen in recordings for c in every]
+    within = [c.within(observation.name) for observation in recordings for c in every]
     return [*everywhere, *(c for c in within if not own & c.unknown_keys)]
 
 

@@ -868,18 +868,18 @@ def _smallest_cover(
     sets: Sequence[tuple[frozenset[str], float]], used: set[str]
 ) -> tuple[str, ...]:
     """Hypotheses, none of those used, of which the sets hold one almost surely; or none."""
-    left = [(labels - used, p) for labels, p in sets]
+    uncovered = [(labels - used, p) for labels, p in sets]
     members: list[str] = []
-    while len(members) < CONFOUNDED_MOST and sum(p for _, p in left) > 1.0 - NAMED_AT:
+    while len(members) < CONFOUNDED_MOST and sum(p for _, p in uncovered) > 1.0 - NAMED_AT:
         gain: dict[str, float] = {}
-        for labels, probability in left:
+        for labels, probability in uncovered:
             for label in labels:
                 gain[label] = gain.get(label, 0.0) + probability
         if not gain:
             return ()
         members.append(max(gain, key=lambda label: gain[label]))
-        left = [(labels, p) for labels, p in left if members[-1] not in labels]
-    return tuple(members) if sum(p for _, p in left) <= 1.0 - NAMED_AT else ()
+        uncovered = [(labels, p) for labels, p in uncovered if members[-1] not in labels]
+    return tuple(members) if sum(p for _, p in uncovered) <= 1.0 - NAMED_AT else ()
 
 
 def _within(right: FloatArray, precision: FloatArray, positive: np.ndarray) -> FloatArray:

@@ -36,7 +36,7 @@ from bayesbl.matching.signals import (
     tolerance_unknowns,
 )
 from bayesbl.model_search.always_in import (
-    LEAST_LEFT,
+    LEAST_SHARE,
     Beside,
     Direction,
     beside,
@@ -98,7 +98,7 @@ def friction_drift(
     return [
         Unknown(
             d.slot,
-            (LEAST_LEFT - 1.0) * sizes[d.slot],
+            (LEAST_SHARE - 1.0) * sizes[d.slot],
             sd=d.drift,
             recording=name,
             added=True,
@@ -180,7 +180,7 @@ def fit_jointly(
     always allowed for. What the bench lacks beside that, or changed in the joint, is freed where it
     is named. ``drift``: relative standard deviations by name, in place of the defaults.
     """
-    recordings = [marginalising_motor_lines(seen, bench) for seen in recordings]
+    recordings = [marginalising_motor_lines(observation, bench) for observation in recordings]
     bench = with_friction(bench, recordings)
     among = directions(bench, drift)
     moving = [r.name for r in recordings if r.motion is not None]

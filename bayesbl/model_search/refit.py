@@ -219,7 +219,9 @@ def _columns(
     # An effect that was put into the bench does nothing yet.
     is_fit = model.bench is not fit.model.bench
     owners = [
-        k for k, seen in enumerate(model.recordings) if candidate.recording in (None, seen.name)
+        k
+        for k, observation in enumerate(model.recordings)
+        if candidate.recording in (None, observation.name)
     ]
     change = np.zeros(model.size)
 

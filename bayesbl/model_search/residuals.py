@@ -293,11 +293,11 @@ def residuals_of(fit: SimulatedFit) -> ResidualAnalysis:
     ]
     own = [fit.simulated(i) for i in steady]
     # Bridged samples hold nothing that repeats.
-    seen = [
-        replace(r, signals=made + r.left_by(made))
+    observations = [
+        replace(r, signals=made + r.residual_of(made))
         for r, made in zip((model.recordings[i] for i in steady), own, strict=True)
     ]
-    return analyse_residuals(seen, own)
+    return analyse_residuals(observations, own)
 
 
 def motor_orders(fit: SimulatedFit) -> list[float]:
@@ -341,11 +341,17 @@ def analyse_residuals(
     RecordingError
         If a recording holds less than two load rotations.
     """
-    tests = max(1, sum(len(seen.signals) for seen in recordings))
+    tests = max(1, sum(len(observation.signals) for observation in recordings))
     remaining, power = list[Unexplained](), 0.0
-    for channel in dict.fromkeys(name for seen in recordings for name in seen.channels):
+    for channel in dict.fromkeys(
+        name for observation in recordings for name in observation.channels
+    ):
         pairs = zip(recordings, simulated, strict=True)
-        own = [_residual(seen, made, channel) for seen, made in pairs if channel in seen.channels]
+        own = [
+            _residual(observation, made, channel)
+            for observation, made in pairs
+            if channel in observation.channels
+        ]
         lines = list(_lines(own, false_lines / tests))
         repeating = [one.repeating(false_lines / tests, tests) for one in own]
         power += sum(one.over_noise(size) for one, (size, _) in zip(own, repeating, strict=True))
@@ -355,33 +361,33 @@ def analyse_residuals(
     return ResidualAnalysis(tuple(remaining), power)
 
 
-def _residual(seen: Observed, simulated: FloatArray, channel: str) -> _Residual:
+def _residual(observation: Observed, simulated: FloatArray, channel: str) -> _Residual:
     """Of one channel, over time and over the motor angle that the simulated speed makes, which has
     no noise; whole load rotations, to the nearest sample."""
-    rotation = seen.rotation_period_s * seen.sampling_hz
-    rotations = int(seen.samples / rotation + 1e-6)
+    rotation = observation.rotation_period_s * observation.sampling_hz
+    rotations = int(observation.samples / rotation + 1e-6)
     if rotations < FEWEST_ROTATIONS:
         raise RecordingError(
             "The recording is too short to tell noise from what repeats every load rotation.",
-            file=seen.name,
-            found=f"{seen.samples / rotation:.3g} load rotations",
+            file=observation.name,
+            found=f"{observation.samples / rotation:.3g} load rotations",
             expected="at least two",
         )
-    n = min(round(rotations * rotation), seen.samples)
-    row = seen.channels.index(channel)
-    turns = rotations * seen.rotation_period_s * abs(seen.reference_speed_rpm) / 60.0
+    n = min(round(rotations * rotation), observation.samples)
+    row = observation.channels.index(channel)
+    turns = rotations * observation.rotation_period_s * abs(observation.reference_speed_rpm) / 60.0
     time = np.arange(n, dtype=float)
     turned = time
-    if MOTOR_SPEED in seen.channels:
+    if MOTOR_SPEED in observation.channels:
         from scipy.integrate import cumulative_trapezoid
 
-        turning = np.abs(simulated[seen.channels.index(MOTOR_SPEED), :n]) / 60.0
-        turned = cumulative_trapezoid(turning, dx=n / seen.sampling_hz / turns, initial=0.0)
-    lengths: dict[Scale, float] = {TIME: n / seen.sampling_hz, MOTOR: turns, LOAD: turns}
+        turning = np.abs(simulated[observation.channels.index(MOTOR_SPEED), :n]) / 60.0
+        turned = cumulative_trapezoid(turning, dx=n / observation.sampling_hz / turns, initial=0.0)
+    lengths: dict[Scale, float] = {TIME: n / observation.sampling_hz, MOTOR: turns, LOAD: turns}
     positions: dict[Scale, FloatArray] = {TIME: time, MOTOR: turned, LOAD: time}
-    values = (seen.signals - simulated)[row, :n]
+    values = (observation.signals - simulated)[row, :n]
     return _Residual(
-        seen.name, values, rotations, positions, lengths, (time - time.mean())[:, None]
+        observation.name, values, rotations, positions, lengths, (time - time.mean())[:, None]
     )
 
 
@@ -460,10 +466,10 @@ def _numbers(channel: str, own: Sequence[_Residual], tests: int) -> Iterator[Une
         ("offset", unit, [one.offset for one in own]),
         ("drift", f"{unit}/s", [one.drift_per_s for one in own]),
     ]
-    for what, own_unit, found in every:
+    for what, own_unit, unexplained in every:
         sure = {
             one.recording: value
-            for one, (value, error) in zip(own, found, strict=True)
+            for one, (value, error) in zip(own, unexplained, strict=True)
             if 2.0 * float(norm.sf(abs(value) / error)) * tests <= SURE
         }
         if sure:

@@ -61,11 +61,11 @@ class ChannelNoise:
         Noise becomes independent standard normal. The first p samples only condition the rest.
         """
         p, n = self.order, signals.shape[-1]
-        left = signals[..., p:].copy()
+        innovations = signals[..., p:].copy()
         for k, phi in enumerate(self.coefficients, start=1):
-            left -= np.einsum("ab,...bn->...an", phi, signals[..., p - k : n - k])
+            innovations -= np.einsum("ab,...bn->...an", phi, signals[..., p - k : n - k])
         inverse = np.linalg.inv(self.root)
-        return np.asarray(np.einsum("ab,...bn->...an", inverse, left))
+        return np.asarray(np.einsum("ab,...bn->...an", inverse, innovations))
 
     def draw(self, samples: int, count: int, generator: np.random.Generator) -> FloatArray:
         """Noise of recordings of their own, shape (count, c, n), in the channels' units.
@@ -185,10 +185,12 @@ def _noise_of(
     variance = share * np.mean((noise if kept is None else noise[:, kept]) ** 2, axis=1)
     unseen = None if rounding is None else _unseen(variance, rounding)
     if unseen is not None:
-        seen = noise if kept is None else np.where(kept, noise, 0.0)
-        unseen = unseen + _passed_on(seen, unseen)
-        seen = seen * math.sqrt(share * noise.shape[1] / (count if kept is None else kept.sum()))
-        coefficients, covariance = _yule_walker(seen, rotations * unseen)
+        shown_noise = noise if kept is None else np.where(kept, noise, 0.0)
+        unseen = unseen + _passed_on(shown_noise, unseen)
+        shown_noise = shown_noise * math.sqrt(
+            share * noise.shape[1] / (count if kept is None else kept.sum())
+        )
+        coefficients, covariance = _yule_walker(shown_noise, rotations * unseen)
         total = np.sqrt(variance + unseen[:, 0])
         root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
         return ChannelNoise(coefficients, root, total, count, repeats=True)
@@ -259,6 +261,6 @@ def _autoregression(
         return np.zeros((0, channels, channels)), now @ now.T / now.shape[1] + tiny
     past = np.concatenate([d[:, HIGHEST_ORDER - k : n - k][:, chosen] for k in range(1, order + 1)])
     stacked = np.linalg.lstsq(past.T, now.T, rcond=None)[0].T
-    left = now - stacked @ past
+    innovations = now - stacked @ past
     coefficients = stacked.reshape(channels, order, channels).swapaxes(0, 1)
-    return coefficients, left @ left.T / now.shape[1] + tiny
+    return coefficients, innovations @ innovations.T / now.shape[1] + tiny

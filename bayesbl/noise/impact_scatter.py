@@ -59,12 +59,12 @@ class Scatter:
         ``kinds``, (g,): a misfit that repeats is the same at impacts of a kind.
         """
         expected = np.ones(1) if expected is None else expected
-        left, spread = about_their_kind(scores, covariance, kinds)
+        deviations, spread = about_their_kind(scores, covariance, kinds)
         trace = float(np.trace(spread))
         if not trace > 0.0:
             return cls(0.0, 0.0, expected)
         freedom = trace**2 / float(np.sum(spread**2))
-        return cls(freedom * float(left @ left) / trace, freedom, expected)
+        return cls(freedom * float(deviations @ deviations) / trace, freedom, expected)
 
     def likely(self, count: int) -> FloatArray:
         """Values of v, all as likely, in order, shape (count,).
@@ -104,17 +104,19 @@ def early_and_late(
     Of ν values of variance s² + v n² the mean square less v n² is s², with the variance
     (2 v² n⁴ + 4 v n² s²)/ν; what is negative is none.
     """
-    left, spread = about_their_kind(delays, covariance, kinds)
+    deviations, spread = about_their_kind(delays, covariance, kinds)
     trace = float(np.trace(spread))
     if not trace > 0.0:
         return np.zeros(factors.size)
     squares = float(np.sum(spread**2))
     number = kinds.size - np.unique(kinds).size
     noise = factors * trace / number
-    true = np.maximum(float(left @ left) / number - noise, 0.0)
+    true = np.maximum(float(deviations @ deviations) / number - noise, 0.0)
     sd = np.sqrt(2.0 * squares * (factors / number) ** 2 + 4.0 * noise * true / number)
     normal = np.random.default_rng(0).permutation(normal_quantiles(factors.size))
-    return np.asarray(np.maximum(float(left @ left) / number - noise + sd * normal, 0.0))
+    return np.asarray(
+        np.maximum(float(deviations @ deviations) / number - noise + sd * normal, 0.0)
+    )
 
 
 def normal_quantiles(count: int) -> FloatArray:

@@ -67,16 +67,16 @@ def without_outside_lines(
     """
     if rotation_s < FEWEST_IN_ROTATION * STRETCH_S:
         return channels, ()
-    left = dict(channels)
+    cleaned = dict(channels)
     lines: list[OutsideLine] = []
     least = SMALLEST_SHARE * 0.5 * float(np.ptp(channels[MOTOR_SPEED]))
-    while (found := clearest_line(left[MOTOR_SPEED], period_s, least)) is not None:
+    while (line := clearest_line(cleaned[MOTOR_SPEED], period_s, least)) is not None:
         if len(lines) == MOST_LINES:
             return channels, ()
-        lines.append(found)
-        for name, row in left.items():
-            left[name] = row - _wave(row, period_s, found.frequency_hz)
-    return left, tuple(lines)
+        lines.append(line)
+        for name, row in cleaned.items():
+            cleaned[name] = row - _wave(row, period_s, line.frequency_hz)
+    return cleaned, tuple(lines)
 
 
 def clearest_line(speed_rpm: FloatArray, period_s: float, least_rpm: float) -> OutsideLine | None:
@@ -129,11 +129,11 @@ def in_words(lines: Iterable[OutsideLine]) -> str:
 def _wave(speed_rpm: FloatArray, period_s: float, frequency_hz: float) -> FloatArray:
     """The line at a frequency, (n,): what rounds of medians leave nothing of."""
     turning = np.exp(2.0j * np.pi * frequency_hz * period_s * np.arange(speed_rpm.size))
-    left = speed_rpm.copy()
+    remainder = speed_rpm.copy()
     for _ in range(ROUNDS):
-        line = medians(_by_stretch(left, period_s, np.array([frequency_hz])))[0][0]
-        left -= (line * turning).real
-    return np.asarray(speed_rpm - left)
+        line = medians(_by_stretch(remainder, period_s, np.array([frequency_hz])))[0][0]
+        remainder -= (line * turning).real
+    return np.asarray(speed_rpm - remainder)
 
 
 def _by_stretch(rows: FloatArray, step_s: float, frequency_hz: FloatArray) -> ComplexArray:

@@ -132,7 +132,7 @@ class Rounding:
         """Standard deviation of both together, in the channel's unit."""
         return math.hypot(self.least_sd, 0.0 if self.steps is None else self.steps.sd_rpm)
 
-    def autocovariance(self, exact: FloatArray, left: FloatArray, lags: int) -> FloatArray:
+    def autocovariance(self, exact: FloatArray, residual: FloatArray, lags: int) -> FloatArray:
         """γ(0) … γ(lags − 1) of what is rounded away of an exact signal, shape (lags,).
 
         A signal that hardly moves in a step is taken for one that moves: white rounding, of the
@@ -143,50 +143,52 @@ class Rounding:
         exact, left
             Shape (n,): the signal, and what the recording has beyond it.
         """
-        found = np.zeros(lags)
-        found[0] = self.least_sd**2
+        autocovariance = np.zeros(lags)
+        autocovariance[0] = self.least_sd**2
         if self.steps is None:
-            return found
-        steps = self._steps_behind(left)
+            return autocovariance
+        steps = self._steps_behind(residual)
         if steps is None:
-            found[0] += self.steps.size_rpm**2 / 6.0
-            return found
+            autocovariance[0] += self.steps.size_rpm**2 / 6.0
+            return autocovariance
         variance = steps.sd_rpm**2
-        found[0] += variance
+        autocovariance[0] += variance
         away = steps.rounded_away(exact)
         power = float(away @ away)
         if power > MOVES * away.size * variance:
-            found[1:] += variance * np.array(
+            autocovariance[1:] += variance * np.array(
                 [away[k:] @ away[: away.size - k] / power for k in range(1, lags)]
             )
         elif steps.differentiated:
-            found[1] -= 0.5 * variance
-        return found
+            autocovariance[1] -= 0.5 * variance
+        return autocovariance
 
-    def drawn(self, exact: FloatArray, left: FloatArray, rng: np.random.Generator) -> FloatArray:
+    def drawn(
+        self, exact: FloatArray, residual: FloatArray, rng: np.random.Generator
+    ) -> FloatArray:
         """What a recording may have less than an exact signal, as :meth:`autocovariance` takes it.
 
         Shape (n,).
         """
-        found = self.least_sd * rng.standard_normal(exact.size)
+        rounding = self.least_sd * rng.standard_normal(exact.size)
         if self.steps is None:
-            return found
-        steps = self._steps_behind(left)
+            return rounding
+        steps = self._steps_behind(residual)
         if steps is None:
             counts = rng.uniform(size=(2, exact.size))
-            return np.asarray(found + self.steps.size_rpm * (counts[1] - counts[0]))
-        return found + steps.drawn(exact, rng)
+            return np.asarray(rounding + self.steps.size_rpm * (counts[1] - counts[0]))
+        return rounding + steps.drawn(exact, rng)
 
-    def _steps_behind(self, left: FloatArray) -> SpeedSteps | None:
+    def _steps_behind(self, residual: FloatArray) -> SpeedSteps | None:
         """As what a recording has beyond the exact signal shows them, (n,).
 
         ``None``: differences over less than a sample, no two of which share a count.
         """
         steps = self.steps
         if steps is None or (
-            float(np.mean(left**2)) <= BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0
+            float(np.mean(residual**2)) <= BEYOND_ONE_ROUNDING * steps.size_rpm**2 / 12.0
         ):
             return steps
-        if left[1:] @ left[:-1] > SHARED_COUNT * (left @ left):
+        if residual[1:] @ residual[:-1] > SHARED_COUNT * (residual @ residual):
             return None
         return replace(steps, differentiated=True)

@@ -237,8 +237,8 @@ def _log_likelihood(x: FloatArray, count: FloatArray, freedom: float) -> float:
         value = np.interp(np.arcsinh(x / np.exp(log_scale)), log_z, log_density)
         return float(count @ (log_scale - value))
 
-    found = minimize_scalar(cost, bounds=(-5.0, 3.0), method="bounded", options={"xatol": 1e-4})
-    return -float(found.fun)
+    optimum = minimize_scalar(cost, bounds=(-5.0, 3.0), method="bounded", options={"xatol": 1e-4})
+    return -float(optimum.fun)
 
 
 @cache
@@ -411,16 +411,16 @@ def estimate_noise(
         best = int(np.argmin(evidence))
     coefficients = fits[best][1]
     e = innovations(series, coefficients)
-    found = tails(e[np.isfinite(e)])
+    heaviness = tails(e[np.isfinite(e)])
     # Coarse rounding has a shape of its own, which neither kind of innovation has.
-    heavy = kind == "student_t" or (kind == "auto" and found.evidence > 0.0 and not coarse)
+    heavy = kind == "student_t" or (kind == "auto" and heaviness.evidence > 0.0 and not coarse)
     return Noise(
         math.sqrt(variance),
         coefficients,
         evidence,
         count,
-        found.degrees_of_freedom if heavy else None,
-        found.evidence,
+        heaviness.degrees_of_freedom if heavy else None,
+        heaviness.evidence,
         differentiated,
         math.sqrt(hidden),
     )

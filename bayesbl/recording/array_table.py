@@ -175,8 +175,8 @@ def seconds_of_dates(texts: Iterable[str], file: str, place: Callable[[int], str
         before = seconds
         # As whole numbers first: seconds since the year 1 do not leave room for microseconds.
         time.append(seconds - start + fraction)
-    found: FloatArray = np.array(time)
-    return np.asarray(found - found[np.isfinite(found)][:1].sum())
+    stamps_s: FloatArray = np.array(time)
+    return np.asarray(stamps_s - stamps_s[np.isfinite(stamps_s)][:1].sum())
 
 
 def _of_stamp(

@@ -297,19 +297,19 @@ def require_one_speed(recording: Recording) -> None:
         changes = np.split(steps, np.flatnonzero(np.diff(steps) > BLOCKS_COMPARED) + 1)
         cuts = [int(change[np.argmax(size[change])]) + BLOCKS_COMPARED for change in changes]
         where = "near " + ", ".join(f"{edges_s[cut]:.4g}" for cut in cuts[:MOST_STRETCHES])
-        found = _stretches(means, [0, *cuts, count], edges_s)
+        stretches = _stretches(means, [0, *cuts, count], edges_s)
     elif departs.any():
         begin, end = (edge[0] for edge in runs(departs))
         where = f"from {edges_s[begin]:.4g} to {edges_s[end]:.4g}"
         there = np.median(means[begin:end])
-        found = f"{there:.5g} rpm there, {usual:.5g} rpm for most of the recording"
+        stretches = f"{there:.5g} rpm there, {usual:.5g} rpm for most of the recording"
     else:
         return
     raise RecordingError(
         "The speed changes: a fit needs one constant speed.",
         file=recording.place,
         where=f"{MOTOR_SPEED} {where} s",
-        found=found,
+        found=stretches,
         expected="one speed; split the file there into one recording per speed, each of two load "
         "rotations or more. Or is this another column, a position or a current, under [columns]? "
         f"If the joint cannot turn round: {WHAT_A_MOTION_NEEDS}",
@@ -553,8 +553,8 @@ def require_same_motion(recording: Recording, asked_rpm: FloatArray) -> None:
     """
     speed = recording.motor_speed_rpm
     ratio = float(speed @ asked_rpm) / float(asked_rpm @ asked_rpm)
-    left = float(np.sqrt(np.mean((speed - ratio * asked_rpm) ** 2)))
-    share = left / max(float(np.sqrt(np.mean(speed**2))), 1e-300)
+    difference = float(np.sqrt(np.mean((speed - ratio * asked_rpm) ** 2)))
+    share = difference / max(float(np.sqrt(np.mean(speed**2))), 1e-300)
     if abs(ratio - 1.0) <= AGREEMENT:
         return
     raise RecordingError(

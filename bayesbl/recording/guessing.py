@@ -298,13 +298,13 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
     ramps = _of_ramps(paired)
     if TIME not in chosen:
         rest = [column for column in named if column not in chosen.values()]
-        found = next((column for column in rest if column.increases), None)
+        increasing = next((column for column in rest if column.increases), None)
         numbered = table.numbered()
-        if numbered is not table and (table.step_s is not None or (found is None and ramps)):
+        if numbered is not table and (table.step_s is not None or (increasing is None and ramps)):
             # The file states its steps; torque over twist needs no time, but the order.
             guess = guess_columns(numbered, joint)
             return replace(guess, columns=tuple(c for c in guess.columns if c.channel != TIME))
-        if found is None:
+        if increasing is None:
             raise RecordingError(
                 "No column looks like time.",
                 file=table.file,
@@ -312,7 +312,7 @@ def guess_columns(table: ArrayTable, joint: str | None = None) -> Guess:
                 found=", ".join(f'"{name}"' for name in table.columns),
                 expected=f'a column "{TIME}", or another name for it under [columns]',
             )
-        chosen[TIME] = paired[TIME] = found
+        chosen[TIME] = paired[TIME] = increasing
     both = not ramps and _is_of_two_encoders(paired)
     if ramps:
         chosen = {TIME: chosen[TIME], **ramps}
@@ -419,7 +419,10 @@ def _without(group: str, sides: str) -> str:
 def _numbers_of_joints(names: Sequence[str]) -> list[str]:
     """The number in each name that others are alike but for; empty where there are too few."""
     parts = [
-        {(name[: found.start()], name[found.end() :]): found[0] for found in _NUMBER.finditer(name)}
+        {
+            (name[: digits.start()], name[digits.end() :]): digits[0]
+            for digits in _NUMBER.finditer(name)
+        }
         for name in names
     ]
     times = Counter(part for each in parts for part in each)
@@ -441,16 +444,16 @@ def _of_ramps(chosen: Mapping[str, _Named]) -> dict[str, _Named]:
     torques = [torque for torque in torques if _goes_both_ways(torque.values)]
     if not (sides and torques):
         return {}
-    told = [_slope(torques[-1].values, side.values)[1] for side in sides]
+    slopes = [_slope(torques[-1].values, side.values)[1] for side in sides]
     speed = chosen.get(MOTOR_SPEED)
     rivals = [_slope(sides[0].positions, other.positions)[1] for other in sides[1:]]
-    if (rivals or speed) and max(told) <= max([_FOLLOWS, *rivals]):
+    if (rivals or speed) and max(slopes) <= max([_FOLLOWS, *rivals]):
         return {}
     if speed is not None:
         size = conversion_factor(MOTOR_SPEED, speed.stated.of(MOTOR_SPEED).unit or "rad/s")
         if size * np.nanmean(np.abs(speed.values)) >= _STANDSTILL_RPM:
             return {}
-    turned = min(zip(told, sides, strict=True), key=lambda each: (each[0] < _FOLLOWS, each[0]))[1]
+    turned = min(zip(slopes, sides, strict=True), key=lambda each: (each[0] < _FOLLOWS, each[0]))[1]
     of_motor = len(sides) == 2 and turned is sides[0]
     return {MOTOR_POSITION: turned, MOTOR_TORQUE: torques[0 if of_motor else -1]}
 
@@ -710,26 +713,26 @@ def _readings(channel: str, column: _Named) -> str:
     factors = [(unit, conversion_factor(channel, unit)) for unit in accepted_units(channel)]
     sizes = {mean * factor: unit for unit, factor in reversed(factors)}
     low, high = _USUAL_SPEEDS_RPM
-    told = [f"{rpm:.0f} rpm if in {unit}" for rpm, unit in sizes.items() if low <= rpm <= high]
-    return f"its mean is {', '.join(told)}; " if told else ""
+    readings = [f"{rpm:.0f} rpm if in {unit}" for rpm, unit in sizes.items() if low <= rpm <= high]
+    return f"its mean is {', '.join(readings)}; " if readings else ""
 
 
 def _units(
     chosen: Mapping[str, _Named], values: Mapping[str, FloatArray]
 ) -> dict[str, tuple[str, str]]:
     """Channel to (unit, reason), where the numbers show it."""
-    found: dict[str, tuple[str, str]] = {}
+    units: dict[str, tuple[str, str]] = {}
     time = _time_unit(chosen[TIME])
     if time is not None:
-        found[TIME] = time
+        units[TIME] = time
     unit = time[0] if time else _stated(TIME, chosen[TIME]).unit
     if MOTOR_SPEED not in values or unit == UNKNOWN:
-        return found
+        return units
     if MOTOR_POSITION in values:
         seconds = conversion_factor(TIME, unit) * values[TIME]
-        found |= _of_position(chosen, seconds, values[MOTOR_SPEED])
-    speed = _stated(MOTOR_SPEED, chosen[MOTOR_SPEED], found).unit
-    return found if speed == UNKNOWN else found | {REFERENCE_SPEED: (speed, AS_SPEED)}
+        units |= _of_position(chosen, seconds, values[MOTOR_SPEED])
+    speed = _stated(MOTOR_SPEED, chosen[MOTOR_SPEED], units).unit
+    return units if speed == UNKNOWN else units | {REFERENCE_SPEED: (speed, AS_SPEED)}
 
 
 def _of_position(
@@ -746,13 +749,13 @@ def _of_position(
     rate, explained = _slope(along, chosen[MOTOR_POSITION].positions)
     mean = float(np.mean(np.abs(speed[known])))
     units = list(product(*(_possible(c, chosen[c]) for c in (MOTOR_SPEED, MOTOR_POSITION))))
-    found: dict[tuple[float, float], tuple[str, str]] = {}
+    by_span: dict[tuple[float, float], tuple[str, str]] = {}
     for mine, theirs in units:
         size = conversion_factor(MOTOR_SPEED, mine)
         angle = conversion_factor(MOTOR_POSITION, theirs)
         if abs(abs(rate) * angle * RPM_PER_RAD_PER_S / size - 1.0) <= _AGREEMENT:
-            found.setdefault((size, angle), (mine, theirs))
-    pairs = [pair for (size, _), pair in found.items() if size * mean <= _USUAL_SPEEDS_RPM[1]]
+            by_span.setdefault((size, angle), (mine, theirs))
+    pairs = [pair for (size, _), pair in by_span.items() if size * mean <= _USUAL_SPEEDS_RPM[1]]
     if explained < _IS_INTEGRAL or not pairs:
         asked = "enter its unit, as it is the position's derivative in none: "
         return {MOTOR_SPEED: (UNKNOWN, asked + choice_of_units(MOTOR_SPEED))} if units else {}
@@ -816,9 +819,9 @@ def _unlike_dates(clock: _Named, beside: Sequence[_Named], guesses: Sequence[Gue
     agree = [u for u, s in lasts.items() if abs(s - long_s) <= tick + _AGREEMENT * long_s]
     if long_s <= 0.0 or unit in agree:
         return ""
-    found = f'{lasts[unit]:.3g} s in {unit}, but {long_s:.3g} s by the dates in "{dates.name}"'
+    actual = f'{lasts[unit]:.3g} s in {unit}, but {long_s:.3g} s by the dates in "{dates.name}"'
     fitting = " or ".join(f'"{u}"' for u in agree) or choice_of_units(TIME)
-    return f"enter its unit: it lasts {found}; write {fitting}"
+    return f"enter its unit: it lasts {actual}; write {fitting}"
 
 
 def _series(column: _Named) -> FloatArray:

@@ -45,11 +45,11 @@ def require_whole(
     """
     import h5py
 
-    def outside(path: str, found: str) -> Exception:
+    def outside(path: str, actual: str) -> Exception:
         return refusal(
             "This file shows what it does not hold itself.",
             where=f'"{path}"',
-            found=found,
+            found=actual,
             expected="a file with all its values in it, each once, packed by HDF5's own filters; "
             "save a copy of the values",
         )

@@ -61,10 +61,10 @@ def input_or_refusal(path: Path, refusal: type[UserError], expected: str) -> byt
     try:
         return read_input(path)
     except (FileNotFoundError, NotADirectoryError):
-        problem, found = "There is no such file." + did_you_mean_file(path), None
+        problem, actual = "There is no such file." + did_you_mean_file(path), None
     except (OSError, ValueError) as error:
-        problem, found = "The file cannot be read.", getattr(error, "strerror", None) or str(error)
-    raise refusal(problem, file=path, found=found, expected=expected)
+        problem, actual = "The file cannot be read.", getattr(error, "strerror", None) or str(error)
+    raise refusal(problem, file=path, found=actual, expected=expected)
 
 
 def require_memory(file: Path, size: float, what: str = "its content, unpacked") -> None:
@@ -86,12 +86,12 @@ def require_memory(file: Path, size: float, what: str = "its content, unpacked")
         raise beyond_memory(file, f"{size / 1e6:.5g} MB ({what})")
 
 
-def beyond_memory(file: Path, found: str) -> UnavailableError:
+def beyond_memory(file: Path, actual: str) -> UnavailableError:
     """The refusal of a recording that takes more memory than the limit."""
     return UnavailableError(
         "Reading this file takes too much memory.",
         file=file,
-        found=found,
+        found=actual,
         expected=f"at most {memory_bytes() / 1e6:g} MB; record fewer channels or a shorter time, "
         f"or raise the limit by the environment variable {LIMIT_VARIABLE}",
     )

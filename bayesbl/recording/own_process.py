@@ -66,13 +66,13 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
         "file": str(file),
         "memory": memory_bytes() + int(1e6 * SPARE_MB),
     }
-    with tempfile.TemporaryFile() as told:
+    with tempfile.TemporaryFile() as answer_file:
         try:
             ended = subprocess.run(
                 # Isolated: what is imported is what this process would, not what a folder holds.
                 [sys.executable, "-I", "-c", _PROGRAM, json.dumps(request)],
                 input=data,
-                stdout=told,
+                stdout=answer_file,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, **_ONE_THREAD},
                 timeout=LONGEST_S,
@@ -84,21 +84,21 @@ def parsed_apart(format_: formats.Format, file: Path, data: bytes) -> ArrayTable
                 found=f"no end after {LONGEST_S:g} s",
                 expected=_WHOLE.format(kind=format_.name),
             ) from None
-        told.seek(0)
+        answer_file.seek(0)
         with suppress(EOFError, ValueError, KeyError, TypeError, BadZipFile):
-            return _received(told)
+            return _received(answer_file)
     raise _broken(format_.name, file, ended.returncode)
 
 
 def _broken(kind: str, file: Path, status: int) -> RecordingError:
-    found = f"{signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+    actual = f"{signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
     # Of the machine, not of the file: no memory, or no room for what is read.
     passes = {-signal.SIGKILL: ", as where the system is out of memory", os.EX_IOERR: ", no room"}
     kept = UnavailableError if status in passes else RecordingError
     return kept(
         f"The library that reads {kind} breaks down on this file.",
         file=file,
-        found=found + passes.get(status, ""),
+        found=actual + passes.get(status, ""),
         expected=_WHOLE.format(kind=kind),
     )
 
@@ -152,9 +152,9 @@ def _send(stream: IO[bytes], result: ArrayTable | UserError) -> None:
     import numpy as np
 
     if isinstance(result, UserError):
-        told = {key: getattr(result, key) for key in _ERROR}
-        told["is_unavailable"] = isinstance(result, UnavailableError)
-        np.savez(stream, json.dumps(told))
+        details = {key: getattr(result, key) for key in _ERROR}
+        details["is_unavailable"] = isinstance(result, UnavailableError)
+        np.savez(stream, json.dumps(details))
         return
     head = {key: getattr(result, key) for key in _NAMED} | {"columns": list(result.arrays)}
     np.savez(stream, json.dumps(head), *result.plain_arrays())

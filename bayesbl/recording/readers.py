@@ -203,13 +203,13 @@ def _values(
 
 
 def _wrong_time_unit(
-    table: ArrayTable, column: Column, found: str, expected: str
+    table: ArrayTable, column: Column, actual: str, expected: str
 ) -> RecordingError:
     return RecordingError(
         "Time is not in the unit that was stated for it.",
         file=table.file,
         where=f'column "{column.name}"',
-        found=found,
+        found=actual,
         expected=f'{expected}, as unit = "{column.unit}" says',
     )
 

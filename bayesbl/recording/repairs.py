@@ -90,7 +90,7 @@ def sample_numbers(time_s: FloatArray) -> FloatArray | None:
         return whole
     steps = np.diff(time_s)
     middle = float(np.median(steps))
-    found: list[FloatArray] = []
+    numbers: list[FloatArray] = []
     for period in (middle, float(steps[steps <= 2.5 * middle].mean())):
         for _ in range(3):
             number = _on_a_running_grid(time_s, period)
@@ -98,9 +98,9 @@ def sample_numbers(time_s: FloatArray) -> FloatArray | None:
                 break
             deviation, period = deviation_from_grid(time_s, number)
             if np.abs(deviation).max() <= GRID_TOLERANCE:
-                found.append(number)
+                numbers.append(number)
                 break
-    return min(found, key=lambda number: float(number[-1])) if found else None
+    return min(numbers, key=lambda number: float(number[-1])) if numbers else None
 
 
 def _on_a_running_grid(time_s: FloatArray, period: float) -> FloatArray:

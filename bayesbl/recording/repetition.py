@@ -90,21 +90,21 @@ def repetition(
     if speed_rpm.size - 1 < 2.0 * stated * (1.0 + WITHIN):
         return None
     speed_rpm = math.copysign(1.0, speed_rpm.mean()) * speed_rpm
-    left = _without_motor_lines(speed_rpm, sampling_hz, stated)
-    period = _most_alike(left, stated)
+    cleaned = _without_motor_lines(speed_rpm, sampling_hz, stated)
+    period = _most_alike(cleaned, stated)
     for _ in range(2):
         # The weights are those of the rotations that they bring together.
         if period is None:
             return None
-        weights = _weights(_folded(left, period), least_sd_rpm**2)
+        weights = _weights(_folded(cleaned, period), least_sd_rpm**2)
         if not np.any(weights):
             return None
-        weighted = _filtered(left, weights, period)
+        weighted = _filtered(cleaned, weights, period)
         period = _most_alike(weighted, stated)
     if period is None:
         return None
     gain = _of_impacts(_differs(weighted, stated) - _differs(weighted, period))
-    if not _shows_impacts(_folded(left, period), least_sd_rpm**2):
+    if not _shows_impacts(_folded(cleaned, period), least_sd_rpm**2):
         gain = 0.0
     turns = _folded(speed_rpm, period)
     noise = float(_noise_power(turns)[:LOWEST_BINS].mean()) + least_sd_rpm**2
@@ -119,7 +119,7 @@ def repetition(
 def _without_motor_lines(speed_rpm: FloatArray, sampling_hz: float, period: float) -> FloatArray:
     """The speed about its mean without what goes with the motor's angle."""
     mean = float(speed_rpm.mean())
-    left = speed_rpm - mean
+    cleaned = speed_rpm - mean
     turn = np.exp(1j * np.cumsum(speed_rpm) / RPM_PER_RAD_PER_S / sampling_hz)
     load = np.exp(2j * math.pi / period * np.arange(speed_rpm.size))
     swells = np.stack([load**swell for swell in range(-SWELLS, SWELLS + 1)])
@@ -127,9 +127,9 @@ def _without_motor_lines(speed_rpm: FloatArray, sampling_hz: float, period: floa
     wave = np.ones_like(turn)
     for _ in range(min(MOTOR_ORDERS, int(0.5 * sampling_hz / (mean / 60.0)))):
         wave = wave * turn
-        sizes = np.linalg.solve(overlap, swells.conj() @ (left * wave.conj()))
-        left = left - 2.0 * np.real(wave * (sizes @ swells))
-    return left
+        sizes = np.linalg.solve(overlap, swells.conj() @ (cleaned * wave.conj()))
+        cleaned = cleaned - 2.0 * np.real(wave * (sizes @ swells))
+    return cleaned
 
 
 def _most_alike(values: FloatArray, stated: float) -> float | None:

@@ -229,30 +229,30 @@ def layout_of(
             cut[i].pop()  # LabVIEW ends its header so, and no line of samples
     above_cells = [cut[i] for i in above]
     step_s = _stated_step(above_cells)
-    found = _header_of(above_cells, {width, width - 1} if trailing else {width})
+    heading = _header_of(above_cells, {width, width - 1} if trailing else {width})
     rows = [cut[i] for i in written[first:]] + [_split(line, separator) for line in middle]
     numbers = [row[i] for row in rows for i in values if i < len(row)]
     mark = mark or decimal_mark(file, numbers)
     stated = tuple(_unit_of(file, rows, k) if k in values else "" for k in range(width))
     labels = _of_key(_LABELS, above_cells)[:width]
-    if found is None and any(labels):
-        found = len(above) - 1, ("",) * width, ()
-    if found is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
+    if heading is None and any(labels):
+        heading = len(above) - 1, ("",) * width, ()
+    if heading is None and separator == "\t" and _dialect(middle, (" ",))[1] == width:
         return layout_of(file, head, middle, lines, (" ",))  # tabs among spaces
     begin = written[first]
-    if found is None:
+    if heading is None:
         nearest = cut[above[-1]] if above else []
         if len(nearest) > 1 and not any(map(is_number, nearest)):
             raise _of_other_width(file, begin, width, len(nearest))
         unnamed = tuple(f"column {i + 1}" for i in range(width))
         return Layout(separator, unnamed, mark, stated, begin=begin, step_s=step_s)
-    last, names, units = found
+    last, names, units = heading
     units = stated[: len(names)] if any(stated) else units or _of_key(_UNITS, above_cells)
     scales = [cell if cell not in ("0", "1") else "" for cell in _of_key(_SCALES, above_cells)]
     if any(scales):  # which may have been applied or not
         both = zip_longest(units, scales[: len(names)], fillvalue="")
         units = tuple(f"{u} (scale {scale})" if is_bare_number(scale) else u for u, scale in both)
-    if found[2] or not any(labels):
+    if heading[2] or not any(labels):
         labels = ()
     pairs = zip(labels, names, strict=False)
     names = tuple(n if n == label else f"{label} {n}" for label, n in pairs) + names[len(labels) :]
@@ -327,30 +327,30 @@ def _of_one_key(cells: list[str]) -> list[str]:
 
 def _of_key(words: str, rows: Iterable[Sequence[str]]) -> tuple[str, ...]:
     """The cells of the last row whose first one is such a word, but for that one."""
-    found = [row for row in rows if len(row) > 2 and re.search(words, row[0], re.IGNORECASE)]
-    return ("", *found[-1][1:]) if found else ()
+    matching = [row for row in rows if len(row) > 2 and re.search(words, row[0], re.IGNORECASE)]
+    return ("", *matching[-1][1:]) if matching else ()
 
 
 def _stated_step(rows: Sequence[Sequence[str]]) -> float | None:
     """Seconds from sample to sample, of a line above them: beside the word for it, or below."""
     for row, below in zip(rows, [*rows[1:], []], strict=False):
         for i, cell in enumerate(row):
-            found = _STEP.match(cell)
-            for held in (found["value"], *row[i + 1 : i + 2], *below[i : i + 1]) if found else ():
+            match = _STEP.match(cell)
+            for held in (match["value"], *row[i + 1 : i + 2], *below[i : i + 1]) if match else ():
                 number, unit = parted(held.translate(dict.fromkeys(map(ord, "[]()"))))
                 value = number_in(number, decimal_mark(Path(), [number]))
-                if value and value > 0.0 and found is not None:
-                    channel, usual = (MOTOR_SPEED, "Hz") if found["rate"] else (TIME, "s")
-                    unit = spelled(unit or found["unit"] or usual)
+                if value and value > 0.0 and match is not None:
+                    channel, usual = (MOTOR_SPEED, "Hz") if match["rate"] else (TIME, "s")
+                    unit = spelled(unit or match["unit"] or usual)
                     if is_accepted(channel, unit):
                         size = value * conversion_factor(channel, unit)
-                        step = 60.0 / size if found["rate"] else size
+                        step = 60.0 / size if match["rate"] else size
                         return step if unit != usual or step <= _LONGEST_STEP_S else None
     return None
 
 
-def _title_on(left: str, title: str) -> str:
-    return title or left
+def _title_on(title_before: str, title: str) -> str:
+    return title or title_before
 
 
 def _first_sample(
@@ -411,12 +411,12 @@ def _value_columns(rows: Sequence[Sequence[str]]) -> tuple[list[int], float]:
     return values, share
 
 
-def _of_other_width(file: Path, index: int, found: int, expected: int) -> RecordingError:
+def _of_other_width(file: Path, index: int, cells: int, expected: int) -> RecordingError:
     return RecordingError(
         "This line does not have one cell for each column.",
         file=file,
         where=f"line {index + 1}",
-        found=f"{found} cells",
+        found=f"{cells} cells",
         expected=f"{expected}, as in the header",
     )
 
@@ -424,7 +424,7 @@ def _of_other_width(file: Path, index: int, found: int, expected: int) -> Record
 def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTable:
     """Nothing is quoted: a name may lead to any file."""
     if is_binary:
-        found = "binary data"
+        actual = "binary data"
     elif len(lines) == 1 and any(mark in lines[0] for mark in _SEPARATORS[:3]):
         return NoTable(
             "The file has a header but no sample.",
@@ -433,8 +433,8 @@ def _no_table(file: Path, lines: Sequence[str], is_binary: bool = False) -> NoTa
             expected=EXPECTED,
         )
     else:
-        found = "no lines with a number in two columns or more"
-    return NoTable("This is not a CSV file.", file=file, found=found, expected=EXPECTED)
+        actual = "no lines with a number in two columns or more"
+    return NoTable("This is not a CSV file.", file=file, found=actual, expected=EXPECTED)
 
 
 def table_of_text(file: Path, text: bytes, layout: Layout, control: int = 0) -> ArrayTable:
@@ -627,11 +627,11 @@ def form_of_events(lines: Sequence[str]) -> re.Pattern[str] | None:
 
 def _event(form: re.Pattern[str], line: str) -> tuple[str, str, float] | None:
     """Stamp, name and value of a line; ``None`` if it is no event."""
-    found = form.fullmatch(line.strip())
-    value = number_in(found["value"], ".") if found else None
-    if found is None or value is None:
+    match = form.fullmatch(line.strip())
+    value = number_in(match["value"], ".") if match else None
+    if match is None or value is None:
         return None
-    return found["stamp"].strip("()"), found["name"] or "value", value
+    return match["stamp"].strip("()"), match["name"] or "value", value
 
 
 def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> ArrayTable:
@@ -639,9 +639,9 @@ def read_events(file: Path, lines: Iterable[str], form: re.Pattern[str]) -> Arra
 
     Names of fewer than two values are left out; so are lines that are no events, and are counted.
     """
-    found = {n: _event(form, line) for n, line in enumerate(lines, 1) if line.strip()}
-    events = {n: event for n, event in found.items() if event is not None}
-    repairs = Counter({"line that is no event left out": len(found) - len(events)})
+    by_line = {n: _event(form, line) for n, line in enumerate(lines, 1) if line.strip()}
+    events = {n: event for n, event in by_line.items() if event is not None}
+    repairs = Counter({"line that is no event left out": len(by_line) - len(events)})
     stamps, names, values = map(np.array, zip(*events.values(), strict=True))
     table = ArrayTable(str(file), {"stamp": stamps}, {}, {}, {}, repairs, np.array([*events]))
     time = table.timestamps("stamp")

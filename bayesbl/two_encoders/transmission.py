@@ -480,8 +480,8 @@ class Model:
         self.share = np.median(samples) / samples
         # Of a lag that follows the load's own readings: it follows their noise too.
         self.visible = VISIBLE * float(paths.scatter_rad + paths.load_step_rad)
-        self.seen = design.motor_rad - design.load_rad
-        self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.seen)
+        self.measured_lag = design.motor_rad - design.load_rad
+        self.reference = Cell(0, 0.0, -1e9, np.zeros(1), np.zeros((1, 1)), self.measured_lag)
         self.counted = 1.0
         self.lead = float(np.mean(paths.motor_rad[:5] - paths.load_rad[:5]))
         # By the torque: the friction, and how often the load's weight is above it.
@@ -490,12 +490,12 @@ class Model:
         if paths.torque_nm is not None:
             self.friction_nm, self.gravity_holds = of_friction(paths)
 
-    def see(self, cell: Cell) -> None:
+    def measure_lag(self, cell: Cell) -> None:
         """Take the lag from the measurement, with all else as in a cell."""
         rest = cell.beta.copy()
         rest[1] = 0.0
         other = self.design.columns(cell.lag) @ rest
-        self.seen = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
+        self.measured_lag = self.design.motor_rad - (self.design.load_rad - other) / cell.beta[1]
         self.reference = cell
 
     def lag(self, course: int, half_rad: float) -> FloatArray:
@@ -521,8 +521,8 @@ class Model:
             if like < VISIBLE * spread:
                 return replace(self.reference, course=course, half_rad=half_rad, log_evidence=-1e9)
             margin = min(3.0 * spread, 0.2 * like)
-            inside = np.abs(self.seen) < like - margin
-            lag = np.where(inside, self.seen, half_rad * np.sign(self.seen))
+            inside = np.abs(self.measured_lag) < like - margin
+            lag = np.where(inside, self.measured_lag, half_rad * np.sign(self.measured_lag))
             loose = np.where(inside, (ANYWHERE * like) ** 2, 0.0)
             change = int(np.count_nonzero(np.diff(inside)))
         else:
@@ -589,14 +589,14 @@ class Model:
         What repeats whenever the motor passes the same place in the same direction is no noise,
         and does not average out over cycles (one-way analysis of variance).
         """
-        left, x = self.residual(cell), self.design.motor_rad
+        residual, x = self.residual(cell), self.design.motor_rad
         place = np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int)
         forward = self.paths.binned(self.paths.speed) > 0.0
         group = 2 * place + forward
         stroke = np.cumsum(np.append(False, np.diff(forward.astype(int)) != 0))
         # A mean for each pass, so that the many samples of one are not taken for many passes.
         passes, inverse = np.unique(group * (stroke.max() + 1) + stroke, return_inverse=True)
-        mean = np.bincount(inverse, left) / np.bincount(inverse)
+        mean = np.bincount(inverse, residual) / np.bincount(inverse)
         where = np.unique(passes // (stroke.max() + 1), return_inverse=True)[1]
         number = np.bincount(where)
         centre = np.bincount(where, mean) / number
@@ -611,9 +611,9 @@ class Model:
 
     def profiled(self, course: int, half_rad: float, first: Noise) -> tuple[Noise, Cell]:
         """The cell with noise of about the size of what it leaves."""
-        left = self.residual(self.cell(course, half_rad, first))
-        jumps = 1.05 * float(np.median(np.abs(np.diff(left))))
-        spread = 1.5 * float(np.median(np.abs(left)))
+        residual = self.residual(self.cell(course, half_rad, first))
+        jumps = 1.05 * float(np.median(np.abs(np.diff(residual))))
+        spread = 1.5 * float(np.median(np.abs(residual)))
         noise = Noise(max(jumps, LEAST_RAD), max(spread, LEAST_RAD), first.drift_s, first.curve_rad)
         return noise, self.cell(course, half_rad, noise)
 
@@ -643,10 +643,12 @@ class Model:
         steps = np.diag([*np.where(start[:4] < high - 1.0, 0.7, -0.7), 0.2])
         simplex = np.vstack([start, start + steps])[: 6 if half_rad else 5]
         if half_rad:
-            found = _lowest(cost, simplex, evaluations)
+            optimum = _lowest(cost, simplex, evaluations)
         else:
-            found = np.append(_lowest(lambda p: cost(np.append(p, 0.0)), simplex[:, :4], 160), 0.0)
-        return Noise(*np.exp(np.clip(found[:4], low, high))), at(found)
+            optimum = np.append(
+                _lowest(lambda p: cost(np.append(p, 0.0)), simplex[:, :4], 160), 0.0
+            )
+        return Noise(*np.exp(np.clip(optimum[:4], low, high))), at(optimum)
 
 
 def _lowest(
@@ -661,13 +663,13 @@ def start_slope(channels: Channels, ratio: float | None) -> tuple[float, bool]:
 
     The motor's position may be divided by the ratio already, and either sign may be turned.
     """
-    seen = channels.slope()
+    slope = channels.slope()
     stated = [] if ratio is None else [1.0 / ratio, 1.0]
-    near = [s for s in stated if 0.1 < abs(seen / s) < 1.6]
+    near = [s for s in stated if 0.1 < abs(slope / s) < 1.6]
     if not near:
-        return seen, False
-    best = min(near, key=lambda s: abs(np.log(abs(seen / s))))
-    return float(np.copysign(best, seen)), True
+        return slope, False
+    best = min(near, key=lambda s: abs(np.log(abs(slope / s))))
+    return float(np.copysign(best, slope)), True
 
 
 def of_motor(paths: Paths) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -697,8 +699,8 @@ def of_friction(paths: Paths) -> tuple[float, float]:
     assert paths.torque_nm is not None
     columns, moves = of_motor(paths)
     inertia, weight = columns[moves, 2], columns[moves, 3:]
-    left = inertia - weight @ np.linalg.lstsq(weight, inertia, rcond=1e-6)[0]
-    columns[:, 2] *= float(left @ left) > ALIKE * float(inertia @ inertia)
+    own_inertia = inertia - weight @ np.linalg.lstsq(weight, inertia, rcond=1e-6)[0]
+    columns[:, 2] *= float(own_inertia @ own_inertia) > ALIKE * float(inertia @ inertia)
     beta = np.linalg.lstsq(columns[moves], paths.torque_nm[moves], rcond=1e-6)[0]
     fast = np.abs(columns[:, 1]) > 0.2
     held = np.abs(columns[fast, 3:] @ beta[3:])
@@ -723,7 +725,7 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     rest = cell.beta.copy()
     rest[1] = 0.0
     other = np.interp(paths.time_s, design.time_s, design.columns(cell.lag) @ rest)
-    seen = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
+    measured_lag = (paths.motor_rad - (paths.load_rad - other) / cell.beta[1]) / half
     columns, moves = of_motor(paths)
     lag = model.lag(0 if how.free else cell.course, half)[moves] / half
     inside = np.abs(lag) < 1.0 - 1e-9
@@ -735,15 +737,15 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     torque = paths.torque_nm[moves] * root
     torque -= others @ (others.T @ torque)
     squares, friction, handed_square = np.empty((3, 2, PARTS.size))
-    for k, way in enumerate((lag, seen[moves])):
+    for k, way in enumerate((lag, measured_lag[moves])):
         for i, part in enumerate(PARTS):
             handed = root * np.sign(way) * np.maximum(1.0 - (1.0 - np.abs(way)) / part, 0.0)
             handed -= others @ (others.T @ handed)
             square = float(handed @ handed)
             handed_square[k, i] = square / float(root @ root)
             friction[k, i] = max(float(handed @ torque) / square, 0.0)
-            left = torque - friction[k, i] * handed
-            squares[k, i] = float(left @ left) / float(root @ root)
+            residual = torque - friction[k, i] * handed
+            squares[k, i] = float(residual @ residual) / float(root @ root)
     bends = np.diff(paths.torque_nm, 2)
     readings = float(np.median(np.abs(bends)) / 0.6745) ** 2 / 6.0
     least = squares.min()
@@ -754,12 +756,12 @@ def of_windup(model: Model, cell: Cell) -> tuple[FloatArray, FloatArray, FloatAr
     return likely.mean(axis=0), friction[best, at], spread[best, at]
 
 
-def _settled(channels: Channels, at: Scaling, told: Progress) -> tuple[Model, Noise, Cell]:
+def _settled(channels: Channels, at: Scaling, report: Progress) -> tuple[Model, Noise, Cell]:
     """The best course where ratio and skew move no more."""
     settled, placed, first = False, None, FIRST_NOISE
     tried: Sequence[int] = ()
     for made in range(MOST_ROUNDS):
-        told(made, MOST_ROUNDS + 1)
+        report(made, MOST_ROUNDS + 1)
         model = _model(channels, at)
         # All courses at first and once skew and ratio are settled, else from the last.
         if made == 0 or settled:
@@ -806,30 +808,30 @@ def fit_transmission(
 
     ``of_joint``: of what all recordings of a joint have in common.
     """
-    told = progress or (lambda made, allowed: None)
+    report = progress or (lambda made, allowed: None)
     slope, stated = start_slope(channels, ratio)
     paths, at = scaled_paths(channels, slope), Scaling(slope, slope, stated)
     if has_one_speed(paths):
         at = replace(at, edge_s=min(LONGEST_SKEW_S, EDGE * float(np.ptp(paths.time_s))))
-    model, free, best = _settled(channels, at, told)
+    model, free, best = _settled(channels, at, report)
     if at.edge_s:
         # At one speed a skew makes the lag of a play: another fit begins with all of it as skew.
         usual_speed = float(np.std(model.paths.binned(model.paths.speed)))
         skew = min(model.paths.skew_s + best.half_rad / usual_speed, at.edge_s)
-        late = _settled(channels, replace(at, skew_s=skew, skew_sd_s=LATE_S), told)
+        late = _settled(channels, replace(at, skew_s=skew, skew_sd_s=LATE_S), report)
         if late[2].log_evidence > best.log_evidence:
             model, free, best = late
     # A load that goes its own way is tried last: it would follow any other skew and ratio too.
-    model.see(best)
+    model.measure_lag(best)
     freely = next(i for i, how in enumerate(model.courses) if how.free)
     for _ in range(2):
         fitted, own = model.fitted(*_searched(model, free, freely))
         # What it follows is then seen by its own skew and ratio, whether it is the best or not yet.
-        model.see(own)
+        model.measure_lag(own)
         if own.log_evidence > best.log_evidence:
             free, best = fitted, own
-    model.see(best)
-    told(MOST_ROUNDS, MOST_ROUNDS + 1)
+    model.measure_lag(best)
+    report(MOST_ROUNDS, MOST_ROUNDS + 1)
     free, best = model.fitted(best.course, best.half_rad, free)
     noise, _none = model.fitted(0, 0.0, FIRST_NOISE)
     model.counted = model.repeats(best)
@@ -904,8 +906,8 @@ def _placed(
         pull = 0.2 * abs(complex(*point[2:]))
         steps = np.diag([0.2, 0.4, pull, pull][: point.size])
         simplex = np.vstack([point, point + steps])
-        found = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
-        moved.append((at(found).log_evidence, found))
+        optimum = _lowest(lambda p: -at(p).log_evidence, simplex, 30 * point.size)
+        moved.append((at(optimum).log_evidence, optimum))
     fitted, cell = model.fitted(trial, at(max(moved, key=lambda m: m[0])[1]).half_rad, noise)
     if cell.log_evidence + np.log(prior / model.courses[best.course].prior) <= best.log_evidence:
         del model.courses[trial:]
@@ -1010,12 +1012,12 @@ def _density_of_held(
     # Of the side that is moved: the load lags behind the motor, or leads it.
     how = model.courses[cell.course]
     sides = np.array([-1.0, 1.0] if how.free else [1.0] if how.drives else [-1.0])[:, None, None]
-    seen, spread = cell.beta[inertia] / (variance * known), np.hypot(known**-0.5, FILTERS_S2)
+    measured, spread = cell.beta[inertia] / (variance * known), np.hypot(known**-0.5, FILTERS_S2)
     stops = STOPS * np.exp(STOPS_SPREAD * ndtri((np.arange(64) + 0.5) / 64.0))
     logs = np.linspace(np.log(1e-9), np.log(1e2), 600)
     winds = np.exp(logs)[:, None] / stops
-    likely = norm.pdf(seen, sides * winds, spread).mean(axis=(0, 2))
-    likely /= norm.pdf(seen, 0.0, np.hypot(spread, INERTIA_S2))
+    likely = norm.pdf(measured, sides * winds, spread).mean(axis=(0, 2))
+    likely /= norm.pdf(measured, 0.0, np.hypot(spread, INERTIA_S2))
     usual = norm.pdf(logs, np.log(HELD_RAD), HELD_SPREAD)
     soft = norm.pdf(logs, np.log(SOFT_RAD), SOFT_SPREAD)
     densities = usual, soft, likely
@@ -1128,9 +1130,9 @@ def _drawn(
     paths, design = model.paths, model.design
     mode = cells[nearest[np.argsort(half[nearest])[count // 2]]]
     columns = design.columns(mode.lag)
-    seen = mode.lag + columns @ mode.beta - design.load_rad
+    measured_lag = mode.lag + columns @ mode.beta - design.load_rad
     flank = np.abs(mode.lag) > np.where(mode.half_rad > 0.0, 0.25 * mode.half_rad, -1.0)
-    parts = np.array_split(np.abs(seen[flank]), 2)
+    parts = np.array_split(np.abs(measured_lag[flank]), 2)
     halves = (float(np.median(parts[0])), float(np.median(parts[1])))
     scale = beta @ design.slopes(columns) * np.exp(MODEL * generator.standard_normal(count))
     # Both halves of a recording are two measurements: they scatter by as much as they differ.
@@ -1140,7 +1142,7 @@ def _drawn(
     # What is more than any transmission error may be the load's motion within a play.
     if model.misfit(noise) > max(best.half_rad, MOST_CURVE_RAD):
         share = generator.uniform(size=count) * (generator.uniform(size=count) > NO_PLAY)
-        beyond = share * np.maximum(hidden_rad(seen, noise) - lost, 0.0)
+        beyond = share * np.maximum(hidden_rad(measured_lag, noise) - lost, 0.0)
         lost, delta = lost + beyond, np.where(beyond > 0.0, lost + beyond, delta)
     # Friction that winds the joint up may follow the speed in any way, and is then like a skew.
     goes = [how.weight != 0.0 or how.free for how in model.courses]
@@ -1159,9 +1161,9 @@ def _drawn(
         "transmission_error_rad": np.ptp(curves, axis=1),
     }
     spread = np.ptp(np.quantile(np.log(np.maximum(lost - delta, 1e-12)), ONE_SD))
-    told = float(spread) < 2.0 * INFORMED * HELD_SPREAD
+    is_informed = float(spread) < 2.0 * INFORMED * HELD_SPREAD
     handed_nm = friction_nm[chosen] + friction_sd[chosen] * generator.standard_normal(count)
-    if told and np.all(handed_nm > 0.0):
+    if is_informed and np.all(handed_nm > 0.0):
         draws["compliance_rad_per_nm"] = 0.5 * draws["held_windup_rad"] / handed_nm
     pairs = [name.rsplit(" ", 2)[:2] for name in names if name.endswith(" cos") and "," not in name]
     harmonics = {
@@ -1183,7 +1185,7 @@ def _drawn(
         model.misfit(noise),
         noise,
         design.load_rad,
-        seen,
+        measured_lag,
         mode.lag,
         curve,
         halves,

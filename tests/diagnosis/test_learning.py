@@ -180,8 +180,8 @@ def test_friction_over_the_load_angle_is_learned_with_its_coefficients(independe
     before = abs(math.log(nominal.fit.value(GAP) / GAP_RAD)) / nominal.fit.sd(GAP)
     assert before > 10.0, "without it the gap is wrong"
     assert augmented_bench(found.explanation).learned_torque == torque
-    left = held_out.left_by(predicted(found.explanation, held_out))
-    without = held_out.left_by(predicted(nominal, held_out))
+    left = held_out.residual_of(predicted(found.explanation, held_out))
+    without = held_out.residual_of(predicted(nominal, held_out))
     noise = np.array([1.5, 0.05])
     excess = [float(np.mean((x.T / noise) ** 2)) - 1.0 for x in (without, left)]
     assert excess[1] < 0.05 * excess[0]

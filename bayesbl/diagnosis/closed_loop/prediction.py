@@ -123,7 +123,7 @@ def compared_channels(
     )
     if observation.excluded is not None:
         measured = np.where(observation.excluded, np.nan, measured)
-    residuals = np.stack([observation.left_by(made) for made in (before, after)], axis=1)
+    residuals = np.stack([observation.residual_of(made) for made in (before, after)], axis=1)
     residuals *= float(np.mean(observation.compared)) ** -0.5
     for name, own, *signals in zip(
         observation.channels, residuals, measured, before, after, strict=True

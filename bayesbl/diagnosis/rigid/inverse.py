@@ -644,7 +644,7 @@ class InverseView:
         """Prediction by all that is linear, (N,)."""
         return np.asarray(self.base + self._linear @ self._by_linear)
 
-    def least_left(self) -> float:
+    def least_residual(self) -> float:
         """Sum of squares that these leave."""
         residual = self.rows.measured - self.discrepancy - self.fitted()
         return float(np.sum(residual[self.rows.shown] ** 2))
@@ -655,7 +655,7 @@ class InverseView:
             return self
         unit = self.speed_rad_per_s
         width = _minimum(
-            lambda w: replace(self, width=w).least_left(), [unit * w for w in WIDTH_GRID]
+            lambda w: replace(self, width=w).least_residual(), [unit * w for w in WIDTH_GRID]
         )
         return replace(self, width=width)
 

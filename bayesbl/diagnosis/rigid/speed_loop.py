@@ -799,7 +799,7 @@ class Setting:
         return tuple(item for item in self.turning if item.piece.use == "used")
 
     @cached_property
-    def found(self) -> list[Peak]:
+    def peaks(self) -> list[Peak]:
         """Orders that stand out, the strongest first."""
         return find_orders(self.used, MOST_LINES, self.task.config.candidates.false_alarm)
 
@@ -808,11 +808,11 @@ class Setting:
         notes = list(self.notes)
         effects, errors = list[NamedEffect](), list[ParameterError]()
         periodic = list[Sequence[tuple[int, int]]]()
-        fit, unnamed = None, set(range(len(self.found)))
+        fit, unnamed = None, set(range(len(self.peaks)))
         if progress is not None:
             progress("Seeking orders", 1, 2)
-        lines = lines_of(self.used, [line.order for line in self.found])
-        if self.found:
+        lines = lines_of(self.used, [line.order for line in self.peaks])
+        if self.peaks:
             search = searched(lines, self.values, self.priors, self.candidates)
             named = self._named(search, notes)
             periodic = [m[0].lines for m in search.sure if m[0].name == TIME]
@@ -857,9 +857,9 @@ class Setting:
                 named.append(members)
             elif len(members) == 1:
                 size = 1e3 * search.fit.size(place, ANGLE).value
-                notes.append(GROWS.format(order=self.found[place].order, size_mrad=size))
+                notes.append(GROWS.format(order=self.peaks[place].order, size_mrad=size))
             else:
-                notes.append(ALIKE.format(order=self.found[place].order))
+                notes.append(ALIKE.format(order=self.peaks[place].order))
         power = np.nanmax(search.fit.lines.power, axis=0)
         loop = [members for members in named if members[0].place is None]
         laws = [members for members in named if members[0].place is not None]
@@ -873,7 +873,7 @@ class Setting:
         Over the measured angle a torque of order n has sidebands of n ε/2 of its size.
         """
         laws = np.flatnonzero(fit.parts.any(axis=1)).tolist()
-        first = [k for k in laws if self.found[k].order == 1.0 and fit.sizes[k, ANGLE]]
+        first = [k for k in laws if self.peaks[k].order == 1.0 and fit.sizes[k, ANGLE]]
         if self.true_angle or not first or len(laws) == 1:
             return None
         torque, angle, between = fit.sizes[first[0]]
@@ -899,7 +899,7 @@ class Setting:
             size = Estimate(fit.values[name], fit.changes_sd[name])
             parameters = {LOOP_EFFECTS[name]: size}
         else:
-            size, line = fit.size(place, first.part), self.found[place]
+            size, line = fit.size(place, first.part), self.peaks[place]
             parameters = {"angle_rad": size}
             if first.part == TORQUE:
                 held = line.order == round(line.order)
@@ -913,7 +913,7 @@ class Setting:
         """A line without a law, or with one that the catalogue does not have; or one in time."""
         place = group[0][1]
         sizes = np.sqrt(lines.measured[:, place].clip(0.0))
-        order, hertz = self.found[place].order, math.nan
+        order, hertz = self.peaks[place].order, math.nan
         places = [i for i in np.argsort(-sizes) if sizes[i] > 0.0]
         if len(group) > 1:
             hertz = order * abs(float(lines.speeds[places[0]])) / (2.0 * math.pi)
@@ -927,7 +927,7 @@ class Setting:
             order,
             hertz,
             tuple(self.used[i].piece.name for i in places),
-            self.found[place].score,
+            self.peaks[place].score,
         )
 
     def _compared(self, fit: LoopFit | None) -> tuple[ComparedPiece, ...]:
@@ -938,7 +938,7 @@ class Setting:
         after = before
         if fit is not None:
             places = np.flatnonzero(fit.parts.any(axis=1)).tolist()
-            orders = [self.found[place].order for place in places]
+            orders = [self.peaks[place].order for place in places]
             speeds: FloatArray = np.array([item.speed_rad_per_s for item in every])
             sizes = np.reshape([fit.predicted(k, speeds) for k in places], (-1, len(every)))
             after = rows.stack(lambda i: every[i].predicted(orders, sizes[:, i]))

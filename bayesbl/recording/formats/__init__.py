@@ -59,8 +59,8 @@ class Format:
     @property
     def read(self) -> Callable[[Path, bytes], ArrayTable]:
         """From path and bytes to named columns."""
-        found: Callable[[Path, bytes], ArrayTable] = import_module(self.module, __name__).read
-        return found
+        reader: Callable[[Path, bytes], ArrayTable] = import_module(self.module, __name__).read
+        return reader
 
 
 _MAT_5 = ((126, b"IM"), (126, b"MI"))

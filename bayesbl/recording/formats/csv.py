@@ -53,9 +53,9 @@ def read(file: Path, data: bytes) -> ArrayTable:
     for begin in range(0, len(data), _LONGEST_LINE):
         part = data[begin : begin + _LONGEST_LINE]
         if len(part) == _LONGEST_LINE and b"\n" not in part and b"\r" not in part:
-            found = f"a line of more than {_LONGEST_LINE // 1_000_000} MB"
+            actual = f"a line of more than {_LONGEST_LINE // 1_000_000} MB"
             raise RecordingError(
-                "This is not a CSV file.", file=file, found=found, expected=EXPECTED
+                "This is not a CSV file.", file=file, found=actual, expected=EXPECTED
             )
     text, control = _in_utf8(file, data)
     head = list(islice(lines_of(text), _HEAD_LINES))

@@ -92,14 +92,14 @@ def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str,
     require_whole(data, partial(RecordingError, file=file))
 
     def variables(group: Any, depth: int, prefix: str = "") -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        by_name: dict[str, Any] = {}
         for name in group:
             item = group.get(name)
             if name.startswith("#") or item is None:
                 continue
             if isinstance(item, h5py.Group):
                 if depth < _DEEPEST:
-                    found[name] = variables(item, depth + 1, f"{prefix}{name}.")
+                    by_name[name] = variables(item, depth + 1, f"{prefix}{name}.")
                 continue
             kind = item.attrs.get("MATLAB_class")
             kind = kind.decode() if isinstance(kind, bytes) else kind
@@ -108,10 +108,10 @@ def _hdf5_variables(file: Path, data: bytes, units: dict[str, str]) -> dict[str,
             are_numbers = {field.kind for field in fields} <= {*"biuf"}
             if kind in (None, *_NUMERIC) and are_numbers and not empty:
                 # MATLAB stores by columns, others by rows.
-                found[name] = np.asarray(item[()]) if kind is None else np.asarray(item[()]).T
+                by_name[name] = np.asarray(item[()]) if kind is None else np.asarray(item[()]).T
                 for key in {"unit", "units"} & {*item.attrs}:
                     units[prefix + name] = str(np.asarray(item.attrs[key]).astype("U"))
-        return found
+        return by_name
 
     with h5py.File(io.BytesIO(data), "r") as stored:
         return variables(stored, 0)
