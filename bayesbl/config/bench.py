@@ -214,8 +214,8 @@ class CurrentNoise(_NoiseEntry):
 class MeasurementSection(Section):
     """``[measurement]``: how the bench is measured.
 
-    ``speed_filter_s``: the time that the recorded speed is averaged over, as the effect
-    ``speed_averaging`` has it. A speed of the encoder is averaged over a sampling period.
+    ``speed_filter_s``: the time that the recorded speed is averaged over, as in the effect
+    ``speed_averaging``. A speed of the encoder is averaged over a sampling period.
     """
 
     encoder_counts: int | None = Field(default=None, ge=1)
@@ -253,7 +253,7 @@ class MeasurementSection(Section):
 class EffectValue(_Uncertain):
     """A parameter of an effect; ``sd`` where it was estimated, a tolerance where it was stated.
 
-    A tolerance is the half-width of a uniform distribution, whose standard deviation is taken.
+    A tolerance is the half-width of a uniform distribution, whose standard deviation is used.
     """
 
     sd: float | None = Field(default=None, ge=0.0)
@@ -338,7 +338,7 @@ class ArmSection(_Spring):
     """``[arm]``: an elastic arm or payload behind the load, all at the load.
 
     ``load_inertia_kg_m2`` and ``gravity_torque_nm`` under ``[parameters]`` are those of the whole
-    load; ``inertia_kg_m2`` and ``gravity_share`` are what of them is behind the spring.
+    load; ``inertia_kg_m2`` and ``gravity_share`` are the parts of these behind the spring.
     """
 
     as_effect = ("arm", "inertia_kg_m2", "inertia_share", "load_inertia_kg_m2")
@@ -391,9 +391,9 @@ class EffectEntry(Section):
 
     A digital drive has ``sampled_control``: ``parameters = {period_s = {value = 250e-6}}``, the
     period of its speed controller. Its torque acts ``delay_periods`` after the encoder was read, 17
-    with a dead time of 4 ms besides. Its speed is the encoder's difference over a period;
+    with a further dead time of 4 ms. Its speed is the encoder's difference over a period;
     ``instant_share = 1`` is the speed of the instant. Without a delay both are fitted by the direct
-    route and ``identify``, from a delay of 1 and a difference.
+    route and ``identify``, starting from a delay of 1 and a difference.
     """
 
     name: Annotated[str, AfterValidator(effect_name)]
@@ -417,7 +417,7 @@ class _LearnedSection(Section):
 
 
 class LearnedTorqueSection(_LearnedSection):
-    """``[learned_torque]``: what repeated in recordings and no effect explains.
+    """``[learned_torque]``: a torque that repeats in recordings and that no effect explains.
 
     Against the motor or the load, N m there: constant_nm + Σ_k cosine_nm[k] cos(2π k x/period) +
     sine_nm[k] sin(2π k x/period) of the variable x; times the sign of the motor's speed where it
@@ -435,7 +435,7 @@ class LearnedTorqueSection(_LearnedSection):
 
 
 class EncoderErrorSection(_LearnedSection):
-    """``[encoder_error]``: the angle that the motor's encoder shows less the true one.
+    """``[encoder_error]``: the angle that the motor's encoder shows, minus the true one.
 
     Over the motor's angle θ, in rad and inside the speed loop: Σ_k cosine_rad[k] cos(2π k
     θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad); ``sd_rad`` of cosines and sines.

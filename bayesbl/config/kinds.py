@@ -212,9 +212,9 @@ class FleetSection(Section):
     """``[fleet]``: inventory, recordings, and how joints share information.
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
-    ``joint``, ``date`` and ``file``. ``pool_by`` is the column of the inventory whose joints wear
-    alike; without it every joint counts by itself. ``covariates`` are columns of numbers, such as
-    a load, that the rates of joints of one type may depend on.
+    ``joint``, ``date`` and ``file``. ``pool_by`` is a column of the inventory: joints with the same
+    entry wear alike. Without it every joint counts by itself. ``covariates`` are columns of
+    numbers, such as a load, that the rates of joints of one type may depend on.
     """
 
     joints: Annotated[InputPath, BeforeValidator(_table)]
@@ -242,7 +242,7 @@ class FleetSection(Section):
 class FleetEstimator(Section):
     """``[estimator]`` of a fleet: that of a comparison; the inventory has bench and curve.
 
-    ``route`` holds for joints with a bench; the others are measured by the amplitude.
+    ``route`` applies to joints with a bench; the others are measured by the amplitude.
     """
 
     route: Literal["auto", "amplitude", "direct"] = "auto"
@@ -315,10 +315,10 @@ def word_or_names(
 class Compared(Section):
     """``[comparison]``: how simulation and recordings are compared.
 
-    Without ``channels`` the method takes what the recordings hold. ``known_torque`` names columns
-    that are added to the torque the bench asks for, N m at the motor. ``cutoff_hz`` is that of the
-    zero-phase filter that both sides of the inverse method pass; by default the frequency at which
-    prediction and measurement lose coherence.
+    Without ``channels`` the method takes all that the recordings have. ``known_torque`` names
+    columns that are added to the torque that the bench needs, N m at the motor. ``cutoff_hz`` is
+    that of the zero-phase filter that both sides of the inverse method pass; by default the
+    frequency at which prediction and measurement lose coherence.
     """
 
     method: Method = "forward"
@@ -355,10 +355,10 @@ class DiagnosedRecording(SnapshotRecording):
 
 
 class Candidates(Section):
-    """``[candidates]``: effects that may be named, how many, and how often a line is one falsely.
+    """``[candidates]``: effects that may be named, and how many.
 
-    The last is of a rigid drive's speed. Without ``max_effects`` three in the closed loop, where
-    each costs many simulations, else six.
+    Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
+    ``false_alarm``: how often noise passes for a line in the speed of a rigid drive.
     """
 
     effects: Annotated[
@@ -434,7 +434,7 @@ class Sweep(Section):
 
 
 class SweepEstimator(Section):
-    """``[estimator]`` of a sweep: what decides the meaning of A."""
+    """``[estimator]`` of a sweep: what defines A."""
 
     model: Model = Field(default_factory=Model)
 
@@ -521,10 +521,10 @@ _Effects = Annotated[
 
 
 class Identify(Section):
-    """``[identify]``: what is free beside gap and start angles.
+    """``[identify]``: what is fitted besides gap and start angles.
 
     ``parameters``: those with a tolerance in the bench, or some of these by name. ``effects``:
-    names of the catalogue, free from the start; ``"catalogue"``: those that the recordings name,
+    names of the catalogue, fitted from the start; ``"catalogue"``: those that the recordings show,
     if the bench cannot explain them. ``gap_rad``: range of the gap's log-uniform prior.
     """
 

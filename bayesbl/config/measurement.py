@@ -42,10 +42,10 @@ _TEXT = re.compile(
 
 
 class Limit(Section):
-    """``[joint] limit``: when to repair, as a maker states it; text such as "3 arcmin play" too.
+    """``[joint] limit``: when to repair, as data sheets state it; or a text, "3 arcmin play".
 
-    ``play`` is 2 δ. ``lost_motion`` is that between the torques ± ``at_torque_share`` of
-    ``rated_torque_nm``, with the stiffness of the bench. mm are meant at the radius ``at_m``.
+    ``play`` is 2 δ. ``lost_motion`` is the angle between the torques ± ``at_torque_share`` of
+    ``rated_torque_nm``, with the stiffness of the bench. mm are at the radius ``at_m``.
     """
 
     # Lost motion at a share s of the rated torque T is play and what the stiffness K at the load
@@ -177,14 +177,14 @@ StatedLimit = Annotated[Limit, AfterValidator(_of_a_gap)]
 
 
 class Joint(Section):
-    """``[joint]``: what is known of the joint itself.
+    """``[joint]``: what you know about the joint itself.
 
-    ``drift``: relative standard deviation of what may move between the first snapshot and each
-    later one, by the name of a bench parameter or effect, in place of the default; 0 for none. The
-    interval of the change includes it.
-    ``rated_torque_nm``, at the output: lost motion is stated at 3 % of it. ``limit_rad`` is a limit
-    of δ in rad, ``limit`` one of δ, play or lost motion in the unit of a data sheet.
-    ``upright``: gravity does not turn the joint, as its axis is vertical or its load is balanced.
+    ``drift``: relative standard deviation of what may drift between the first snapshot and each
+    later one, by the name of a bench parameter or effect, instead of the default; 0 for none. The
+    interval of the change includes it. ``rated_torque_nm``, at the output: lost motion is stated at
+    3 % of it. ``limit_rad`` is a limit of δ in rad, ``limit`` one of δ, play or lost motion in the
+    unit of a data sheet. ``upright``: gravity does not turn the joint, as its axis is vertical or
+    its load is balanced.
     """
 
     gear_ratio: Positive | None = None
@@ -213,7 +213,7 @@ class Joint(Section):
 
 
 class Search(Section):
-    """``[estimator.search]``: how the optimum is found; ``start_from`` an earlier result first.
+    """``[estimator.search]``: how the optimum is found; ``start_from``: from an earlier result.
 
     ``paper`` searches eq. 6 in the ranges of Table 2 as well, exactly as printed.
     """
@@ -257,7 +257,7 @@ class Estimator(Section):
     ln(δ + 0.01 mrad) if it begins at zero. ``torque_ramp`` reads ramps of the motor's torque with
     the output held, ``two_encoders`` the positions of motor and load over any motion with
     reversals; both need neither bench nor curve. Where the load's position is recorded, two
-    encoders stand as a witness beside the answer of the other routes.
+    encoders are a second opinion beside the answer of the other routes.
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"
@@ -302,8 +302,8 @@ class Posterior(Section):
 class Curve(Section):
     """``[curve]``: from amplitude to gap; the result of a sweep, or ``published`` by name.
 
-    Without a source the curves are those of the estimator's bench; without a bench there is no δ.
-    A source goes before the bench; the direct route has no use for one.
+    Without a source the curves are those of the estimator's bench; without a bench there is no δ. A
+    source takes precedence over the bench; the direct route ignores it.
     """
 
     source: CurveSource | None = None
@@ -322,19 +322,19 @@ class MeasuredRecording(SnapshotRecording):
 
     ``files``: the positions around the turn at which ramps of torque were made, one file each;
     ``file`` is then the first of them. ``repaired`` marks the first one after a repair. ``bench``:
-    what is known to have been another value than the bench file's when it was made, a bench
-    parameter or ``"effect.parameter"``. ``known_gap`` gives the amplitude's curve its scale.
+    values that differed from the bench file when it was made, a bench parameter or
+    ``"effect.parameter"``. ``known_gap`` scales the curve of the amplitude route.
     """
 
     known_gap: KnownGap | None = None
 
 
 class WearOverDates(Section):
-    """``[wear]``: what is known of wear beside the recordings.
+    """``[wear]``: what you know about wear apart from the recordings.
 
-    ``relative_sd_per_date`` is what temperature, grease or the torque constant may move each
-    date's gap by, whatever the wear. ``in_service_since`` is when the joint, or what its last
-    repair replaced, began to work.
+    ``relative_sd_per_date`` is how far temperature, grease or the torque constant may move the gap
+    of each date, whatever the wear. ``in_service_since`` is when the joint, or what its last repair
+    replaced, began to work.
     """
 
     relative_sd_per_date: float = Field(default=0.0, ge=0.0, le=0.5)

@@ -279,7 +279,7 @@ class RunConfig(Section):
 
 
 class Column(Section):
-    """An entry of ``[columns]``: a column's name in the file, its unit, and whether forwards is
+    """An entry of ``[columns]``: a column's name in the file, its unit, and whether forward is
     negative there."""
 
     name: str = Field(min_length=1)

@@ -128,7 +128,7 @@ class SweepRow:
         kept = slice(int(leaps[-1]) + 1 if leaps.size else 0, None)
         if leaps.size and self.gap_rad[kept].size < FEWEST_GAPS:
             raise CurveError(
-                "The best fit jumps from one ringing to another, and too few gaps lie beyond.",
+                "The best fit jumps from one ringing to another, and too few gaps are beyond.",
                 where=f"δ = {self.gap_rad[leaps[-1]]:.3g} to {self.gap_rad[leaps[-1] + 1]:.3g} rad",
                 found=f"{self.gap_rad[kept].size} gaps",
                 expected=f"at least {FEWEST_GAPS}; larger gaps, or another bench",
@@ -338,8 +338,8 @@ DEGREES = (1, 2, 3, 4, 5)
 class DegreeSummary(TypedDict):
     """How well a polynomial of one degree describes the sweep.
 
-    Relative departures of δ from it alone, over the gaps' mean amplitudes; ``log_evidence``:
-    restricted log likelihood with the smooth lack of fit beside it.
+    Departures are relative ones of δ from the polynomial alone, at the mean amplitude of each gap.
+    ``log_evidence``: restricted log likelihood, with the smooth lack of fit included.
     """
 
     rms_departure: float

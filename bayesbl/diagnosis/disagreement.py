@@ -89,11 +89,11 @@ CORRELATION_LAGS = 200
 
 
 class DisagreementSummary(TypedDict):
-    """RMS between bench and measurement in ``unit``; ``noise`` where it is over the noise floor.
+    """RMS of measurement minus bench, in ``unit``, where ``noise`` is the noise floor.
 
     ``before``, ``after``: without and with what was named; what was declared unknown is fitted in
-    both. ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null where the excess
-    before is not sure.
+    both. ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null where noise may
+    be all of the disagreement before.
     """
 
     before: float
@@ -105,9 +105,9 @@ class DisagreementSummary(TypedDict):
 
 
 class DisagreementTableSummary(TypedDict):
-    """By recording, channel and use, and over all by use; ``unit`` where all have one.
+    """By recording, channel and use, and over all by use; ``unit`` is that of all.
 
-    Where every piece has its own, what is over all is in units of each piece's noise floor.
+    If units differ, ``unit`` is null and what is over all is in units of each noise floor.
     """
 
     unit: str | None

@@ -58,7 +58,7 @@ class EffectSummary(TypedDict):
 
 
 class ParameterErrorSummary(TypedDict):
-    """A bench parameter that is not what its file says."""
+    """A bench parameter whose value differs from its file."""
 
     name: str
     believed: float
@@ -68,7 +68,7 @@ class ParameterErrorSummary(TypedDict):
 
 
 class RemainingSummary(TypedDict):
-    """What still repeats after naming; ``chi_squared`` of a line whose test has one."""
+    """What still repeats after naming; ``chi_squared`` for lines whose test has one."""
 
     channel: str
     dependence: str
@@ -94,7 +94,7 @@ class LearnedDependence(TypedDict):
 class LearnedSummary(LearnedDependence):
     """A torque of no known law, or an error of the encoder.
 
-    ``amplitude_nm``, ``amplitude_rad`` its largest size, at its side; ``alike`` other dependences
+    ``amplitude_nm``, ``amplitude_rad``: its largest size, at its side; ``alike``: other dependences
     that look the same here.
     """
 
@@ -284,7 +284,7 @@ LEARNED = {
     ENCODER_ERROR: Group(
         ENCODER_ERROR,
         table("""
-            angle_rad (point) | rad | what the motor's encoder shows too much
+            angle_rad (point) | rad | error of the motor's encoder
             sd_rad (point) | rad | its standard deviation
         """),
         table("variable (point) | rad | angle of the motor"),

@@ -88,16 +88,16 @@ def _columns(text: str) -> dict[str, tuple[str, str]]:
 
 
 RECORDING_COLUMNS = _columns("""
-    joint | string | of the inventory
+    joint | string | name in the inventory
     date | string | when it was recorded, 2026-03-01
     file | string | path
     sha256 | string | of the file's bytes; null where it could not be read
     outcome | string | converged, usable, withheld, no_curve; refused: it cannot be used;
         failed: a bug
     reason | string | why δ is null; null where it is not
-    notes | string | what else to know of it
+    notes | string | further remarks on the answer
     route | string | direct or amplitude
-    used | bool | whether the joint's rate rests on it; null where none was made, by watch
+    used | bool | whether the joint's rate uses it; null from watch, which gives no rates
     delta_rad_median | double | gap, rad
     delta_rad_low | double | lower bound of the interval, rad
     delta_rad_high | double | upper bound, rad
@@ -111,52 +111,52 @@ RECORDING_COLUMNS = _columns("""
     amplitude_rpm_median | double | amplitude of the ringing, rpm
     amplitude_rpm_low | double | rpm
     amplitude_rpm_high | double | rpm
-    probability_above_limit | double | that δ was above the joint's limit
-    device | string | that sent it, as it says of itself; null where it was measured here
+    probability_above_limit | double | probability that δ was above the joint's limit
+    device | string | device that sent it, by its own name; null where it was measured here
 """)
 """Column to its type and meaning."""
 
 JOINT_COLUMNS = _columns("""
-    joint | string | of the inventory
+    joint | string | name in the inventory
     gearbox | string | its type
     limit_rad | double | gap at which it is to be repaired, rad
-    recordings | int64 | how many there are
-    used | int64 | that the rate rests on
-    withheld | int64 | whose gap is withheld, or has no curve
-    broken | int64 | refused or failed
+    recordings | int64 | number of recordings
+    used | int64 | recordings that the rate uses
+    withheld | int64 | recordings with a withheld gap, or without a curve
+    broken | int64 | recordings that were refused or failed
     route | string | direct or amplitude
     first_date | string | of the recordings in use
     last_date | string | of the recordings in use
     delta_rad_median | double | gap at the last date, rad
     delta_rad_low | double | rad
     delta_rad_high | double | rad
-    probability_limit_now | double | that it was above its limit at the last date
-    probability_wear | double | that it has grown since the first date; without pooling
-    rate_rad_per_year_median | double | mean over the dates in use; pooled where that is so
+    probability_limit_now | double | probability that the gap was above its limit at the last date
+    probability_wear | double | probability that it has grown since the first date; without pooling
+    rate_rad_per_year_median | double | mean over the dates in use; pooled if column pooled says so
     rate_rad_per_year_low | double | rad/year
     rate_rad_per_year_high | double | rad/year
     rate_rad_per_year_sd | double | rad/year
     rate_alone_rad_per_year_median | double | from this joint's recordings only
     rate_alone_rad_per_year_low | double | rad/year
     rate_alone_rad_per_year_high | double | rad/year
-    pooled | bool | whether joints of its type count in rate and date
-    probability_unlike_type | double | that it wears in its own way, and not as its type; null
+    pooled | bool | whether rate and date use other joints of its type
+    probability_unlike_type | double | probability that it does not wear like its type; null
         where no type is known
-    law | string | likeliest law of wear; pooled where that is so
+    law | string | likeliest law of wear; pooled if column pooled says so
     limit_date_median | string | when the gap reaches the limit; null: not in 1000 years
     limit_date_low | string | lower bound of the interval
     limit_date_high | string | upper bound
     limit_date_not_before | string | one-sided, at the interval's level
-    probability_limit_before | double | that it is reached before [fleet] decide_before
-    cost_at_limit | double | what reaching the limit costs; of the inventory
-    expected_cost | double | cost_at_limit times probability_limit_before; times
-        probability_limit_now, which is at most that, where no rate is known; null where no gap is
+    probability_limit_before | double | probability that it is reached before [fleet] decide_before
+    cost_at_limit | double | what reaching the limit costs, from the inventory
+    expected_cost | double | cost_at_limit times probability_limit_before, or without a
+        rate times probability_limit_now, which is no larger; null without a gap
     alarm | bool | among the joints called over their limit, at most 5 % of them falsely
     rank | int64 | 1 is reached first, or costs most where costs are given; null where there
         is no date
     reason | string | why there is no rate; null where there is one
 """)
-"""Column to its type and meaning; the inventory's own other columns stand behind them."""
+"""Column to its type and meaning; the inventory's own other columns follow them."""
 
 
 def _ends(draws: FloatArray, name: str, of: IntervalConfig) -> dict[str, float]:

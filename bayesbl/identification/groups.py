@@ -94,7 +94,7 @@ class BeyondSummary(TypedDict):
 
 class TogetherSummary(TypedDict):
     """Parameters known together far better than alone: all by their ratios to each other, or two by
-    their product; relative standard deviations, the largest of one alone and of what is told."""
+    their product. Relative standard deviations: the largest of one alone, and of these."""
 
     parameters: list[str]
     told: Literal["ratios", "product"]
@@ -344,7 +344,7 @@ def reason_of(result: Identification) -> str | None:
     if (result.verdict == "unexplained" and not result.allows_for_misfit) or _stands_out(result):
         return (
             "No values within the tolerances, no single value beyond them and no effect of the "
-            "catalogue explain these recordings: something of the joint is not in the bench, "
+            "catalogue explain these recordings: the bench lacks something that the joint has, "
             "several values of the data sheet are wrong, or the gap was not the same in all "
             "recordings (give their dates). "
             f"{left_over(result.check)} Check the data sheet, or widen its tolerances."
@@ -363,15 +363,15 @@ def misfit_in_words(result: Identification) -> list[str]:
     if not result.allows_for_misfit:
         return []
     return [
-        f"Something of the joint is not in the bench. {left_over(result.check)} All intervals "
-        "include what that may do to them. `bayesbl diagnose` looks for what is missing."
+        f"The bench lacks something that the joint has. {left_over(result.check)} All intervals "
+        "include its possible effect. `bayesbl diagnose` looks for what is missing."
     ]
 
 
 def _lacking(result: Identification) -> str:
     names = " and ".join(" or ".join(map(in_words, members)) for members in result.missing)
     lacks = (
-        f"The bench lacks an effect that these recordings show: {names}. Let it be found "
+        f"The bench lacks an effect that these recordings show: {names}. Have it found "
         '(--effects catalogue, or effects = "catalogue" under [identify]), or add it to the '
         "data sheet under [[effects]]."
     )
@@ -382,7 +382,7 @@ def beyond_in_words(wrong: BeyondDataSheet) -> str:
     """Which value of the data sheet is wrong, by how much, and what else it could be."""
     text = (
         f"{wrong.name} is {wrong.deviations:.0f} standard deviations outside its data sheet: "
-        f"{wrong.found:.4g} by the recordings, {wrong.believed:.4g} ± {wrong.tolerance:.2g} there."
+        f"{wrong.found:.4g} by the recordings, not {wrong.believed:.4g} ± {wrong.tolerance:.2g}."
     )
     if wrong.could_be:
         text += f" It could also be {' or '.join(wrong.could_be)}."

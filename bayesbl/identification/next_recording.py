@@ -28,8 +28,8 @@ PACES = (1.0, 0.6, 0.3)
 
 
 class NextRecordingSummary(TypedDict):
-    """What to record next: five load rotations at one speed, or ``motion_of`` the recording whose
-    motion to repeat; ``information_bits``: half the binary logarithm of how much the volume of what
+    """What to record next: five load rotations at one speed, or the motion of the recording
+    ``motion_of``; ``information_bits``: half the binary logarithm of how much the volume of what
     is unknown shrinks; what it ``sharpens`` most, and the standard deviation of its logarithm."""
 
     reference_speed_rpm: float

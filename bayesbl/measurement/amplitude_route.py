@@ -102,8 +102,8 @@ POSTERIOR = Group(
         _BASELINE,
         *table("""
             curve_amplitude_rpm? (chain, draw) | rpm
-                | amplitude put through the gap curve: with its scatter over start angles
-            curve_scale? (chain, draw) | 1 | by which a known gap scales the curve
+                | amplitude that enters the gap curve, with its scatter over start angles
+            curve_scale? (chain, draw) | 1 | factor by which a known gap scales the curve
         """),
         replace(shared.DELTA, optional=True),
     ),
@@ -147,7 +147,7 @@ OPTIMUM = Group(
         search_seconds | s | time of the search
         covariance (parameter, parameter_) | products of units | sandwich covariance of the optimum
         impact_sd_rpm (case) | rpm | standard deviation of A from impact to impact, beyond noise
-        impact_loss (case) | 1 | share of A that impacts which come early and late take
+        impact_loss (case) | 1 | share of A that is lost because impacts come early or late
         rival_amplitude_rpm (rival) | rpm | amplitude at other local optima
         rival_rmse_rpm (rival) | rpm | root mean square error at other local optima
         start? | text | start of the search

@@ -584,8 +584,8 @@ PREDICTIVE = Group(
     "predictive",
     table("""
         rotation_period_s | s | one load rotation, or one cycle of a motion
-        reference_speed_rpm? (sample) | rpm | what the motor of a motion was asked for
-        compared_from_s? | s | begin of what was compared of a motion, from the first sample
+        reference_speed_rpm? (sample) | rpm | reference speed of the motor in a motion
+        compared_from_s? | s | start of the compared part of a motion, from the first sample
         repeats? | 1 | 1 where a motion repeats, 0 where it does not
         flank_changes? | 1 | how often the load passed from one flank to the other
         flank_left_s? (flank) | s | when the teeth parted, from the first sample

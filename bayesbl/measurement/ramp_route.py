@@ -204,8 +204,7 @@ class RampMeasurer(Measurer):
         for source in (part.source for part in parts if part.source is not None):
             if source.sha256 in by_content:
                 raise RecordingError(
-                    "Two files of a snapshot are alike to the last byte: one position would count "
-                    "twice.",
+                    "Two files of a snapshot are identical: one position would count twice.",
                     file=source.file,
                     found=f"the content of {by_content[source.sha256]}",
                     expected="a file for each position around the turn",
@@ -602,9 +601,9 @@ POSTERIOR = Group(
                 | position over torque by least squares along the largest ramps, both sides
             friction_torque_nm (chain, draw) | N m | at the output, over the range of the ramps
             held_windup_rad (chain, draw) | rad
-                | of the gap: compliance that friction holds at zero torque, if flanks do not harden
+                | part of δ: compliance that friction holds at zero torque, if flanks do not harden
             preload_torque_nm (chain, draw) | N m
-                | at which one flank of a preloaded joint lifts; 0 with play, NaN where not seen
+                | torque at which a preloaded joint's flank lifts; 0 with play, NaN where not seen
         """),
     ),
     (shared.CHAIN, shared.DRAW),
@@ -630,8 +629,8 @@ CYCLES = Group(
         elastic_nm (cycle) | N m | torque without friction between the positions left
         friction_nm (cycle) | N m | half the mean height of the loop
         used (cycle) | 1 | whether the width counts (1): the smallest ramps that reach both flanks
-        relative_compliance | 1 | between the positions left over that of larger ramps
-        probability_of_play | 1 | that it is above one
+        relative_compliance | 1 | compliance between the positions left, over that of larger ramps
+        probability_of_play | 1 | probability that this ratio is above one
         lost_motion_torque_nm | N m | torque, both ways, at which lost motion is stated
     """),
 )

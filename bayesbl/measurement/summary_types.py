@@ -11,12 +11,12 @@ from bayesbl.sampling.convergence import Outcome
 
 
 class ReasonSummary(TypedDict):
-    """Why an answer is withheld or limited, or is the answer: programs go by ``code``.
+    """Why an answer is withheld or limited, or is the answer; programs should read ``code``.
 
     It also has the numbers and names of its sentence, by name; ``recordings`` if it concerns only
-    some, ``also`` if there are further reasons, which ``text`` includes. Of those listed in the
-    diagnostics ``withholds`` says whether δ is withheld, ``because`` why another route has no
-    answer; that of the answer names its ``route``.
+    some, ``also`` if there are further reasons, which ``text`` includes. In the
+    diagnostics, ``withholds`` says whether δ is withheld, ``because`` why another route has no
+    answer; the reason of the answer names its ``route``.
     """
 
     code: str
@@ -43,7 +43,7 @@ class NoiseSummary(TypedDict):
 
 
 class DiagnosticsSummary(TypedDict):
-    """How the sampling ended; the optional keys are of draws that were simulated in full."""
+    """How the sampling ended; the optional keys belong to draws that were simulated in full."""
 
     r_hat: float
     ess_bulk: float
@@ -157,7 +157,7 @@ class RouteSummary(_OfSomeRoutes):
     """One recording by one route; every route has the keys here, and some of its own.
 
     A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone. Recordings of
-    the load's position have ``two_encoders`` beside the route that answers, as a witness.
+    the load's position have ``two_encoders`` beside the route that answers, as a second opinion.
     ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
     gap.
 
@@ -165,14 +165,14 @@ class RouteSummary(_OfSomeRoutes):
     amplitude of impacts differs, beyond noise.
 
     Torque ramps: ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: no play
-    is seen, and ``preload_torque_nm`` is the torque at which one of both flanks lifts; 0 with play,
-    ``None`` where that is not seen. ``held_windup_rad``: what of δ is compliance that friction
-    holds at zero torque. ``stiffness_nm_per_rad``: of a line through the largest ramps, as test
+    is seen, and ``preload_torque_nm`` is the torque at which one of the flanks lifts; 0 with play,
+    ``None`` where that is not seen. ``held_windup_rad``: the part of δ that is compliance held by
+    friction at zero torque. ``stiffness_nm_per_rad``: of a line through the largest ramps, as test
     reports state it.
 
     Two encoders: ``play_rad`` is 2δ, ``lost_motion_rad`` between both directions: the play, and
     what the load's friction winds up. ``windup_rad_per_nm`` is the compliance at the output, where
-    a torque tells it, ``channel_skew_s`` how late the load's stamps are.
+    a torque shows it, ``channel_skew_s`` how late the load's stamps are.
     """
 
     route: str
@@ -288,7 +288,7 @@ class WearSummary(TypedDict):
     ``law`` is the posterior probability of each law of wear, ``rate`` the mean since the first
     snapshot, ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is
     irregular wear, ``None`` under four snapshots. ``relative_sd_per_date`` is what the gap may
-    drift, as configured, and ``drift_widens`` by what factor that widens the rate.
+    drift, as configured, and ``drift_widens`` the factor by which that widens the rate.
     ``years_to_limit`` count from the last snapshot. ``forecast_from_prior`` is ``None`` without a
     limit ahead.
     """

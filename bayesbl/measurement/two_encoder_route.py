@@ -77,11 +77,11 @@ POSTERIOR = Group(
             play_rad (chain, draw) | rad | whole play, 2δ
             lost_motion_rad (chain, draw) | rad
                 | between both directions: play, and what the load's friction winds up
-            held_windup_rad (chain, draw) | rad | what of the lost motion is no play
+            held_windup_rad (chain, draw) | rad | part of the lost motion that is not play
             windup_rad_per_nm (chain, draw) | rad/(N m)
-                | compliance at the output; NaN where no torque tells it
+                | compliance at the output; NaN where no torque shows it
             gear_ratio (chain, draw) | 1 | motor over load, with its sign
-            channel_skew_s (chain, draw) | s | by which the load's stamps are late
+            channel_skew_s (chain, draw) | s | how late the load's stamps are
             transmission_error_rad (chain, draw) | rad | peak to peak, over the travel
             harmonic_rad (harmonic, chain, draw) | rad | amplitude of a transmission error's order
         """),
@@ -94,14 +94,14 @@ TRANSMISSION = Group(
     table("""
         position_rad (point) | rad | the load's position
         forward (point) | 1 | whether the motor turns forwards (1)
-        lag_rad (point) | rad | motor less load, without all but the play
+        lag_rad (point) | rad | motor minus load, with all but the play removed
         model_rad (point) | rad | the same by the model
         curve_rad (point) | rad | transmission error
         harmonic_order (harmonic) | 1 | order of a transmission error
         harmonic_of_load (harmonic) | 1 | whether it is per turn of the load (1) or the motor (0)
         probability_of_play | 1 | that δ is not zero
         counted | 1 | times that a misfit which repeats every cycle is counted
-        reversals | 1 | of the motor
+        reversals | 1 | reversals of the motor
         noise_sd_rad | rad | white noise
         drift_sd_rad | rad | of the process with a correlation time
         drift_s | s | that correlation time
@@ -180,11 +180,11 @@ class TwoEncoderMeasurer(Measurer):
         reversals = scaled_paths(channels, channels.slope()).reversals
         if reversals < FEWEST_REVERSALS:
             raise RecordingError(
-                "The motor does not turn back.",
+                "The motor does not reverse.",
                 file=recording.place,
                 where=MOTOR_POSITION,
                 found="a motion in one direction",
-                expected="reversals: play shows where the motor turns back",
+                expected="reversals: play shows only there",
             )
 
     def measure(self, task: Task) -> Measurement:

@@ -12,7 +12,7 @@ IntervalKind = Literal["equal_tailed", "hdi"]
 
 
 class Interval(TypedDict):
-    """Median and bounds, and what share of the probability they hold; of a rate with its unit."""
+    """Median, bounds and the probability between them; a rate also has its unit."""
 
     median: float
     low: float

@@ -302,7 +302,7 @@ def test_a_misfit_that_is_allowed_for_is_told() -> None:
     assert tree.attrs["outcome"] == "usable"
     assert tree.attrs["identified_bench"]
     (told, *_) = tree.attrs["warnings"]
-    assert "Something of the joint is not in the bench" in told
+    assert "The bench lacks something that the joint has" in told
     assert "recording" in told
 
 

@@ -134,7 +134,7 @@ def test_of_a_steady_rotation_the_witness_is_withheld_and_nothing_else_changes(t
     alone, both = found["alone"], found["both"]
     witness = both["routes"].pop("two_encoders")
     assert witness["delta_rad"] is None
-    assert "does not turn back" in witness["reason"]["text"]
+    assert "does not reverse" in witness["reason"]["text"]
     assert both["routes"] == alone["routes"]
     for key in ("outcome", "reason", "answer", "delta_rad", "diagnostics"):
         assert both[key] == alone[key]

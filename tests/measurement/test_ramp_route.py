@@ -260,7 +260,7 @@ def test_one_position_does_not_count_twice(tmp_path: Path, capsys) -> None:
     )
     code, _ = run(tmp_path, "run", str(config))
     assert code == 2
-    assert "alike to the last byte" in capsys.readouterr().err
+    assert "are identical" in capsys.readouterr().err
 
 
 def test_a_torque_that_goes_one_way_is_refused(tmp_path: Path, capsys) -> None:

@@ -77,7 +77,7 @@ def test_a_load_that_may_rest_on_one_flank_gets_no_bound_without_torque(tmp_path
 def test_a_motor_that_does_not_turn_back_is_refused(tmp_path, capsys):
     file = write(tmp_path / "one_way.csv", cycles=1)
     assert run("fit", file, "--out", tmp_path / "out") != 0
-    assert "does not turn back" in capsys.readouterr().err
+    assert "does not reverse" in capsys.readouterr().err
 
 
 def test_a_load_of_another_joint_is_refused(tmp_path, capsys):
