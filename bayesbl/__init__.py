@@ -5,7 +5,7 @@ The public functions and types, whose names stay:
 =====================  ============================================================================
 ``fit``, ``compare``   recordings in, gap and change out; what all of these give is a ``Result``
 ``identify``           a data sheet and recordings in, the joint's own bench out
-``diagnose``           what a bench lacks that recordings show
+``diagnose``           what recordings show and a bench lacks
 ``sweep``              the gap curve of a bench
 ``Result``             prints its answer, plots, gives an xarray tree, a table and a page
 ``read_result``        a stored result as such an object

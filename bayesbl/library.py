@@ -94,7 +94,7 @@ def fit(
     limit
         Repair limit as data sheets state it, such as ``"3 arcmin play"``.
     limit_rad
-        The same of the gap δ, in rad at the load.
+        The same for the gap δ, in rad at the load.
     upright
         Gravity does not turn the joint: its axis is vertical, or its load is balanced.
     level
@@ -142,7 +142,7 @@ def compare(
 ) -> ComparisonResult:
     """Measure the gap in each recording of one joint, and its change; nothing is written.
 
-    What is not explained here is as in :func:`fit`.
+    Other arguments are as in :func:`fit`.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def compare(
     dates
         When each was taken; with them the result has a group ``wear``.
     before
-        Asks how probably the gap passes the limit before this date.
+        Also gives the probability that the gap passes the limit before this date.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def identify(
 ) -> IdentificationResult:
     """Find the bench of a joint from its data sheet and recordings; nothing is written.
 
-    Without recordings, those of ``config`` are used. What is not explained here is as in
+    Without recordings, those of ``config`` are used. Other arguments are as in
     :func:`compare`.
 
     Parameters
@@ -191,7 +191,7 @@ def identify(
     bench
         The data sheet: a bench file with tolerances.
     effects
-        Effects that the data sheet lacks: looked for in the catalogue, or free by name.
+        Effects that the data sheet lacks: found in the catalogue, or fitted by name.
 
     Raises
     ------
@@ -215,10 +215,10 @@ def diagnose(
     workers: int | None = None,
     progress: bool = False,
 ) -> DiagnosisResult:
-    """Say what a bench lacks that recordings show; nothing is written.
+    """Find what recordings show and the bench lacks; nothing is written.
 
-    How they are compared is guessed from bench and recordings where ``config`` does not say it.
-    Without recordings, those of ``config`` are used, as it says.
+    How they are compared is guessed from bench and recordings, unless ``config`` says it.
+    Without recordings, those of ``config`` are used.
 
     Raises
     ------
@@ -259,7 +259,7 @@ def sweep(
 
 @checked
 def read_result(path: File) -> Result:
-    """A stored result of any kind, of the kind of object that made it.
+    """Read a stored result of any kind.
 
     Raises
     ------

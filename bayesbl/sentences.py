@@ -24,7 +24,7 @@ FEW_WEIGH = (
 
 UNLESS_REPAIRED = (
     "If the joint was repaired, mark the first recording after the repair (repaired = true). If "
-    "not, check that no files or dates are swapped. If temperature or grease move the gap from "
+    "not, check that no files or dates are swapped. If temperature or grease moves the gap from "
     "date to date, say by how much: relative_sd_per_date = 0.02 under [wear] is 2 %."
 )
 
@@ -100,7 +100,7 @@ def beyond_curve(
     return (
         f"{part} of the posterior is beyond the range of the gap curve ({low_rad:.3g} to "
         f"{high_rad:.3g} rad). δ is {side} {bound_rad:.3g} rad with {100.0 * level:g} % "
-        "probability. Use a curve that reaches farther, or ask for extrapolation by [curve] "
+        "probability. Use a curve with a wider range, or allow extrapolation by [curve] "
         "allow_extrapolation = true."
     )
 
@@ -110,9 +110,8 @@ def other_speed(curve_rpm: float, recording_rpm: float, relative_error: float) -
     side = "small" if relative_error < 0.0 else "large"
     return (
         f"The gap curve is for {curve_rpm:g} rpm, but the recording is at {recording_rpm:.4g} rpm, "
-        f"where the same gap rings differently: δ would be about "
-        f"{100.0 * abs(relative_error):.0f} % too "
-        f"{side}. Record at {curve_rpm:g} rpm, sweep a bench at this speed, or ask for "
+        f"where the same gap rings differently: δ would be about {100.0 * abs(relative_error):.0f} "
+        f"% too {side}. Record at {curve_rpm:g} rpm, sweep a bench at this speed, or allow "
         "extrapolation by [curve] allow_extrapolation = true."
     )
 
@@ -132,15 +131,16 @@ def repeats_beyond_noise(
     ``times``: as wide as the interval of δ is for that; ``could_be``: what explains most of it.
     """
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
-    part, look = "that repeats every rotation", "`bayesbl diagnose` looks for what is missing."
+    part = "the part that repeats every rotation"
+    look = "`bayesbl diagnose` looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
-        part = "of the residual"
-        look = "`bayesbl identify` of some recordings, with --effects catalogue, finds which."
+        part = "the residual"
+        look = "`bayesbl identify` of some recordings, with --effects catalogue, looks for it."
     if could_be:
         look = f"{' or '.join(could_be)} would explain most of it; {look}"
     where = (
-        f"in {channel} of {recording}, {which}, the part {part} has {ratio:.3g} times the power "
+        f"in {channel} of {recording}, {which}, {part} has {ratio:.3g} times the power "
         f"expected from noise (disagreement in {', '.join(channels)})"
     )
     if times is None:
@@ -163,13 +163,13 @@ def bench_lacks(parameters: Sequence[Mapping[str, Any]], alike: Sequence[str]) -
         as_estimated(**parameter) + (f" in {parameter['recording'] or 'all'}" if several else "")
         for parameter in parameters
     ]
-    others = f" {' or '.join(map(spoken, alike))} would look the same." if alike else ""
+    others = f" {would_look_the_same(alike)}" if alike else ""
     effects = [EFFECT_BY_NAME.get(p["name"].partition(".")[0]) for p in parameters]
     return " ".join(
         [
-            f"The joint is not as its bench: the recordings show {' and '.join(shown)}."
-            f"{others} δ and its interval allow for that. Correct the bench file "
-            "(`bayesbl diagnose` writes one with what is missing).",
+            "The joint differs from its bench: the recordings show "
+            f"{' and '.join(shown)}.{others} δ and its interval allow for that. Correct the bench "
+            "file (`bayesbl diagnose` writes one with what is missing).",
             *(e.in_bench_file for e in dict.fromkeys(effects) if e and e.in_bench_file),
         ]
     )
@@ -220,7 +220,7 @@ def filter_changed(least_share: float, recording: str = "") -> str:
     """Of the recorded speed, by the colour of its noise."""
     direction = "raise" if least_share > 0.0 else "lower"
     return (
-        f"The noise of the speed changed its colour{_in(recording)}, as behind another filter or "
+        f"The spectrum of the speed's noise changed{_in(recording)}, as after another filter or "
         f"with noise from another source. Such a filter alone would {direction} the ringing by "
         f"{100.0 * abs(least_share):.2g} % or more. Record all snapshots through the same filter, "
         "or the motor current as well."
@@ -239,10 +239,10 @@ def line_changed(
     """A line of the motor that changed and may be all that moved the ringing."""
     direction = "rose" if measured > expected else "fell"
     return (
-        f"The {quantity} at motor order {order} {direction} from {expected:.2g} to "
-        f"{measured:.2g} {unit}{_in(recording)}: an error of transmission or encoder or a ripple "
-        f"of the torque, not the gap. It could move the ringing by up to "
-        f"{100.0 * furthest_share:.2g} %, as much as was seen."
+        f"The {quantity} at motor order {order} {direction} from {expected:.2g} to {measured:.2g} "
+        f"{unit}{_in(recording)}: an error of transmission or encoder, or a torque ripple, not the "
+        f"gap. It could explain a change of the ringing of up to {100.0 * furthest_share:.2g} %, "
+        "as much as was seen."
     )
 
 
@@ -272,7 +272,7 @@ _TOO_SMALL = "too small for these recordings to show"
 
 def change_unseen(quantity: str, share: float | None) -> str:
     """How much a quantity may change; ``None`` where noise hides it."""
-    change = f"a change of the {quantity}, which one of them does not show"
+    change = f"a change of the {quantity}, which some recording does not show"
     if share is not None:
         change = f"a change of the {quantity} by less than {100.0 * share:.2g} %"
     return f"{change} ({CAUSES[quantity]}; {_TOO_SMALL})"
@@ -303,7 +303,9 @@ _LIKE_PLAY = "ramps cannot distinguish it from play"
 def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
     """The other route has no answer; ``because``: its reasons."""
     why = " ".join(dict.fromkeys(map(sentence, because)))
-    return f"By the amplitude of the ringing, as the direct route has no answer: {why}"
+    return (
+        f"The answer is by the amplitude of the ringing, because the direct route has none: {why}"
+    )
 
 
 def routes_disagree(names: Sequence[str], witness: bool = False) -> str:
@@ -311,14 +313,14 @@ def routes_disagree(names: Sequence[str], witness: bool = False) -> str:
     where = f"disagree beyond their intervals in {', '.join(names)}"
     if witness:
         return (
-            f"The answer and both encoders, of motor and load, {where}, so the change is withheld: "
-            "bench or curve is not of this joint (`bayesbl diagnose` looks for what is missing), "
-            "or an encoder is loose or of another joint."
+            f"The answer and the two encoders of motor and load {where}, so the change is "
+            "withheld: bench or curve is wrong for this joint (`bayesbl diagnose` looks for what "
+            "is missing), or an encoder is loose or of another joint."
         )
     return (
-        f"Simulation of the bench and the ringing's amplitude {where}, although both use one "
-        "bench, so the change is withheld: the bench lacks an effect or has wrong values "
-        "(`bayesbl diagnose` looks for what is missing)."
+        f"Simulation of the bench and the ringing's amplitude {where}, although both use the same "
+        "bench, so the change is withheld: the bench lacks an effect or has wrong values (`bayesbl "
+        "diagnose` looks for what is missing)."
     )
 
 
@@ -339,14 +341,14 @@ def ramps_held(
         held = ", ".join(f"±{torque:.3g}" for torque in skipped_nm)
         return (
             f"The ramps of {held} N m hardly move the joint, and those of ±{amplitude_nm:.3g} N m "
-            "alone do not show how much of what they leave is compliance that friction holds. Add "
-            f"ramps to about {needed_nm:.2g} N m."
+            "alone do not show how much of the angle they leave is compliance that friction holds. "
+            f"Add ramps to about {needed_nm:.2g} N m."
         )
     return (
-        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: what they leave may be "
-        "compliance that friction or a preload holds. Add ramps of another size: to at least "
-        f"{needed_nm:.2g} N m where the gear is rated for it, or, if these are far beyond the "
-        f"friction already, small ones to about {2.0 * friction_nm:.2g} N m."
+        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: the angle they leave "
+        "may be compliance that friction or a preload holds. Add ramps to at least "
+        f"{needed_nm:.2g} N m if the gear is rated for it. If these ramps are already far above "
+        f"the friction, add small ones to about {2.0 * friction_nm:.2g} N m instead."
     )
 
 
@@ -358,9 +360,9 @@ def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float
         else f"Both flanks carry it up to about {lifts_nm:.2g} N m, where one lifts."
     )
     return (
-        "These ramps show no play: the joint is stiffer around zero torque than beyond (its "
-        f"compliance is {relative_compliance:.2g} of that), like a preloaded joint. {evidence} The "
-        f"loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, as friction holds the "
+        "These ramps show no play: the joint is stiffer around zero torque than beyond (with "
+        f"{relative_compliance:.2g} times the compliance), like a preloaded joint. {evidence} The "
+        f"loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, because friction holds the "
         "compliance; δ is at most half of that."
     )
 
@@ -399,8 +401,8 @@ def tolerance_decides(name: str, side: str, shift_rad: float) -> str:
         width = "range that it is sought in"
         mend = f"Something else acts like it, or {effect} belongs in the bench file."
     return (
-        f"δ depends on {name}, which lies at the {side} edge of the {width} or beyond: that could "
-        f"move δ by {1e3 * shift_rad:.2g} mrad, further than its interval. {mend}"
+        f"δ depends on {name}, which is at the {side} edge of the {width} or beyond: that could "
+        f"move δ by {1e3 * shift_rad:.2g} mrad, more than its interval. {mend}"
     )
 
 
@@ -429,11 +431,11 @@ def gap_unseen(
 SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Which route answers.
     "only_route": "It is the only route that was asked for.",
-    "witnessed": "it is the route that was asked for; the load's encoder is a witness beside it",
+    "witnessed": "it is the route that was asked for; the load's encoder gives a second opinion",
     "sharper_and_checked": "it uses the whole recording and passes its checks against the bench",
     "sharper": "it uses the whole recording, and allows for what the bench lacks",
-    "direct_withheld": "it uses the whole recording, and its checks against the bench decide",
-    "motion": "the joint does not turn at one speed, where the ringing has no curve",
+    "direct_withheld": "it uses the whole recording, and its checks against the bench prevail",
+    "motion": "the ringing has no curve if the joint does not turn at one speed",
     "direct_has_no_answer": "simulation of the bench has no answer",
     "amplitude_has_no_answer": "the ringing cannot be measured in these recordings",
     # Against a gap.
@@ -464,23 +466,23 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         '[estimator.search] method = "guess".'
     ),
     "no_baseline": (
-        "Without a baseline the pulses fit gravity's wave in the speed: "
-        "A = {amplitude_rpm:.3g} rpm, but {with_baseline_rpm:.3g} rpm beside one harmonic of the "
-        "load angle. Set [estimator.model] baseline_harmonics = 1."
+        "Without a baseline the pulses fit gravity's wave in the speed: A = {amplitude_rpm:.3g} "
+        "rpm, but {with_baseline_rpm:.3g} rpm with one harmonic of the load angle. Set "
+        "[estimator.model] baseline_harmonics = 1."
     ),
     "other_speed": other_speed,
     "other_rotation": (
         "The speed repeats every {rotation_s:.4g} s, but with a gear ratio of {gear_ratio:g} the "
-        "load turns once in {expected_s:.4g} s at {speed_rpm:.4g} rpm. Is the gear ratio right "
-        "(the recording would fit one of {fitting_ratio:.4g}), and the unit of the speed?"
+        "load turns once in {expected_s:.4g} s at {speed_rpm:.4g} rpm. Is the gear ratio right (a "
+        "ratio of {fitting_ratio:.4g} would fit the recording), and the unit of the speed?"
     ),
     "other_bench": (
-        "The recording is not of the curve's bench: the {quantity} is {measured:.4g} {unit}, and "
-        "{expected:.4g} {unit} by the bench. Correct the bench file, or give uncertain values "
+        "The recording does not fit the curve's bench: the {quantity} is {measured:.4g} {unit}, "
+        "but {expected:.4g} {unit} by the bench. Correct the bench file, or give uncertain values "
         "a tolerance (`bayesbl identify` finds the values)."
     ),
     "recording_contradicts_bench": (
-        "The recording contradicts the bench, and the amplitude is read from a curve of that bench."
+        "The recording contradicts the bench, and the gap curve comes from that bench."
     ),
     "repeats_beyond_noise": repeats_beyond_noise,
     "allows_for_misfit": repeats_beyond_noise,
@@ -490,21 +492,21 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "times as wide; `bayesbl diagnose` looks for what is missing."
     ),
     "unexplained": (
-        "Something is off that neither the bench nor any change of it explains, so δ cannot be "
-        "trusted. `bayesbl diagnose` looks for what is missing."
+        "Neither the bench nor any change of it explains the recordings, so δ cannot be trusted. "
+        "`bayesbl diagnose` looks for what is missing."
     ),
     "bench_lacks": bench_lacks,
     "sheet_contradicted": (
         "The recordings contradict several values of the bench file at once, most of all {names}. "
-        "One value may be wrong; several are the sign of something that the bench lacks, and δ may "
-        "be as wrong as they are. Check the file, widen tolerances that are too narrow, or see "
-        "what `bayesbl diagnose` finds missing."
+        "One value may be wrong; several are a sign that the bench lacks something, and δ may be "
+        "as wrong as they are. Check the file, widen tolerances that are too narrow, or see what "
+        "`bayesbl diagnose` finds missing."
     ),
     # Of a change.
     "routes_disagree": routes_disagree,
     "joint_changed": (
-        "Something other than the gap changed between the snapshots, which moves the ringing too, "
-        "so their change is withheld."
+        "Something other than the gap changed between the snapshots and moves the ringing too, so "
+        "the change of δ is withheld."
     ),
     "quantity_changed": quantity_changed,
     "filter_changed": filter_changed,
@@ -514,13 +516,13 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         f"{as_estimated(recording=recording, **values)}."
     ),
     "would_look_the_same": would_look_the_same,
-    "change_allows_for_it": "The change of δ is given with this allowed for.",
+    "change_allows_for_it": "The change of δ allows for this.",
     # What a comparison cannot see.
     "gains_unseen": f"{UNSEEN_WITHOUT_CURRENT} (no motor current can be compared)",
     "change_unseen": change_unseen,
     "filter_unseen": (
         "a filter of the speed (these recordings have too little noise above the ringing, were "
-        "mended, or have different rates)"
+        "repaired, or have different rates)"
     ),
     "filter_before_noise_unseen": (
         "a filter of the speed behind which most of the noise arises, or before a recorder that "
@@ -540,8 +542,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "current δ would be several times sharper."
     ),
     "widened": (
-        "Sensor noise fed back through the speed loop makes impacts vary: the interval is "
-        "{times:.2g} times wider for it."
+        "Sensor noise fed back through the speed loop makes impacts vary, so the interval is "
+        "{times:.2g} times wider."
     ),
     "gap_not_told": (
         "There may be no gap: the recording does not exclude one below {smallest_rad:.2g mrad}, "
@@ -585,7 +587,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "Ensemble {number} of {ensembles} is stuck: it accepted {share:.1%} of its proposals (at "
         "least {needed:.0%} is needed)."
     ),
-    "walker_stuck": "A walker never moved: it is stuck, and its ensemble cannot be trusted.",
+    "walker_stuck": "A chain never moved: it is stuck, and its ensemble cannot be trusted.",
     "chain_short": (
         "The chain is short: {steps} steps for an autocorrelation time of "
         "{autocorrelation_steps:.0f} (more than {needed:.0f} times that is needed); raise "
@@ -594,7 +596,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "few_effective": "Only {draws:.0f} effective draws of {symbol}.",
     "bounds_moved": "The interval's bounds still moved at the last check.",
     "draws_at_bound": (
-        "{share:.0%} of the draws of {symbol} lie at a bound of its range: the range, not the "
+        "{share:.0%} of the draws of {symbol} are at a bound of its range: the range, not the "
         "recording, decides there."
     ),
     "other_optimum": (
@@ -603,13 +605,13 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "more rotations, or use a curve swept for this bench, which can tell them apart."
     ),
     "other_shape": (
-        f"{FEW_WEIGH}the surrogate does not have the shape of the posterior. Narrow the bench's "
+        f"{FEW_WEIGH}the fast approximation does not match the posterior. Narrow the bench's "
         "tolerances, or find them from recordings (bayesbl identify)."
     ),
     "ticks_decide": (
         f"{FEW_WEIGH}period or delay of the drive's controller are not known, and the signals "
         "change with them from tick to tick. State period_s and delay_periods of sampled_control "
-        "under [[effects]] without sd, as the drive's manual has them; a dead time of bus or "
+        "under [[effects]] without sd, as the drive's manual gives them; a dead time of bus or "
         "torque filter adds to delay_periods."
     ),
     "simulations_failed": (
@@ -620,8 +622,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "{high:.4g})."
     ),
     "gap_at_bound": (
-        "The posterior of δ lies at the {side} bound of its range ({low:.3g} to {high:.3g} rad): "
-        "the range, not the recording, decides. Widen [estimator] gap_rad, or correct the bench."
+        "The posterior of δ is at the {side} bound of its range ({low:.3g} to {high:.3g} rad): the "
+        "range, not the recording, decides. Widen [estimator] gap_rad, or correct the bench."
     ),
     # Of a motion.
     "gap_unseen": gap_unseen,
@@ -636,11 +638,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "a row is checked better."
     ),
     "reference_held": (
-        "The reference is taken as held from each sample to the next, as a digital drive has it: a "
+        "The reference is taken as held from each sample to the next, as in a digital drive: a "
         "straight line between samples does not explain the recording."
     ),
     "standstills_left_out": (
-        "Standstills are left out, because friction at rest is not that of motion."
+        "Standstills are left out, because friction at rest differs from friction in motion."
     ),
     "start_left_out": (
         "The first {begin_s:.2g} s are left out, because the state of teeth and controller at the "
@@ -648,9 +650,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     # Of wear.
     "other_benches": (
-        "Something other than the gap changed between the recordings, so their change is "
-        "withheld: another bench than for the others is needed in {needed}. `bayesbl compare` over "
-        "these recordings looks for what changed."
+        "Something other than the gap changed between the recordings, so the change of δ is "
+        "withheld: a bench unlike the others' is needed for {needed}. `bayesbl compare` over these "
+        "recordings looks for what changed."
     ),
     "one_date": one_date,
     "gap_withheld": "The gap is withheld for {names}.",
@@ -664,9 +666,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "ramps_held": ramps_held,
     "no_play": no_play,
     "play_unsure": (
-        "There may be no play (probability of play {probability:.0f %}): around zero "
-        "torque the joint is {relative_compliance:.2g} times as soft as beyond, but this differs "
-        "between positions. The interval of δ includes no play."
+        "There may be no play (probability of play {probability:.0f %}): around zero torque the "
+        "joint is {relative_compliance:.2g} times as soft as beyond, but this differs between "
+        "positions. The interval of δ allows for zero play."
     ),
     "soft_flanks": soft_flanks,
     "ramps_skipped": lambda skipped_nm, amplitude_nm: (
@@ -698,7 +700,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Of two encoders.
     "play_not_told": lambda probability, upper_mrad, lost_mrad: (
         f"{'Play is likely but not sure' if probability > 0.5 else 'There may be no play'} "
-        f"(probability of play {100.0 * probability:.0f} %): both directions are "
+        f"(probability of play {100.0 * probability:.0f} %): the two directions are "
         f"{lost_mrad:.2g} mrad apart, which skew, wind-up or noise can cause. δ is below "
         f"{upper_mrad:.2g} mrad with 95 % probability."
     ),
@@ -721,11 +723,11 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "play. Record ten or more, slow and fast, to separate play from a skew of the channels."
     ),
     "no_torque": (
-        "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks the "
-        "same as play, and a change of it as wear. Wind-up is usually 0.05 mrad. If the joint is "
+        "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks "
+        "like play, and a change of it like wear. Wind-up is usually 0.05 mrad. If the joint is "
         "soft or its play is several milliradians, wind-up is assumed to be about a tenth of the "
-        "lost motion, rarely two fifths, and the interval includes that. Record the "
-        "torque or current."
+        "lost motion, rarely two fifths, and the interval includes that. Record the torque or "
+        "current."
     ),
     "torque_unused": (
         "The torque does not show how far the joint winds up between the flanks. That is usually "
@@ -734,7 +736,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "positions_exchanged": (
         "The motor turns {seen:.4g} times per turn of the load: motor_position_rad and "
-        "load_position_rad are exchanged, or a unit is wrong. If the gear is like that, state it "
+        "load_position_rad are exchanged, or a unit is wrong. If this is the true ratio, state it "
         "as gear_ratio."
     ),
     "ratio_differs": "The gear ratio looks like {seen:.6g}, not {stated:g} as stated.",
@@ -746,9 +748,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "was corrected."
     ),
     "skew_or_play": lambda skew_ms: (
-        "All motion has one speed, and here play cannot be told from a skew of the channels: the "
-        f"load's stamps seem {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}. Record "
-        "slow and fast motion, or with friction or a brake at the load."
+        "All motion has one speed, so play cannot be distinguished from a skew of the channels: "
+        f"the load's stamps seem {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}. "
+        "Record slow and fast motion, or with friction or a brake at the load."
     ),
     "lag_changes": (
         "The two directions are {before_mrad:.2g} mrad apart in the first half of the recording "
@@ -762,8 +764,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "a brake at the load."
     ),
     "misfit_repeats": lambda times: (
-        "The model error repeats in every cycle, so it is not noise: the intervals are "
-        f"{math.sqrt(times):.2g} times wider for it."
+        "The model error repeats in every cycle, so it is not noise, and the intervals are "
+        f"{math.sqrt(times):.2g} times wider."
     ),
 }
 """Code to its sentence, with places for values, or to what makes it of them."""

@@ -68,11 +68,11 @@ force | flag | - | Replace a finished result, or start over.
 json | flag | - | Print the summary as JSON, nothing else.
 curve | text | published|RESULT | Gap curve: the result of a sweep, its folder or result.nc; or
     the paper's, by name. [default: swept from the bench; none without one]
-bench | path | FILE|RESULT | Bench of the joint, its file or a result of identify: simulated,
-    and swept for curves.
-route | text | auto|amplitude|direct|torque_ramp|two_encoders | By simulations of the bench
-    (direct), by the ringing's amplitude and a curve, or both; by ramps of torque with the
-    output held; or by encoders of motor and load. [default: auto with a bench]
+bench | path | FILE|RESULT | Bench of the joint: its file, or a result of identify.
+route | text | auto|amplitude|direct|torque_ramp|two_encoders | How to measure: by
+    simulations of the bench (direct), by the ringing's amplitude and a curve (amplitude), by both
+    (auto), by ramps of torque with the output held, or by encoders of motor and load. [default:
+    auto with a bench]
 start_from | path | RESULT | Earlier result of this joint: the search starts from its optimum.
 check_sampler | flag | - | Sample again with a nested sampler, and report differences.
 limit | text | LIMIT | Repair limit as data sheets state it: "3 arcmin play", "0.5 mm play at
@@ -91,24 +91,24 @@ speed_rpm | number | RPM | Largest speed of the motor. [default: 1500]
 acceleration_rpm_per_s | number | RPM/S | Largest acceleration of the motor. [default: 6000]
 duration_s | number | S | Length of the recording. [default: 20]
 gap_rad | number | RAD | Gap that the plan is calculated for. [default: 0.0008]
-init.bench | flag | - | Write a joint's data sheet to fill in, joint.toml, instead.
+init.bench | flag | - | Write joint.toml instead, a data sheet of the joint to fill in.
 init.out | path | FILE | The file to write. [default: RECORDING.toml]
-init.joint | text | NAME | Which one, where a file holds several.
+init.joint | text | NAME | Which joint, if a file has several.
 init.force | flag | - | Replace the file.
 watch.out | path | FOLDER | Folder of recordings.parquet. [default: [run] output + _watched]
 watch.publish | text | URL | Send each answer to a broker too: mqtts://broker/topic.
 credentials | path | FILE | user, password and ca for the broker, in TOML that nobody else can
     read.
 watch.once | flag | - | Stop when every recording is measured and sent.
-watch.settled_s | number | S | A file is complete when it has not changed for so long.
+watch.settled_s | number | S | A file is complete when it has not changed for this long.
     [default: 5]
 collect.once | flag | - | Stop when nothing arrives for 5 s.
 identify.bench | path | FILE | Data sheet of the joint: a bench file with tolerances (`bayesbl
     init --bench`).
-identify.effects | text | catalogue|NAME,NAME | Effects that the data sheet lacks: found where
-    recordings show any, or free by name.
-diagnose.bench | path | FILE|RESULT | The bench that should describe them: its file, or a result
-    of identify.
+identify.effects | text | catalogue|NAME,NAME | Effects that the data sheet lacks: those that
+    the recordings show (catalogue), or these by name.
+diagnose.bench | path | FILE|RESULT | The bench that should describe the recordings: its file,
+    or a result of identify.
 figures.study | path | FILE | Run this study file to draw its figure.
 export.out | path | FOLDER | Output folder. [default: RESULT_export]
 export.force | flag | - | Replace files that exist.
@@ -166,7 +166,7 @@ def run_command(config: ConfigPath, **given: Any) -> None:
 
 @_takes("out seed workers scheduler force json")
 def fleet_command(config: ConfigPath, **given: Any) -> None:
-    """Measure what is new of many joints, and write their tables and pages."""
+    """Measure new recordings of many joints, and write their tables and pages."""
     run_file(config, kind="fleet", **given)
 
 
@@ -210,8 +210,8 @@ def init_command(
     print_blocks(guess_blocks(guess), make_console())
     if guess.is_open:
         say(
-            f"Not everything that is needed can be told from {recordings[0]}. Written to {path}. "
-            'It cannot run yet: fill in each "?" in it, or take its line out, then: '
+            f"{recordings[0]} does not state everything that is needed. Written to {path}. "
+            'It cannot run yet: fill in each "?" in it, or delete its line, then: '
             f"bayesbl check {path}",
             err=True,
         )
@@ -227,7 +227,7 @@ def _init_bench(recordings: list[Path] | None, out: Path | None, force: bool) ->
 
     if recordings:
         raise ConfigError(
-            "A data sheet is written without recordings.",
+            "A data sheet needs no recordings.",
             where="--bench",
             found=", ".join(map(str, recordings)),
             expected="bayesbl init --bench, and bayesbl init RECORDING for their columns",
@@ -283,7 +283,7 @@ def compare_command(
     ],
     **given: Any,
 ) -> None:
-    """Measure each gap, the change from first to last, and with dates how fast it grows."""
+    """Measure each gap, the change from first to last, and with dates how fast the gap grows."""
     _run_options("compare", [first, *later], **given)
 
 
@@ -353,9 +353,9 @@ def watch_command(
 @_takes("credentials once")
 def collect_command(
     url: Annotated[
-        str, typer.Argument(metavar="URL", help="mqtts://broker/topic; those below it count too.")
+        str, typer.Argument(metavar="URL", help="mqtts://broker/topic; topics below it count too.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Of recordings.parquet.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of recordings.parquet.")],
     **given: Any,
 ) -> None:
     """Collect what devices publish into one recordings.parquet."""
@@ -409,7 +409,7 @@ def _command(kind: str, what: str) -> Callable[..., None]:
 
 
 simulate_command = _command("simulate", "Make recordings on a virtual bench.")
-sweep_command = _command("sweep", "Sweep a virtual bench over its gap, for a gap curve of its own.")
+sweep_command = _command("sweep", "Simulate a bench over a range of gaps, for its gap curve.")
 
 
 @_takes(
@@ -421,7 +421,7 @@ def plan_command(
     ] = None,
     **given: Any,
 ) -> None:
-    """Rank motions within limits by how well they would tell the gap."""
+    """Rank motions within limits by how precisely they would show the gap."""
     if given["out"] is None and config is None:
         given["out"] = Path("results", "plan")
     _run_options("plan", (), config=config, **given)
@@ -463,13 +463,13 @@ def identify_command(inputs: Inputs, **given: Any) -> None:
 
 @_takes("bench config out seed force json level workers")
 def diagnose_command(inputs: Inputs, **given: Any) -> None:
-    """Find what a bench lacks that recordings show."""
+    """Find what recordings show and the bench lacks."""
     config, force, json = (given.pop(name) for name in ("config", "force", "json"))
     if _is_configuration(inputs):
         run_file(inputs[0], force, json, kind="diagnose", **given)
         return
     if given["bench"] is None and config is None:
-        raise _without_bench("A diagnosis needs the bench that may lack something.", "bench.toml")
+        raise _without_bench("A diagnosis needs the bench to examine.", "bench.toml")
     from bayesbl.presentation.terminal import make_console
     from bayesbl.runs.diagnose import diagnosis_of
 

@@ -434,7 +434,10 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
         return Advice("note", "Do not act on these gaps: the curve is another machine's.", ())
     if above is not None and limited is not None:
         if above > 1.0 - SURE:
-            again = "It may be on either side: inspect the joint, or record it again for longer."
+            again = (
+                "The gap may be on either side of the limit: inspect the joint, or record it again "
+                "for longer."
+            )
             return Advice("watch", "Look at this joint soon.", (limited, again))
         if rated is None:
             return Advice("fine", "No repair is due.", (limited,))
@@ -444,7 +447,7 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
         if earliest is None:
             return Advice("fine", "No repair is due for years.", forecast)
         is_soon = asked is not None and asked["probability"] > 1.0 - SURE
-        title = f"Plan the repair for {earliest} or before."
+        title = f"Plan the repair for {earliest} or earlier."
         return Advice("watch" if is_soon else "fine", title, forecast)
     ask = "To learn whether a repair is due, give the largest gap allowed (--limit-rad)."
     change = None if compared is None else compared["change_rad"]
@@ -528,7 +531,8 @@ def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterat
         yield "The reference channel is the motion that the joint was commanded to make."
     else:
         yield (
-            "The joint turned at one constant speed, and gravity changed flanks twice per rotation."
+            "The joint turned at one constant speed, and gravity moved the load to the other flank "
+            "twice per rotation."
         )
     if is_simulated(summary):
         yield "The joint behaves as its bench file says, within the tolerances given there."
@@ -540,6 +544,6 @@ def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterat
     else:
         yield f"The joint rings like the bench of its gap curve ({summary['curve']})."
     again = "cycle" if "motion" in last else "rotation"
-    yield f"Noise is what does not repeat from one {again} to the next, and is steady."
+    yield f"Noise does not repeat from one {again} to the next, and it is steady."
     if not is_ringing_alone(summary):
-        yield "Before the recording, every gap is equally likely on a logarithmic scale."
+        yield "The prior makes every gap equally likely on a logarithmic scale."

@@ -62,15 +62,15 @@ def headline(summary: DiagnosisSummary) -> str:
             return capitalised(f"{'; '.join(names)} {are} missing from the bench{gone}.")
         case "parameter_error" if "gap_withheld" in summary:
             return (
-                "The bench is wrong by more than was searched, or lacks an effect that is not in "
-                f"the catalogue: {next(parameter_errors(summary))}"
+                "The bench is wrong by more than the search covers, or lacks an effect that is not "
+                f"in the catalogue: {next(parameter_errors(summary))}"
             )
         case "parameter_error":
             return "No effect is missing, but the bench is wrong: " + next(
                 parameter_errors(summary)
             )
         case "unexplained" if (known := learned_of(summary)) is not None:
-            return f"No known effect explains the disagreement. It follows {dependence(known)}."
+            return f"No known effect explains the disagreement. It looks like {dependence(known)}."
         case "unexplained" if summary["remaining"]:
             what = next(remaining(summary)).partition(": ")[2]
             return f"Something repeats that no known effect explains: {what}"
@@ -85,8 +85,8 @@ def headline(summary: DiagnosisSummary) -> str:
                     f"{after}, and the noise is {noise}."
                 )
             return (
-                "Nothing is missing: whatever repeats in the residuals does not predict the data "
-                "held out."
+                "Nothing is missing: whatever repeats in the residuals does not predict held-out "
+                "data."
             )
 
 
@@ -289,7 +289,7 @@ def assumptions(_: object) -> tuple[str, ...]:
     """What has to hold."""
     return (
         "What is missing, if anything, is in the catalogue (bayesbl effects).",
-        "Noise does not repeat; a named effect predicts what it was not fitted on.",
+        "Noise does not repeat; a named effect predicts data that it was not fitted on.",
         "The other parameters are as the bench file says, within their tolerances.",
     )
 
@@ -320,9 +320,7 @@ def advice(summary: DiagnosisSummary) -> Advice:
 
 def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
     """What to do with the bench that the diagnosis wrote."""
-    yield (
-        f"{AUGMENTED_BENCH}, in the folder of this page, is your bench file with what was added."
-    )
+    yield (f"{AUGMENTED_BENCH}, in the folder of this page, is your bench file with the additions.")
     if any(effect["indistinguishable_from"] for effect in summary["effects"]):
         yield "These recordings cannot separate all effects."
         yield from suggestion(summary)

@@ -22,9 +22,9 @@ BOUND_EXPLAINED = (
 )
 
 RELATIVE_EXPLAINED = (
-    "Relative compliance: between the positions that ramps leave at zero torque, over that of "
-    "larger ramps. A joint with play is above 1, as it crosses the play at nearly no torque; a "
-    "preloaded one is below, as both flanks carry it there."
+    "Relative compliance: the compliance between the positions that ramps leave at zero torque, "
+    "over that of larger ramps. A joint with play is above 1, because it crosses the play at "
+    "nearly no torque; a preloaded one is below, because both flanks carry it there."
 )
 
 CHECK_EXPLAINED = (

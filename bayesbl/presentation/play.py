@@ -23,7 +23,7 @@ def no_play_by_ramps(part: SnapshotSummary) -> str | None:
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
         f"These ramps show no play: the joint is stiffer around zero torque than beyond; {up_to}. "
-        f"A gap δ that this hides is below {most} mrad."
+        f"Any gap δ that this hides is below {most} mrad."
     )
 
 
@@ -73,7 +73,7 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
             yield (
                 f"About {words.significant(1e3 * held)} mrad of half the width{words.of(name)} may "
                 "be compliance that friction holds at zero torque, more if the flanks are softer "
-                "at small torque: the gap is given less an unknown share of it."
+                "at small torque: an unknown share of this was subtracted from the gap."
             )
 
 
@@ -82,7 +82,7 @@ def _median(interval: Interval | None, scale: float = 1.0) -> str:
 
 
 RAMPS_ASSUME = (
-    "The output was held and does not give way; position and torque are those of the output.",
+    "The output was held and did not give way; position and torque are those of the output.",
     "The ramps are slow: friction and inertia do not depend on how fast the joint moves.",
     "The measured positions represent the whole turn.",
     "Play is the width of the loop at zero torque. Where the joint is soft, part of that is "
@@ -90,8 +90,8 @@ RAMPS_ASSUME = (
 )
 
 ENCODERS_ASSUME = (
-    "Friction drags the load through the play, or it moves through by itself; its weight does not "
-    "hold it on one flank in both directions.",
-    "Both encoders turn with their shafts: a loose ring or coupling is play as well.",
+    "Friction drags the load through the play, or the load crosses it by itself; its weight does "
+    "not hold it on one flank in both directions.",
+    "Both encoders turn with their shafts: a loose ring or coupling looks like play.",
     "Transmission error is a curve of the angles alone, the same in both directions.",
 )

@@ -168,8 +168,8 @@ def headline(summary: ComparisonSummary, wear: WearSummary) -> str:
     )
     if (cause := other_cause(summary)) is not None:
         return (
-            f"The gap {now}is not shown to have grown: {by} if nothing else in the joint changed, "
-            f"but a change of {cause} could explain as much."
+            f"The gap {now}is not shown to have grown: it grew {by} if nothing else in the joint "
+            f"changed, but a change of {cause} could explain as much."
         )
     return f"The gap {now}has grown {by}."
 
@@ -244,10 +244,10 @@ def notes(wear: WearSummary) -> Iterator[str]:
         )
     if (prior := wear["forecast_from_prior"]) is not None:
         yield (
-            "Future wear is mostly assumed: these recordings make the interval of the date "
-            f"{prior['width_over_prior']:.2f} times as wide (as a ratio of times), and in "
-            f"{words.probability(prior['probability_change_ahead'])} of forecasts the wear changes "
-            "before the limit is reached."
+            "Future wear is mostly assumed: with these recordings the interval of the date is "
+            f"{prior['width_over_prior']:.2f} times as wide as without (as a ratio of times), and "
+            f"in {words.probability(prior['probability_change_ahead'])} of forecasts the wear "
+            "changes before the limit is reached."
         )
     if wear["drift_widens"] is not None:
         yield (

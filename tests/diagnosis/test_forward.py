@@ -133,7 +133,7 @@ def test_a_gap_that_the_edge_of_a_search_decides_is_withheld(independent) -> Non
     summary = summarise_diagnosis(tree)
     assert summary["verdict"] == "parameter_error"
     assert summary["delta_rad_after"] is None
-    assert "lies at the lower edge" in summary["gap_withheld"]
+    assert "is at the lower edge" in summary["gap_withheld"]
     assert "or lacks an effect" in headline(summary)
     assert any("The gap is withheld" in sentence for sentence in wear(summary))
 

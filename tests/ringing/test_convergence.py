@@ -75,7 +75,7 @@ def test_a_posterior_at_a_bound_is_withheld(
     reason = withheld(
         clean(), tmp_path, capsys, f"[estimator.model.ranges]\n{DECAY} = [5.0, 11.5]\n"
     )
-    assert f"draws of {DECAY} lie at a bound" in reason
+    assert f"draws of {DECAY} are at a bound" in reason
 
 
 def test_ringing_lost_in_noise_is_the_first_reason_and_its_band_can_be_drawn(
