@@ -159,7 +159,7 @@ def as_recording(value: Any) -> Path | Arrays:
                 f"{column.dtype}, not a row of numbers."
             )
     if len({column.size for column in columns.values()}) != 1:
-        raise TypeError("Its columns are not of one length.")
+        raise TypeError("Its columns differ in length.")
     return columns
 
 

@@ -95,9 +95,9 @@ class Bench:
 
     ``parameters``: every name of ``parameters.BENCH_PARAMETERS`` to its value and tolerance.
     ``assumed``: those that a rigid bench leaves out because nothing drives it; it can be compared
-    with recordings but not simulated in steady rotation. ``identified``: what recordings told of
-    some parameters together; it goes before their tolerances. ``learned_torque``,
-    ``encoder_error``: what repeated in recordings and no effect explains.
+    with recordings but not simulated in steady rotation. ``identified``: what recordings show of
+    some parameters together, instead of their tolerances. ``learned_torque``, ``encoder_error``:
+    what repeats in recordings and no effect explains.
     """
 
     parameters: Mapping[str, BenchParameter]
@@ -121,7 +121,7 @@ class Bench:
             )
         if self.encoder_error is not None and self.drive == "rigid":
             raise BenchError(
-                "An error of the encoder over its angle is known of a bench of two masses only.",
+                "Only a bench of two masses can have an encoder error over its angle.",
                 where=ENCODER_ERROR,
                 found='drive = "rigid"',
                 expected='drive = "two_mass", or the effect encoder_eccentricity',

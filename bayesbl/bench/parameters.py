@@ -50,8 +50,8 @@ class ParameterInfo:
 
 BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
     ParameterInfo("gear_ratio", "gear ratio N, motor turns per load turn"),
-    ParameterInfo("motor_inertia_kg_m2", "inertia of the motor J_m", correctable=True),
-    ParameterInfo("load_inertia_kg_m2", "inertia of the load J_l", correctable=True),
+    ParameterInfo("motor_inertia_kg_m2", "inertia J_m of the motor", correctable=True),
+    ParameterInfo("load_inertia_kg_m2", "inertia J_l of the load", correctable=True),
     ParameterInfo(
         "shaft_stiffness_nm_per_rad",
         "torsional stiffness K_s, seen at the load",
@@ -67,31 +67,36 @@ BENCH_PARAMETERS: tuple[ParameterInfo, ...] = (
     ),
     ParameterInfo(
         "gravity_torque_nm",
-        "largest torque of gravity on the load m g l",
+        "largest torque m g l of gravity on the load",
         positive=False,
         default=0.0,
         correctable=True,
     ),
     ParameterInfo(
-        "speed_gain_nm_s_per_rad", "speed controller, proportional K_p", idle=1.0, correctable=True
+        "speed_gain_nm_s_per_rad",
+        "proportional gain K_p of the speed controller",
+        idle=1.0,
+        correctable=True,
     ),
     ParameterInfo(
         "integral_gain_nm_per_rad",
-        "speed controller, integral K_i",
+        "integral gain K_i of the speed controller",
         positive=False,
         idle=0.0,
         correctable=True,
     ),
     ParameterInfo(
         "position_gain_per_s",
-        "outer position controller, proportional; 0 for none",
+        "gain of the outer position controller; 0 for none",
         positive=False,
         default=0.0,
     ),
     ParameterInfo(
-        "torque_constant_nm_per_a", "motor torque per current K_t", idle=1.0, correctable=True
+        "torque_constant_nm_per_a", "torque constant K_t of the motor", idle=1.0, correctable=True
     ),
-    ParameterInfo("current_limit_a", "largest current the controller asks for i_max", idle=1.0),
+    ParameterInfo(
+        "current_limit_a", "largest current i_max that the controller asks for", idle=1.0
+    ),
     ParameterInfo(
         "reference_speed_rpm", "reference speed ω_ref, negative for reverse", signed=True, idle=1.0
     ),

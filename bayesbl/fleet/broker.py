@@ -99,7 +99,7 @@ def read_address(url: str) -> Address:
         )
     topic = unquote(parts.path).strip("/")
     if parts.scheme not in PORTS or not host:
-        raise ConfigError("This is no address of a broker.", where="URL", expected=_EXPECTED)
+        raise ConfigError("This is not the address of a broker.", where="URL", expected=_EXPECTED)
     wrong = not topic or topic.startswith("$") or any(sign in topic for sign in "+#\0")
     if wrong or parts.query or parts.fragment:
         raise ConfigError(
@@ -129,7 +129,7 @@ def read_credentials(file: Path | None) -> Credentials:
             "The credentials cannot be read.", file=file, found=error.strerror, expected=expected
         ) from None
     except (ValueError, RecursionError):
-        raise ConfigError("This is no TOML.", file=file, expected=expected) from None
+        raise ConfigError("This is not TOML.", file=file, expected=expected) from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError(
             "Others can read these credentials.",
@@ -191,7 +191,7 @@ def make_client(
             client.tls_set(None if credentials.ca is None else str(credentials.ca))
         except (ssl.SSLError, OSError):
             raise ConfigError(
-                "This is no certificate.", file=credentials.ca, expected="a file in PEM format"
+                "This is not a certificate.", file=credentials.ca, expected="a file in PEM format"
             ) from None
     return client
 

@@ -168,7 +168,7 @@ def read_joints(section: FleetSection) -> list[Joint]:
     file = section.joints
     joints = [_valid(Joint, row, file, number) for number, row in enumerate(_rows(file), start=1)]
     if not joints:
-        raise ConfigError("The inventory has no joint.", file=file, expected="a row a joint")
+        raise ConfigError("The inventory has no joint.", file=file, expected="a row for each joint")
     by_name: dict[str, str] = {}
     for joint in joints:
         # Each becomes a file, and some file systems do not tell large from small letters.
@@ -179,7 +179,7 @@ def read_joints(section: FleetSection) -> list[Joint]:
                 file=file,
                 where="joint",
                 found=joint.name if joint.name == other else f"{other} and {joint.name}",
-                expected="a different one for each, in more than large and small letters",
+                expected="a different name for each; upper and lower case count as the same",
             )
     costs = [joint.cost_at_limit for joint in joints]
     if any(costs) and not all(costs):
@@ -355,9 +355,7 @@ def _rows(file: Path) -> list[dict[str, str]]:
             "The table cannot be read.", file=file, found=error.strerror, expected="a file"
         ) from None
     except (ValueError, csv.Error) as error:
-        raise ConfigError(
-            "This is no table that can be read.", file=file, found=str(error)
-        ) from None
+        raise ConfigError("This table cannot be read.", file=file, found=str(error)) from None
     for number, row in enumerate(rows, start=1):
         if None in row or None in row.values():
             _refuse(file, number, "", "another number of fields", "as many as the header has")

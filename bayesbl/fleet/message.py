@@ -97,11 +97,11 @@ def decoded_answer(message: bytes) -> dict[str, Any]:
     try:
         content = json.loads(message, parse_constant=_no_number)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
-        raise ValueError("it is no JSON") from None
+        raise ValueError("it is not JSON") from None
     except ValueError as error:  # of a number with thousands of digits, also
         raise ValueError(shortened(str(error), 100)) from None
     if not isinstance(content, dict) or content.pop("schema", None) != SCHEMA:
-        raise ValueError(f"it is no message of schema {SCHEMA}")
+        raise ValueError(f"it is not a message of schema {SCHEMA}")
     device = content.pop("device", None)
     if not isinstance(device, str) or not _DEVICE.fullmatch(device):
         raise ValueError("it does not say which device it is from")

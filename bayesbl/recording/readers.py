@@ -85,7 +85,7 @@ def read_recording(
         Whether the samples are to be even in time: then lost ones are bridged, and too long a loss
         refused. Otherwise rows that lack a value are left out, and holes stay.
     timed
-        Whether the file has to say when each sample was taken; otherwise their order may do.
+        Whether the file has to say when each sample was taken; otherwise their order is enough.
 
     Raises
     ------

@@ -71,7 +71,7 @@ def require_replaceable(path: Path) -> None:
     """
     if os.path.lexists(path) and not path.is_file():
         raise ResultError(
-            "What is here is no file, and is not replaced by one.",
+            "This is not a file, and is not replaced by one.",
             file=path,
             expected="a new file, or one to replace with --force",
         )
@@ -141,7 +141,7 @@ def require_own(folder: Path) -> None:
     is_ours = status.st_uid in (os.geteuid(), above.st_uid) and not writers
     if not stat.S_ISDIR(status.st_mode) or not is_ours:
         raise ResultError(
-            "This folder may be of somebody else, and is not used.",
+            "This folder may belong to somebody else, and is not used.",
             file=folder,
             found="a link, another user's, or one that others can write",
             expected=f"nothing, or a folder of yours alone: move it away, or chmod 700 {folder}",
@@ -161,7 +161,7 @@ def _locked(folder: Path, output: Path) -> int:
         except BlockingIOError:
             os.close(handle)
             raise ResultError(
-                "Another run into this output is under way.",
+                "Another run is writing to this output.",
                 file=output,
                 expected="one at a time",
             ) from None

@@ -144,7 +144,7 @@ def require_free(path: str | Path, *, force: bool = False) -> None:
         )
     if is_finished(path) and not force:
         raise ResultError(
-            "This folder holds a finished result, which is not written over.",
+            "This folder holds a finished result, which is not overwritten.",
             file=path,
             found=_listed(os.listdir(path)),
             expected="another folder (--out), or --force to replace the result",

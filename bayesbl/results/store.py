@@ -190,7 +190,7 @@ def _require_intact(file: Path) -> None:
         is_intact = end == _seal_of(stream, size)
     if len(end) < _BYTES or not end.startswith(_MARK):
         raise ResultError(
-            "This file is not a result as this version of bayesbl wrote it.",
+            "This file is not a result as this version of bayesbl writes it.",
             file=file,
             found="no seal at its end: a foreign file, a damaged or changed one, or an earlier "
             "version's",

@@ -145,7 +145,7 @@ def _on_cluster(
             except KilledWorker as error:
                 raise ClusterError(
                     # Dask suspects all that a dead worker had at hand.
-                    "Workers died again and again while they ran this case, or one beside it.",
+                    "Workers died repeatedly while they ran this case, or one beside it.",
                     file=scheduler,
                     where=job.in_words,
                     found=f"last {error.last_worker.address}" if error.last_worker else None,
@@ -153,7 +153,7 @@ def _on_cluster(
                 ) from None
             except (FutureCancelledError, CommClosedError):
                 raise ClusterError(
-                    "The scheduler was lost. What is finished is kept; the same command goes on.",
+                    "The scheduler was lost. What is finished is kept; the same command continues.",
                     file=scheduler,
                 ) from None
             except ImportError as error:
@@ -185,7 +185,7 @@ def _require_here(wanted: Facts, files: tuple[str, ...]) -> None:
     different = differences(wanted, files)
     if different:
         raise ClusterError(
-            "A worker of the cluster would not give the numbers that this machine gives.",
+            "A worker of the cluster would not compute the same numbers as this machine.",
             found=f"{get_worker().address}: {'; '.join(different)}",
             expected=_SAME,
         )

@@ -277,7 +277,7 @@ def _method(
             expected="one of "
             + ", ".join(inverse.CHANNELS)
             + " beside the motion; or `bayesbl fit "
-            "RECORDING --route two_encoders`, which tells play, skew and transmission error",
+            "RECORDING --route two_encoders`, which measures play, skew and transmission error",
         )
     return "free_motion", (
         "the bench is rigid, and nothing drives the motor that is recorded: taken for let go with "

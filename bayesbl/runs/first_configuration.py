@@ -38,7 +38,7 @@ def require_new(path: Path, what: str, force: bool) -> None:
         )
     if path.exists() and not force:
         raise ConfigError(
-            f"The {what} is there already, and is not written over.",
+            f"The {what} exists already, and is not overwritten.",
             file=path,
             expected="another file (--out), or --force to replace it",
         )

@@ -143,6 +143,6 @@ def _parameters(config: IdentifyConfig, bench: Bench) -> tuple[str, ...]:
                 "A parameter is identified within its tolerance, and this one has none.",
                 file=config.bench,
                 where=f"[parameters] {name}",
-                expected=f"a tolerance or relative_tolerance for {name}, or not to ask for it",
+                expected=f"a tolerance or relative_tolerance for {name}, or leave it out",
             )
     return tuple(asked)

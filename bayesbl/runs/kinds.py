@@ -207,7 +207,7 @@ def read_result(path: str | Path) -> xr.DataTree:
     stored = [name for name in KINDS if name != "fleet"]
     if not isinstance(kind, str) or kind not in stored:
         raise ResultError(
-            "This result is of no known kind.",
+            "The kind of this result is unknown.",
             file=path,
             found=f"kind {kind!r}",
             expected=" or ".join(stored),

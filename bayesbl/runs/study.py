@@ -457,7 +457,7 @@ def _finish(
                 options.progress(row.name, len(row.cases), row.count)
     except WorkerError:
         raise ConfigError(
-            "A process died that ran cases of this study.",
+            "A process that ran cases of this study died.",
             file=study.path,
             expected="cases that return, and memory enough for one in each worker",
         ) from None

@@ -105,7 +105,7 @@ def _with_folder(config: FleetConfig, folder: Path) -> FleetConfig:
     """The configuration with its pattern's own folder replaced."""
     if not config.fleet.is_pattern:
         raise ConfigError(
-            "Recordings that appear are found by a pattern, not by a table.",
+            "New recordings are found by a pattern, not by a table.",
             where="[fleet] recordings",
             found=config.fleet.recordings,
             expected='a pattern such as "data/{joint}/{date}.csv"',

@@ -152,7 +152,7 @@ def require_affordable(what: str, expected: str, memory_bytes: float, seconds: f
     if memory_bytes <= largest and seconds <= LONGEST_S:
         return
     raise ConfigError(
-        f"{what} would take more memory or time than there is.",
+        f"{what} would take more memory or time than is allowed.",
         found=f"about {memory_bytes / 1e9:.2g} GB of memory and {seconds / 3600.0:.2g} hours",
         expected=f"at most {largest / 1e9:.3g} GB and {LONGEST_S / 3600.0:g} hours: {expected}",
     )

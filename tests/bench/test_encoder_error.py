@@ -127,5 +127,5 @@ def test_an_error_without_sense_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="as many sines as cosines"):
         load_bench(file)
     file.write_text(dump_bench(with_error()).replace('"two_mass"', '"rigid"'))
-    with pytest.raises(ConfigError, match="two masses only"):
+    with pytest.raises(ConfigError, match="Only a bench of two masses"):
         load_bench(file)

@@ -231,7 +231,7 @@ def test_what_does_not_suit_is_refused(tmp_path: Path) -> None:
     rippled = task(tmp_path, made)
     effect = BenchEffect("motor_torque_ripple", {"torque_nm": EffectParameterValue(0.1)})
     bench: Bench = rippled.bench.with_effects(effect)
-    with pytest.raises(ConfigError, match="afresh"):
+    with pytest.raises(ConfigError, match="all that repeats"):
         comparison(Task(rippled.config, bench, rippled.recordings))
     ramp = made[0].motor_speed_rpm * np.linspace(0.5, 1.5, made[0].samples)
     made[0].channels["motor_speed_rpm"][:] = ramp

@@ -52,8 +52,8 @@ def changed(**values):
 @pytest.mark.parametrize(
     ("message", "told"),
     [
-        (b"\xff", "no JSON"),
-        (b"[" * 50_000, "no JSON"),
+        (b"\xff", "not JSON"),
+        (b"[" * 50_000, "not JSON"),
         (b"[]", "schema 2"),
         (b'{"schema": 1, "recording": {}}', "schema 2"),
         (b'{"schema": 2}', "which device"),

@@ -19,8 +19,8 @@ def test_addresses_are_read_with_their_usual_ports():
     ("url", "told"),
     [
         ("mqtts://ann:hunter2@b/p", "do not belong in an address"),
-        ("http://b/p", "no address of a broker"),
-        ("mqtts:///p", "no address of a broker"),
+        ("http://b/p", "not the address of a broker"),
+        ("mqtts:///p", "not the address of a broker"),
         ("mqtts://b", "names no topic"),
         ("mqtts://b/p/%23", "names no topic"),
         ("mqtts://b/$SYS", "names no topic"),
@@ -49,7 +49,7 @@ def test_credentials_are_read_and_not_shown(tmp_path):
     [
         ('password = "hunter2"', 0o640, "Others can read"),
         ('pasword = "hunter2"', 0o600, "did you mean"),
-        ('password = "hunter2', 0o600, "no TOML"),
+        ('password = "hunter2', 0o600, "not TOML"),
         ('ca = "none.crt"', 0o600, "no such file"),
         ("password = 12", 0o600, "cannot be used"),
     ],

@@ -165,7 +165,7 @@ def test_leftovers_of_dead_runs_are_cleared_and_those_of_living_runs_kept(tmp_pa
         assert not (dead / "result.nc").exists()
         require_free(tmp_path / "wear")
         finish(tmp_path / "other", "beside")
-        with pytest.raises(ResultError, match="under way"):
+        with pytest.raises(ResultError, match="is writing"):
             finish(tmp_path / "wear", "second")
         write_json({"mark": "living"}, living / "summary.json")
     assert mark_of(tmp_path / "wear") == "living"

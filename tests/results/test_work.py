@@ -162,7 +162,7 @@ def test_the_oldest_work_goes_first_where_there_is_too_much(tmp_path):
 def test_two_runs_into_one_folder_do_not_mix(tmp_path):
     with WorkStore.beside(tmp_path / "out") as kept:
         kept.keep("work", 1, WORK)
-        with pytest.raises(ResultError, match="under way"), WorkStore.beside(tmp_path / "out"):
+        with pytest.raises(ResultError, match="is writing"), WorkStore.beside(tmp_path / "out"):
             pass
     with WorkStore.beside(tmp_path / "out") as kept:
         assert kept.holds_work

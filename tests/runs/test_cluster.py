@@ -141,7 +141,7 @@ def test_a_case_that_kills_every_worker_ends_the_study_in_words_and_the_others_a
     config = configure(folder, "kept", f'scheduler = "{scheduler}"', rows)
     assert cli.status(["run", str(config)]) == cli.WRONG
     told = " ".join(capsys.readouterr().err.split())
-    assert "Workers died again and again" in told
+    assert "Workers died repeatedly" in told
     assert "Traceback" not in told
     assert finished(folder) > 0
 

@@ -196,7 +196,7 @@ def test_a_finished_study_is_left_as_it_is_until_it_is_given_up(folder):
     run(config)
     kept = means(folder / "out")
     configure(folder, ROWS | {"new": "draws = 4"})
-    with pytest.raises(ResultError, match="finished result, which is not written over"):
+    with pytest.raises(ResultError, match="finished result, which is not overwritten"):
         run(config)
     assert means(folder / "out") == kept
     _, said = run(config, force=True)

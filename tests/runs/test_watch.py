@@ -274,7 +274,7 @@ def test_answers_that_come_twice_and_messages_that_are_none_make_no_rows(plant, 
     told = [text for text in said if "cannot be used" in text]
     assert len(told) == len(odd) + 1
     assert (
-        told[0] == told[-1] == ("A message of 4 bytes on 'plant/r1' cannot be used: it is no JSON.")
+        told[0] == told[-1] == "A message of 4 bytes on 'plant/r1' cannot be used: it is not JSON."
     )
     with patch.object(collecting, "IDLE_S", 0.3):
         said.clear()

@@ -93,14 +93,14 @@ MOTOR_STRIBECK_FRICTION = Effect(
 MOTOR_QUADRATIC_DRAG = Effect(
     place=45,
     name="motor_quadratic_drag",
-    sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
+    sentence="Drag that grows with the square of the speed, as from churned grease or a fan.",
     equation="J_m dω_m/dt: − c |ω_m| ω_m",
     parameters=(
         amplitude("coefficient_nm_s2_per_rad2", "drag coefficient c", high=1e-4, typical=5e-6),
     ),
     enters="motor",
     depends_on=("speed",),
-    data="more current at high speed than viscous friction of the low speeds explains",
+    data="more current at high speed than viscous friction at low speed explains",
     torque=RigidLaw(
         signal=lambda motion, bench, given: (
             given["coefficient_nm_s2_per_rad2"] * np.abs(motion.speed) * motion.speed
@@ -120,7 +120,7 @@ FRICTION_ASYMMETRY = Effect(
     parameters=(
         amplitude(
             "coefficient_nm_s_per_rad",
-            "half the difference of the coefficients, forward less reverse",
+            "half the difference of the coefficients, forward minus reverse",
             low=-0.01,
             high=0.01,
             typical=5e-4,

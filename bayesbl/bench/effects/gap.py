@@ -39,7 +39,7 @@ GAP_VARIATION = Effect(
     ),
     enters="shaft",
     depends_on=("twist",),
-    data="the two impacts of a load rotation are not alike, by the same in every rotation",
+    data="the two impacts of a load rotation differ, by the same in every rotation",
     reference="Merzouki & Cadiou 2005, Control Engineering Practice 13, 337",
     in_bench_file="[gap] with harmonics says the same.",
 )

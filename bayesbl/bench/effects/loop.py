@@ -90,7 +90,7 @@ SAMPLED_CONTROL = Effect(
         ),
         shape(
             "instant_share",
-            "share s of the speed that is read of the instant",
+            "share s of the speed that is read at the instant",
             high=1.0,
             typical=0.5,
             bounded=True,

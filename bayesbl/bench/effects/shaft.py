@@ -86,7 +86,7 @@ CONTACT_DAMPING = Effect(
 CONTACT_RELEASE = Effect(
     place=154,
     name="contact_release",
-    sentence="Teeth that part let go of one another.",
+    sentence="Teeth that part do not pull on one another.",
     equation="(1 − s) τ_s wherever τ_s pulls the flanks together",
     parameters=(
         amplitude("share", "part of the pull that is not there s", high=1.0, typical=0.58),
@@ -147,7 +147,7 @@ SHAFT_HYSTERESIS = Effect(
     place=160,
     name="shaft_hysteresis",
     sentence=(
-        "Dry friction inside the shaft (Dahl): torque that depends on where the twist came from."
+        "Dry friction inside the shaft (Dahl): torque that depends on the path of the twist."
     ),
     equation="τ_s + T z, dz/dt = (Δω/θ_p)(1 − z sign Δω), also inside the gap",
     parameters=(

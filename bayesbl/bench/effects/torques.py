@@ -20,7 +20,7 @@ from bayesbl.bench.effect_declaration import (
 MOTOR_TORQUE_OFFSET = Effect(
     place=60,
     name="motor_torque_offset",
-    sentence="A constant torque at the motor that does not know the direction.",
+    sentence="A constant torque at the motor that does not depend on the direction.",
     equation="J_m dω_m/dt: − T",
     parameters=(
         amplitude(
@@ -42,7 +42,7 @@ MOTOR_TORQUE_OFFSET = Effect(
 LOAD_TORQUE_OFFSET = Effect(
     place=90,
     name="load_torque_offset",
-    sentence="A constant torque at the load that does not know the direction.",
+    sentence="A constant torque at the load that does not depend on the direction.",
     equation="J_l dω_l/dt: − T",
     parameters=(
         amplitude(
@@ -64,7 +64,7 @@ _AT_LOAD: Law = lambda motion, bench, given: (  # noqa: E731
 GRAVITY_PHASE = Effect(
     place=100,
     name="gravity_phase",
-    sentence="Gravity's direction is not where the load angle's zero says.",
+    sentence="Gravity acts in another direction than the load angle's zero says.",
     equation="J_l dω_l/dt: − m_c cos θ_l",
     parameters=(
         amplitude("torque_nm", "torque at θ_l = 0, m_c", low=-200.0, high=200.0, typical=30.0),

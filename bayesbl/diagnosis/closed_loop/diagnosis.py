@@ -573,7 +573,7 @@ def _unknowns(
     for name in config.unknowns.bench_parameters:
         if name not in toleranced:
             raise ConfigError(
-                "A parameter is free within its tolerance, and this one has none.",
+                "A parameter is fitted within its tolerance, and this one has none.",
                 where="[unknowns] bench_parameters",
                 found=name,
                 expected=f"a tolerance for {name} in {config.bench.name}",

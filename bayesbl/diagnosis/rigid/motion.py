@@ -133,7 +133,7 @@ def motion_of(recording: Recording, cutoff_hz: float) -> Motion:
     period = recording.sampling_period_s
     if not cutoff_hz < 0.45 / period:
         raise RecordingError(
-            "The cut-off of the derivatives' filter lies beyond what the sampling shows.",
+            "The cut-off of the derivatives' filter is above what the sampling shows.",
             file=recording.place,
             found=f"{cutoff_hz:g} Hz at {1.0 / period:.4g} samples per second",
             expected=f"below {0.45 / period:.4g} Hz",

@@ -684,7 +684,7 @@ def loop_setting(task: Task) -> Setting:
     missing = [name for name in GAINS if name in bench.assumed]
     if missing:
         raise ConfigError(
-            "What the speed shows of a torque is decided by the controller's gains.",
+            "The controller's gains decide what the speed shows of a torque.",
             file=config.bench,
             where="[parameters]",
             found=f"no {' and no '.join(missing)}",
@@ -694,7 +694,7 @@ def loop_setting(task: Task) -> Setting:
     others = [effect.name for effect in bench.effects if effect.name not in known]
     if others:
         raise ConfigError(
-            "What repeats with the motor is named afresh here, not beside what the bench has.",
+            "This method names all that repeats with the motor, so the bench must have none of it.",
             file=config.bench,
             where="[[effects]]",
             found=", ".join(others),
@@ -729,8 +729,7 @@ def loop_setting(task: Task) -> Setting:
     for name in unknown:
         if name not in LOOP_PARAMETERS or not bench.tolerances.get(name):
             raise ConfigError(
-                "A parameter of the loop is free within its tolerance, and this one is none or "
-                "has none.",
+                "Only parameters of the loop that have a tolerance can be fitted.",
                 where="[unknowns] bench_parameters",
                 found=name,
                 expected="one with a tolerance of " + ", ".join(LOOP_PARAMETERS),
