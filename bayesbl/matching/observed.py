@@ -351,7 +351,8 @@ def _as_it_repeats(
                 "The recording does not repeat when the bench's load has turned once.",
                 file=recording.place,
                 where="gear_ratio",
-                found=f"{repeating.motor_turns:.5g} motor turns until the impacts come again",
+                found=f"{repeating.motor_turns:.5g} turns of the motor until the impacts come "
+                "again",
                 expected=f"{ratio:g}, the bench's gear ratio: correct it in the bench file, or "
                 "record again if a machine shakes the joint",
             )
