@@ -238,7 +238,7 @@ def test_simulate_writes_beside_its_file_and_never_over_another(folder: Path) ->
     [
         ("rotations = 0.5", "rotations = 1e-9", "two samples"),
         ('"forward.csv"', '"simulate.toml/a.csv"', "file where"),
-        ('"forward.csv"', '"deep"', "no file"),
+        ('"forward.csv"', '"deep"', "not a file"),
     ],
 )
 def test_a_check_refuses_what_the_simulation_refuses(folder: Path, old, new, told) -> None:

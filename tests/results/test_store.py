@@ -151,7 +151,7 @@ def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "device").symlink_to("/dev/null")
     for name in ("fifo", "folder", "loop", "device"):
-        with pytest.raises(ResultError, match="no file"):
+        with pytest.raises(ResultError, match="not a file"):
             write_text("text", tmp_path / name)
     assert names(tmp_path) == ["device", "fifo", "folder", "loop"]
 
