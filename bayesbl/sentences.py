@@ -710,9 +710,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "upright, or move it over the top and back."
     ),
     "weight_unknown": (
-        "No play shows, but these data cannot tell whether the load's weight keeps it on one "
-        "flank, which hides the play. Record the torque or current. If the axis is upright or the "
-        "load is balanced, state upright = true under [joint] (--upright)."
+        "These data do not show play for certain (probability of play {probability:.0f %}), nor "
+        "whether the load's weight keeps it on one flank, which would hide any play. Record the "
+        "torque or current. If the axis is upright or the load is balanced, state upright = true "
+        "under [joint] (--upright)."
     ),
     "nothing_told": (
         "These data do not limit the play: δ could be as large as {upper_mrad:.2g} mrad. Record "

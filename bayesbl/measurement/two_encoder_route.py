@@ -63,6 +63,10 @@ HELD_BY_WEIGHT = 0.2
 """Share of the moving time with the load's weight above its friction, from which the flanks do not
 turn with the direction."""
 
+RESTS = 1.0 / 3.0
+"""Probability that weight keeps a load on one flank, where neither a torque nor the user says. A
+judgement: two of the six axes of an arm bear its weight."""
+
 SAME_RATIO = 0.1
 """ln of what a gear ratio differs from another by, that it may be."""
 
@@ -223,6 +227,15 @@ class TwoEncoderMeasurer(Measurer):
         )
         return stated is not None and abs(np.log(abs(measured))) < SAME_RATIO < abs(np.log(stated))
 
+    def _probability_of_hidden_play(self, transmission: Transmission) -> float:
+        """That the load rests on one flank, where no play shows however large it is: what shows is
+        then wind-up alone."""
+        if self.config.joint.upright:
+            return 0.0
+        share = transmission.gravity_holds
+        rests = RESTS if np.isnan(share) else float(share > HELD_BY_WEIGHT)
+        return rests * (1.0 - transmission.probability_of_play)
+
     def _findings(self, transmission: Transmission) -> Iterator[Reason]:
         """All that limits the answer."""
         upper = upper_bound_rad(transmission)
@@ -231,11 +244,13 @@ class TwoEncoderMeasurer(Measurer):
         if lost_track or transmission.probability_of_play < UPPER_BOUND_LEVEL:
             if lost_track or upper > TOO_WIDE * float(np.ptp(transmission.position_rad)):
                 yield Reason("nothing_told", {"upper_mrad": 1e3 * upper})
-            elif not self.config.joint.upright and np.isnan(transmission.gravity_holds):
-                # A load that rests on one flank shows no play, however large that is.
-                yield Reason("weight_unknown")
-            elif not self.config.joint.upright and transmission.gravity_holds > HELD_BY_WEIGHT:
-                yield Reason("held_by_weight", {"share": transmission.gravity_holds})
+            elif self._probability_of_hidden_play(transmission) > 1.0 - UPPER_BOUND_LEVEL:
+                if np.isnan(transmission.gravity_holds):
+                    yield Reason(
+                        "weight_unknown", {"probability": transmission.probability_of_play}
+                    )
+                else:
+                    yield Reason("held_by_weight", {"share": transmission.gravity_holds})
             else:
                 yield Reason(
                     "play_not_told",

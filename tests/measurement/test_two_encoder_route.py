@@ -74,6 +74,15 @@ def test_a_load_that_may_rest_on_one_flank_gets_no_bound_without_torque(tmp_path
     assert part["delta_upper_bound_rad"] < 1e-3
 
 
+def test_a_likely_play_leaves_its_load_no_flank_to_rest_on(tmp_path):
+    """What shows is play, not wind-up on one flank: its bound needs no torque."""
+    play = 3e-3
+    assert run("fit", write(tmp_path / "worn.csv", play=play), "--out", tmp_path / "out") == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["probability_of_play"] < 0.95
+    assert 0.5 * play <= summary["delta_upper_bound_rad"] < play
+
+
 def test_a_motor_that_does_not_turn_back_is_refused(tmp_path, capsys):
     file = write(tmp_path / "one_way.csv", cycles=1)
     assert run("fit", file, "--out", tmp_path / "out") != 0
