@@ -111,7 +111,7 @@ _STAMP = re.compile(
 _DAY_S = 86400
 _MILLISECONDS = re.compile(r"(?:^|[\W_])(?:ms|msecs?|milli[a-z]*)$", re.IGNORECASE)
 
-_MONTHS = "jan feb mar apr may jun jul aug sep oct nov dec".split()  # noqa: SIM905
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _OTHER_MONTHS = {"mär": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"}
 _NAMED_MONTH = re.compile(
     r"(?:[^\W\d_]{2,3}[,.]? +)?(?:(\d{1,2})[-. /]+)?([^\W\d_]{3})[^\W\d_]*[-. /]+(?:(\d{1,2}),? +)?"
