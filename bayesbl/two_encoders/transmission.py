@@ -1087,7 +1087,11 @@ def _drawn(
     # An interval of h that reaches down to none leaves it open whether there is any.
     bare, with_play = np.array([[logsumexp(m) for m in each] for each in (sharp, blunt)]).T
     probability = float(np.exp(with_play - np.logaddexp(bare, with_play)).min())
-    plays = generator.uniform(size=count) < probability
+    # The same joint has play or none in all recordings, and is as soft: a change is not as unknown
+    # as what it is of. Its friction is not the same.
+    joint = np.random.default_rng(of_joint)
+    kind, softer = joint.uniform(size=count), joint.standard_normal(count)
+    plays = joint.uniform(size=count) < probability
     half = np.array([c.half_rad for c in cells])
     interval = np.zeros(count, dtype=np.int64)
     for mine, masses, wide in zip((~plays, plays), sharp, blunt, strict=True):
@@ -1100,10 +1104,6 @@ def _drawn(
     lost = np.exp((1.0 - share) * np.log(half[interval]) + share * np.log(half[interval + 1]))
     nearest = interval + (share > 0.5)
     chosen = np.full(count, PARTS.size - 1)
-    # The same joint is as soft in all recordings, so a change is not as unknown as what it is of;
-    # its friction is not the same.
-    joint = np.random.default_rng(of_joint)
-    kind, softer = joint.uniform(size=count), joint.standard_normal(count)
     own = generator.standard_normal(count)
     for cell in np.unique(nearest[plays]):
         usual, soft = of_parts[:, cell]

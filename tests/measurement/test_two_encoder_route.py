@@ -57,6 +57,18 @@ def test_a_comparison_gives_both_plays_and_their_change(tmp_path):
     assert summary["probability_increase"] > 0.99
 
 
+def test_a_joint_has_play_or_none_at_both_dates(tmp_path):
+    """Where play is likely but not sure, the change is known far better than both gaps."""
+    plays = 2.4e-3, 3e-3
+    files = [write(tmp_path / f"{play}.csv", play=play) for play in plays]
+    assert run("compare", *files, "--out", tmp_path / "out") == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    for part in summary["snapshots"]:
+        assert 0.5 < part["probability_of_play"] < 0.95
+    change, growth = summary["change_rad"], 0.5 * (plays[1] - plays[0])
+    assert -0.1 * growth < change["low"] < growth < change["high"] < 0.5 * plays[0]
+
+
 def test_a_load_that_may_rest_on_one_flank_gets_no_bound_without_torque(tmp_path):
     """A load that its weight holds follows its flank exactly, whatever the play."""
     recording = write(tmp_path / "held.csv", play=0.0)
