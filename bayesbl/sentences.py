@@ -132,7 +132,7 @@ def repeats_beyond_noise(
     """
     which = f"up to load order {highest_order}" if highest_order else "in the mean"
     part = "the part that repeats every rotation"
-    look = "`bayesbl diagnose` looks for what is missing."
+    look = f"`bayesbl diagnose` of {recording}, or of more of its date, looks for what is missing."
     if is_motion:
         which = which.replace("load order", "order") + " of the cycle"
         part = "the residual"

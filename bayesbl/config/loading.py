@@ -424,6 +424,9 @@ _OF_KIND: Mapping[str, Mapping[str, Location]] = MappingProxyType(
 _COMMON_SECTIONS = ("schema", "run", "columns", "interval")
 """Sections that identification and diagnosis take from the configuration of a measurement."""
 
+_OF_A_FILE = ("date", "repaired", "reference_speed_rpm", "bench")
+"""Keys of an entry of ``[[recordings]]`` that are of its file, whatever command it is given to."""
+
 _OF_A_BENCH = ("identify", "diagnose")
 """Kinds that ask about the bench, whose files have sections of their own."""
 
@@ -467,11 +470,12 @@ def config_from_options(
     kind
         That of ``config``; ``"fit"`` or ``"compare"`` where there are ``recordings``.
     recordings
-        Files relative to the working directory; they replace those of ``config``.
+        Files relative to the working directory; they replace those of ``config``, which is asked
+        for what it states of the same files.
     config
         A configuration to start from, of any kind that shares the sections.
     dates
-        When each of ``recordings`` was taken; none by default.
+        When each of ``recordings`` was taken, in place of what ``config`` states.
     options
         Keys of :data:`OPTIONS`; ``None`` means not given. Paths are relative to the working
         directory.
@@ -497,7 +501,7 @@ def config_from_options(
             expected="one for each recording, in the same order, or none",
         )
     if recordings:
-        tables["recordings"] = _entries(recordings, dates)
+        tables["recordings"] = _entries(recordings, dates, _stated(document))
         if kind == "diagnose":  # one half of each to fit on, as long as nobody says better
             tables["recordings"] = [{**entry, "use": "split"} for entry in tables["recordings"]]
         origins[("recordings",)] = "recordings"
@@ -563,10 +567,26 @@ def _read(path: Path) -> _Document:
     return _Document.read(path, "a configuration in TOML", hint)
 
 
-def _entries(recordings: Sequence[str | Path], dates: Sequence[Date]) -> list[_Tables]:
-    """Entries for recordings given by path, each with a name of its own."""
+def _stated(document: _Document) -> dict[Path, _Tables]:
+    """What a configuration states of recordings of one file, by that file."""
+    entries = document.tables.get("recordings")
+    return {
+        Path(document.directory, entry["file"]).resolve(): {
+            key: entry[key] for key in _OF_A_FILE if key in entry
+        }
+        for entry in (entries if isinstance(entries, list) else [])
+        if isinstance(entry, dict) and isinstance(entry.get("file"), str)
+    }
+
+
+def _entries(
+    recordings: Sequence[str | Path], dates: Sequence[Date], stated: Mapping[Path, _Tables]
+) -> list[_Tables]:
+    """Entries for recordings given by path, each with a name of its own, and with what is
+    ``stated`` of its file."""
     return [
         {
+            **stated.get(Path(path).resolve(), {}),
             "name": name,
             "file": str(Path(path).absolute()),
             **({"date": dates[number]} if dates else {}),

@@ -386,6 +386,28 @@ def test_options_win_over_the_file_they_start_from(
     assert config.run.seed == 7
 
 
+def test_what_a_file_states_of_a_recording_holds_where_that_is_named_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    dated = COMPARE.replace('file = "before.csv"', 'file = "before.csv"\ndate = 2026-03-01')
+    dated = dated.replace('file = "after.csv"', 'file = "after.csv"\ndate = 2026-07-01')
+    base = write(folder, dated)
+    days = [date(2026, 3, 1), date(2026, 7, 1)]
+    by_file = config_from_options("compare", ["after.csv", "before.csv"], base)
+    assert {entry.name: entry.date for entry in by_file.recordings} == {
+        "before": days[0],
+        "after": days[1],
+    }
+    later = [date(2026, 8, 1), date(2026, 9, 1)]
+    by_option = config_from_options("compare", ["before.csv", "after.csv"], base, later)
+    assert [entry.date for entry in by_option.recordings] == later
+    identified = config_from_options(
+        "identify", ["before.csv", "after.csv"], base, bench=folder / "bench.toml"
+    )
+    assert [entry.date for entry in identified.recordings] == days
+
+
 def test_every_option_of_the_command_line_reaches_its_field(folder: Path) -> None:
     values = {
         "curve": folder / "curve.nc",
