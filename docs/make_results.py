@@ -137,22 +137,23 @@ def _title(part: Any) -> str:
 def _variables() -> Iterator[str]:
     yield "## Variables of `result.nc`\n"
     yield (
-        "In a comparison, variables of a recording have a first dimension `snapshot`. Not listed\n"
-        "are variables named after a symbol, a parameter or a channel (their attributes `units`\n"
-        "and `long_name` explain them), the coordinates `chain` (number of the independent\n"
-        "ensemble) and `draw`, and coordinates ending in `_`, which repeat those without it.\n"
+        "A row in bold begins the variables of a route or kind of result. In a comparison,\n"
+        "variables of a recording have a first dimension `snapshot`. Not listed are variables\n"
+        "named after a symbol, a parameter or a channel (their attributes `units` and `long_name`\n"
+        "explain them), the coordinates `chain` (number of the independent ensemble) and `draw`,\n"
+        "and coordinates ending in `_`, which repeat those without it.\n"
     )
     listed: list[Group] = []
+    yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
     for title, module in GROUPS.items():
-        yield f"### {title}\n"
-        yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
+        yield f"| **{title}** | | | |"
         own = list(_groups(vars(import_module(module)).values(), listed))
         listed += own
         for group in own:
             for variable in (*group.variables, *group.coordinates):
                 if variable.name not in ("chain", "draw") and not variable.name.endswith("_"):
                     yield _row(group, variable)
-        yield ""
+    yield ""
 
 
 def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group]:
