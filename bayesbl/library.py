@@ -83,24 +83,24 @@ def fit(
     Parameters
     ----------
     recording
-        A file, or what holds one in memory: a pandas ``DataFrame``, an xarray ``Dataset``, a
+        A file, or a recording in memory: a pandas ``DataFrame``, an xarray ``Dataset``, a
         ``Recording``, a mapping of names to arrays, or a pair of arrays (time in s, motor speed in
         rpm). Other column names and units are mapped by ``config``.
     config
         A configuration file that the other arguments override.
     bench, curve
-        What the gap is read from: a bench file or a ``Bench``; or a stored sweep, ``"published"``
-        for the paper's.
+        What δ is based on: a bench file or a ``Bench``; or the result of a sweep, or
+        ``"published"`` for the paper's curve.
     limit
         Repair limit as data sheets state it, such as ``"3 arcmin play"``.
     limit_rad
-        The same for the gap δ, in rad at the load.
+        Repair limit for the gap δ, in rad at the load.
     upright
         Gravity does not turn the joint: its axis is vertical, or its load is balanced.
     level
         Probability of intervals.
     start_from
-        An earlier result whose optimum the search starts from.
+        An earlier result; its optimum starts the search.
     progress
         Show bars on a terminal.
 
@@ -149,9 +149,9 @@ def compare(
     first, later
         Recordings in the order they were taken, at least two.
     dates
-        When each was taken; with them the result has a group ``wear``.
+        When each was taken. With dates, the result has a group ``wear``.
     before
-        Also gives the probability that the gap passes the limit before this date.
+        A date: the result then has the probability that the gap passes its limit before it.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def identify(
     bench
         The data sheet: a bench file with tolerances.
     effects
-        Effects that the data sheet lacks: found in the catalogue, or fitted by name.
+        Effects that the data sheet lacks: ``"catalogue"`` to search for them, or names to fit.
 
     Raises
     ------
@@ -215,10 +215,10 @@ def diagnose(
     workers: int | None = None,
     progress: bool = False,
 ) -> DiagnosisResult:
-    """Find what recordings show and the bench lacks; nothing is written.
+    """Find what the bench of a joint lacks, from recordings; nothing is written.
 
-    How they are compared is guessed from bench and recordings, unless ``config`` says it.
-    Without recordings, those of ``config`` are used.
+    Bench and recordings decide how they are compared, unless ``config`` states it. Without
+    recordings, those of ``config`` are used.
 
     Raises
     ------
@@ -244,9 +244,9 @@ def diagnose(
 def sweep(
     config: File, *, seed: int | None = None, workers: int | None = None, progress: bool = False
 ) -> SweepResult:
-    """Simulate a bench over gaps, by a configuration, for its gap curve.
+    """Simulate a bench over a range of gaps, as a configuration states, to make its gap curve.
 
-    Only the simulations are written, for other sweeps, into ``.curves`` beside the output.
+    Only the simulations are written, into ``.curves`` beside the output, for other sweeps.
 
     Raises
     ------

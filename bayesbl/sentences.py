@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from bayesbl.sampling.convergence import Flaw
 
 FEW_WEIGH = (
-    "Only {effective:.0f} of {draws} draws carry the weight after full simulation ({needed:.0f} "
-    "are needed): "
+    "Only {effective:.0f} of {draws} draws count after full simulation ({needed:.0f} are needed): "
 )
 
 UNLESS_REPAIRED = (
@@ -241,8 +240,8 @@ def line_changed(
     return (
         f"The {quantity} at motor order {order} {direction} from {expected:.2g} to {measured:.2g} "
         f"{unit}{_in(recording)}: an error of transmission or encoder, or a torque ripple, not the "
-        f"gap. It could explain a change of the ringing of up to {100.0 * furthest_share:.2g} %, "
-        "as much as was seen."
+        f"gap. It could change the ringing by up to {100.0 * furthest_share:.2g} %, as much as was "
+        "measured."
     )
 
 
@@ -272,7 +271,7 @@ _TOO_SMALL = "too small for these recordings to show"
 
 def change_unseen(quantity: str, share: float | None) -> str:
     """How much a quantity may change; ``None`` where noise hides it."""
-    change = f"a change of the {quantity}, which some recording does not show"
+    change = f"a change of the {quantity}, which one of the recordings does not show"
     if share is not None:
         change = f"a change of the {quantity} by less than {100.0 * share:.2g} %"
     return f"{change} ({CAUSES[quantity]}; {_TOO_SMALL})"
@@ -303,9 +302,7 @@ _LIKE_PLAY = "ramps cannot distinguish it from play"
 def by_amplitude_instead(because: Sequence[Mapping[str, Any]]) -> str:
     """The other route has no answer; ``because``: its reasons."""
     why = " ".join(dict.fromkeys(map(sentence, because)))
-    return (
-        f"The answer is by the amplitude of the ringing, because the direct route has none: {why}"
-    )
+    return f"The answer is the estimate by the ringing, because simulation has none: {why}"
 
 
 def routes_disagree(names: Sequence[str], witness: bool = False) -> str:
@@ -314,11 +311,11 @@ def routes_disagree(names: Sequence[str], witness: bool = False) -> str:
     if witness:
         return (
             f"The answer and the two encoders of motor and load {where}, so the change is "
-            "withheld: bench or curve is wrong for this joint (`bayesbl diagnose` looks for what "
-            "is missing), or an encoder is loose or of another joint."
+            "withheld: the bench or the curve is wrong for this joint (`bayesbl diagnose` looks "
+            "for what is missing), or an encoder is loose or belongs to another joint."
         )
     return (
-        f"Simulation of the bench and the ringing's amplitude {where}, although both use the same "
+        f"The estimates by simulation and by the ringing {where}, although both use the same "
         "bench, so the change is withheld: the bench lacks an effect or has wrong values (`bayesbl "
         "diagnose` looks for what is missing)."
     )
@@ -341,12 +338,12 @@ def ramps_held(
         held = ", ".join(f"±{torque:.3g}" for torque in skipped_nm)
         return (
             f"The ramps of {held} N m hardly move the joint, and those of ±{amplitude_nm:.3g} N m "
-            "alone do not show how much of the angle they leave is compliance that friction holds. "
+            "alone do not show how much of the angle that they leave is wind-up held by friction. "
             f"Add ramps to about {needed_nm:.2g} N m."
         )
     return (
-        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: the angle they leave "
-        "may be compliance that friction or a preload holds. Add ramps to at least "
+        f"The ramps of ±{amplitude_nm:.3g} N m alone do not show the play: the angle that they "
+        "leave may be wind-up held by friction or a preload. Add ramps to at least "
         f"{needed_nm:.2g} N m if the gear is rated for it. If these ramps are already far above "
         f"the friction, add small ones to about {2.0 * friction_nm:.2g} N m instead."
     )
@@ -357,13 +354,13 @@ def no_play(relative_compliance: float, lifts_nm: float | None, width_rad: float
     evidence = (
         "No flank lifts at any of these torques, so the preload is unknown."
         if lifts_nm is None
-        else f"Both flanks carry it up to about {lifts_nm:.2g} N m, where one lifts."
+        else f"Both flanks carry the torque up to about {lifts_nm:.2g} N m, where one lifts."
     )
     return (
         "These ramps show no play: the joint is stiffer around zero torque than beyond (with "
         f"{relative_compliance:.2g} times the compliance), like a preloaded joint. {evidence} The "
         f"loop is up to {1e3 * width_rad:.2g} mrad wide at zero torque, because friction holds the "
-        "compliance; δ is at most half of that."
+        "joint wound up; δ is at most half of that."
     )
 
 
@@ -398,10 +395,10 @@ def tolerance_decides(name: str, side: str, shift_rad: float) -> str:
     effect, dot, _ = name.partition(".")
     width, mend = "tolerance", "Correct the bench file, or widen this tolerance."
     if dot:
-        width = "range that it is sought in"
+        width = "range that is searched"
         mend = f"Something else acts like it, or {effect} belongs in the bench file."
     return (
-        f"δ depends on {name}, which is at the {side} edge of the {width} or beyond: that could "
+        f"δ depends on {name}, which is at the {side} edge of the {width} or beyond. This could "
         f"move δ by {1e3 * shift_rad:.2g} mrad, more than its interval. {mend}"
     )
 
@@ -422,8 +419,8 @@ def gap_unseen(
         else "brakes and accelerates the load both ways"
     )
     return (
-        "In this motion the load never passes from one tooth flank to the other, so δ leaves no "
-        f"trace that could be measured. {bound}Record a motion that {wanted}. "
+        "In this motion the load never passes from one tooth flank to the other, so the recording "
+        f"does not show δ. {bound}Record a motion that {wanted}. "
         "`bayesbl plan --bench FILE` ranks motions."
     )
 
@@ -434,8 +431,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "witnessed": "it is the route that was asked for; the load's encoder gives a second opinion",
     "sharper_and_checked": "it uses the whole recording and passes its checks against the bench",
     "sharper": "it uses the whole recording, and allows for what the bench lacks",
-    "direct_withheld": "it uses the whole recording, and its checks against the bench prevail",
-    "motion": "the ringing has no curve if the joint does not turn at one speed",
+    "direct_withheld": "it uses the whole recording, and its checks against the bench decide",
+    "motion": "there is no gap curve for a joint that does not turn at one speed",
     "direct_has_no_answer": "simulation of the bench has no answer",
     "amplitude_has_no_answer": "the ringing cannot be measured in these recordings",
     # Against a gap.
@@ -455,13 +452,13 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "curve_scaled": "A known gap scales the curve: every gap is {scale:.3g} times the curve's.",
     "known_gaps_disagree": (
         "The known gaps are not on one curve, whatever its scale. Check them, and the recordings "
-        "they belong to."
+        "to which they belong."
     ),
     "beyond_curve": beyond_curve,
     "box_search_missed": (
         "The search of eq. 6 in the ranges of Table 2, both as printed, missed the best fit. "
         "It ended at A = {amplitude_rpm:.3g} rpm "
-        "with RMSE {rmse_rpm:.3g} rpm (by eq. 4, {gap_as_printed_rad:.3g mrad}); the best fit has "
+        "with RMSE {rmse_rpm:.3g} rpm ({gap_as_printed_rad:.3g mrad} by eq. 4); the best fit has "
         "A = {optimum_amplitude_rpm:.3g} rpm and RMSE {optimum_rmse_rpm:.3g} rpm. Use "
         '[estimator.search] method = "guess".'
     ),
@@ -525,7 +522,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "repaired, or have different rates)"
     ),
     "filter_before_noise_unseen": (
-        "a filter of the speed behind which most of the noise arises, or before a recorder that "
+        "a filter of the speed that comes before most of the noise, or before a recorder that "
         "keeps one sample in several (the noise does not show it)"
     ),
     "small_filter_unseen": (
@@ -538,33 +535,33 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # What limits an answer.
     "by_amplitude_instead": by_amplitude_instead,
     "no_current": (
-        "There is no motor current in the recording, so the speed alone was used: with the "
-        "current δ would be several times sharper."
+        "There is no motor current in the recording, so only the speed was used: with the "
+        "current, the interval of δ would be several times narrower."
     ),
     "widened": (
         "Sensor noise fed back through the speed loop makes impacts vary, so the interval is "
-        "{times:.2g} times wider."
+        "{times:.2g} times as wide."
     ),
     "gap_not_told": (
-        "There may be no gap: the recording does not exclude one below {smallest_rad:.2g mrad}, "
-        "which counts as none. δ is below {upper_rad:.2g mrad} with 95 % probability."
+        "There may be no gap: the recording does not exclude a δ below {smallest_rad:.2g mrad}, "
+        "which counts as no gap. δ is below {upper_rad:.2g mrad} with 95 % probability."
     ),
     "soft_edges": (
-        "The gap has soft edges: contact builds up over about ±{sd_rad:.2f mrad}. δ is in the "
-        "middle, and its interval includes that; the change does not depend on it."
+        "The gap has soft edges: contact builds up over about ±{sd_rad:.2f mrad}. δ is the middle "
+        "of this range, and its interval includes the range; the change does not depend on it."
     ),
     "elastic_part": (
         "The joint probably has a part that the bench lacks: {name} with a resonance near "
         "{frequency_hz:.2g} Hz (probability {probability:.2g}). The interval of δ includes this; "
-        "add the part to the bench file to make δ sharper."
+        "to narrow it, add the part to the bench file."
     ),
     "controller_period": (
         "The speed controller seems to compute every {period_s:.3g} s, and δ is for this period. "
         "The bench states none. If you know it, state it as sampled_control in the bench file."
     ),
     "counted_twice": (
-        "The bench was identified from {name} as well, so this recording counts twice and its "
-        "interval is somewhat too narrow. Measure later recordings with that bench."
+        "The bench was identified from {name} too, so this recording counts twice and its interval "
+        "is somewhat too narrow. Use the bench to measure later recordings."
     ),
     "tolerance_decides": tolerance_decides,
     # Of draws.
@@ -609,9 +606,9 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "tolerances, or find them from recordings (bayesbl identify)."
     ),
     "ticks_decide": (
-        f"{FEW_WEIGH}period or delay of the drive's controller are not known, and the signals "
-        "change with them from tick to tick. State period_s and delay_periods of sampled_control "
-        "under [[effects]] without sd, as the drive's manual gives them; a dead time of bus or "
+        f"{FEW_WEIGH}the period or the delay of the drive's controller is unknown, and the signals "
+        "depend on them tick by tick. State period_s and delay_periods of sampled_control under "
+        "[[effects]] without sd, as the drive's manual gives them; a dead time of the bus or the "
         "torque filter adds to delay_periods."
     ),
     "simulations_failed": (
@@ -629,16 +626,16 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     "gap_unseen": gap_unseen,
     "start_unknown": (
         "The flank at the start of the recording is unknown, because nothing presses the teeth "
-        "together there, and the compared part still depends on it. Record the same motion for "
-        "longer, or begin where gravity presses the load against its flank."
+        "together there, and the part that is compared still depends on it. Record the same motion "
+        "for longer, or begin where gravity presses the load against a flank."
     ),
     "motion_once": (
-        "The motion does not repeat, so the noise is taken from what is faster than the motion, "
-        "and only slow disagreement with the bench can be seen: a motion recorded twice or more in "
-        "a row is checked better."
+        "The motion does not repeat, so whatever is faster than the motion counts as noise, and "
+        "only slow disagreement with the bench is detected. For a better check, record the motion "
+        "twice or more in a row."
     ),
     "reference_held": (
-        "The reference is taken as held from each sample to the next, as in a digital drive: a "
+        "The reference is held from each sample to the next, as in a digital drive, because a "
         "straight line between samples does not explain the recording."
     ),
     "standstills_left_out": (
@@ -651,8 +648,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     # Of wear.
     "other_benches": (
         "Something other than the gap changed between the recordings, so the change of δ is "
-        "withheld: a bench unlike the others' is needed for {needed}. `bayesbl compare` over these "
-        "recordings looks for what changed."
+        "withheld: {needed} would need another bench than the rest. Run `bayesbl compare` on these "
+        "recordings to find what changed."
     ),
     "one_date": one_date,
     "gap_withheld": "The gap is withheld for {names}.",
@@ -694,8 +691,8 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
         "not in the interval: give ramps at three positions or more (files = […])."
     ),
     "one_cycle": (
-        "With one cycle the scatter of repeated ramps is unknown; the interval allows for up to "
-        "70 % of the gap."
+        "With one cycle, the scatter of repeated ramps is unknown; the interval allows for a "
+        "scatter of up to 70 % of the gap."
     ),
     # Of two encoders.
     "play_not_told": lambda probability, upper_mrad, lost_mrad: (
@@ -725,10 +722,10 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "no_torque": (
         "Without torque, wind-up and weight are unknown: friction behind a soft coupling looks "
-        "like play, and a change of it like wear. Wind-up is usually 0.05 mrad. If the joint is "
-        "soft or its play is several milliradians, wind-up is assumed to be about a tenth of the "
-        "lost motion, rarely two fifths, and the interval includes that. Record the torque or "
-        "current."
+        "like play, and a change of this friction looks like wear. Wind-up is usually 0.05 mrad. "
+        "If the joint is soft or its play is several milliradians, wind-up is assumed to be about "
+        "a tenth of the lost motion, rarely two fifths, and the interval includes that. Record the "
+        "torque or current."
     ),
     "torque_unused": (
         "The torque does not show how far the joint winds up between the flanks. That is usually "
@@ -742,7 +739,7 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "ratio_differs": "The gear ratio looks like {seen:.6g}, not {stated:g} as stated.",
     "motor_at_output": (
-        "The motor's position is at the output already: the gear ratio was not applied again."
+        "The motor's position is already that at the output: the gear ratio was not applied again."
     ),
     "channels_skewed": lambda skew_ms: (
         f"The load's stamps are {abs(skew_ms):.2g} ms {'late' if skew_ms > 0.0 else 'early'}; this "
@@ -760,13 +757,13 @@ SENTENCES: Mapping[str, str | Callable[..., str]] = {
     ),
     "load_coasts": (
         "The load does not rest on a flank from one reversal to the next: it coasts, bounces or "
-        "winds up by {misfit_mrad:.2g} mrad beside the {lost_mrad:.2g} mrad between both "
+        "winds up by {misfit_mrad:.2g} mrad besides the {lost_mrad:.2g} mrad between the two "
         "directions, so the interval of δ is wide. Move more slowly, or with friction or "
         "a brake at the load."
     ),
     "misfit_repeats": lambda times: (
         "The model error repeats in every cycle, so it is not noise, and the intervals are "
-        f"{math.sqrt(times):.2g} times wider."
+        f"{math.sqrt(times):.2g} times as wide."
     ),
 }
 """Code to its sentence, with places for values, or to what makes it of them."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,10 @@ Schema = Mapping[str, Any]
 HEAD = """# Every key of a configuration
 
 `python docs/make_configuration.py` makes this page from the models that validate the files. A file
-is TOML with `schema = 1` and its `kind`; paths are relative to it. For an unknown key, the error
-names the nearest known one. `bayesbl init` writes a first file, `bayesbl check CONFIG` checks one
-without running it. Editors complete keys by the JSON Schemas in `docs/schema` (in Taplo, by a
-first line `#:schema docs/schema/compare.json`). A row in bold begins a section of the file.
+is TOML and must state `schema = 1` and its `kind`; paths are relative to it. For an unknown key,
+the error names the nearest known one. `bayesbl init` writes a first file, `bayesbl check CONFIG`
+checks one without running it. Editors complete keys by the JSON Schemas in `docs/schema` (in Taplo,
+by a first line `#:schema docs/schema/compare.json`). A row in bold begins a section of the file.
 """
 
 
@@ -56,6 +57,7 @@ def _portable(value: Any) -> Any:
 def _page() -> str:
     parts = [HEAD]
     seen: set[tuple[str, str]] = set()
+    rows_of: dict[str, list[str]] = {}
     for kind, what in FILES.items():
         schema = MODELS[kind].model_json_schema()
         parts.append(f'## `kind = "{kind}"`: {what}\n')
@@ -64,7 +66,13 @@ def _page() -> str:
         shared = []
         for name, section in _sections(schema, schema, ""):
             body = _rows(name, section, schema)
-            if (name, body) in seen:
+            if not body:
+                continue
+            if body.startswith("| As in "):  # only what it has besides
+                head, *rows = body.splitlines()
+                body = "\n".join([head, *(row for row in rows if row not in rows_of[name])])
+            rows_of.setdefault(name, body.splitlines())
+            if name and (name, body) in seen:
                 shared.append(f"`{name}`")
             else:
                 seen.add((name, body))
@@ -74,7 +82,7 @@ def _page() -> str:
             parts.append(f"| **{head}** {body}" if head != "``" else body)
         parts.append("")
         if shared:
-            parts.append(f"As above: {', '.join(shared)}.\n")
+            parts.append(textwrap.fill(f"As above: {', '.join(shared)}.", 100) + "\n")
     return "\n".join(parts)
 
 
@@ -110,6 +118,8 @@ def _rows(name: str, section: Schema, whole: Schema) -> str:
     lines = [f"| {text[:1].upper()}{text[1:]} | |"] if name else []
     rows: dict[str, list[str]] = {}
     for key, value in section.get("properties", {}).items():
+        if not name and key in ("schema", "kind"):  # of every file
+            continue
         if not any(True for _ in _inner(whole, value)) or "anyOf" in value:
             row = f"{_kind(whole, value)} | {_default(key, value, section)}"
             rows.setdefault(row, []).append(f"`{key}`")
@@ -134,9 +144,10 @@ def _kind(whole: Schema, value: Schema) -> str:
             return f"[{', '.join(inner)}{'' if 'prefixItems' in value else ', …'}]"
         case "object":
             inner = value.get("additionalProperties")
-            return f"a table of {_kind(whole, inner)}" if isinstance(inner, Mapping) else "a table"
+            is_typed = isinstance(inner, Mapping) and inner
+            return f"a table; each value is {_kind(whole, inner)}" if is_typed else "a table"
         case "string":
-            return {"path": "a path", "date": "a date"}.get(value.get("format", ""), "a text")
+            return {"path": "a path", "date": "a date"}.get(value.get("format", ""), "text")
         case "boolean":
             return "true or false"
         case "number" | "integer" as number:
@@ -150,14 +161,15 @@ def _kind(whole: Schema, value: Schema) -> str:
                 )
                 if key in value and abs(value[key]) < 1e18
             ]
-            return " ".join(["a whole number" if number == "integer" else "a number", *bounds])
+            what = "a whole number" if number == "integer" else "a number"
+            return f"{what} {' and '.join(bounds)}".rstrip()
         case _:
             return "any"
 
 
 def _default(key: str, value: Schema, section: Schema) -> str:
     if key == "name" and "file" in section["properties"]:
-        return "made of the file's"
+        return "from the file name"
     either = [kind["required"] for kind in section.get("anyOf", ())]
     if [key] in either:
         return "required, or " + " or ".join(f"`{k}`" for (k,) in either if k != key)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, NotRequired, get_args, get_origin, get_type_hints, is_typeddict
 
@@ -43,14 +44,17 @@ GROUPS = {
     "Of a plan": "bayesbl.runs.plan",
 }
 
+UNNAMED = {"step": "The change between neighbouring snapshots."}
+"""Types that cannot have a docstring."""
+
 HEAD = """# Keys, variables and columns of results
 
 `python docs/make_results.py` makes this page from the program's declarations.
 
-A result folder holds `summary.json` (the answer), `result.nc` (everything, an xarray tree with
-units on every variable), `config.toml` (the configuration as it ran) and `figures`. A fleet's
-folder holds tables instead. A new run replaces only files that `manifest.json` lists. A withheld
-quantity is null, and `reason` says why. Keys in brackets exist only where they apply.
+A result folder has `summary.json` (the answer), `result.nc` (everything, an xarray tree with units
+on every variable), `config.toml` (the configuration that was run) and `figures`. A fleet's folder
+has tables instead. A new run replaces only files that `manifest.json` lists. A withheld quantity is
+null, and `reason` says why. Keys in brackets exist only if they apply.
 """
 
 
@@ -69,10 +73,11 @@ def _keys() -> Iterator[str]:
     yield "| of | keys |\n|---|---|"
     for title, table in ({"every kind": Head} | summaries).items():
         yield f"| {title} | {_keys_of(table, parts)} |"
-    yield "\nTheir parts, whose names are in italics there:\n"
+    yield "\nThe parts, whose names are in italics above:\n"
     yield "| part | what it is | keys |\n|---|---|---|"
     rows = [  # parts grow on the way
-        (_title(part), _plain(part.__doc__ or ""), _keys_of(part, parts)) for part in parts
+        (_title(part), _plain(part.__doc__ or UNNAMED[_title(part)]), _keys_of(part, parts))
+        for part in parts
     ]
     for row in sorted(rows):
         yield f"| {' | '.join(row)} |"
@@ -132,20 +137,23 @@ def _title(part: Any) -> str:
 def _variables() -> Iterator[str]:
     yield "## Variables of `result.nc`\n"
     yield (
-        "In a comparison, variables of a recording have a first dimension `snapshot`. Variables "
-        "named after a symbol, a parameter or a channel are not listed; see their attributes "
-        "`units` and `long_name`.\n"
+        "A row in bold begins the variables of a route or kind of result. In a comparison,\n"
+        "variables of a recording have a first dimension `snapshot`. Not listed are variables\n"
+        "named after a symbol, a parameter or a channel (their attributes `units` and `long_name`\n"
+        "explain them), the coordinates `chain` (number of the independent ensemble) and `draw`,\n"
+        "and coordinates ending in `_`, which repeat those without it.\n"
     )
     listed: list[Group] = []
+    yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
     for title, module in GROUPS.items():
-        yield f"### {title}\n"
-        yield "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
+        yield f"| **{title}** | | | |"
         own = list(_groups(vars(import_module(module)).values(), listed))
         listed += own
         for group in own:
             for variable in (*group.variables, *group.coordinates):
-                yield _row(group, variable)
-        yield ""
+                if variable.name not in ("chain", "draw") and not variable.name.endswith("_"):
+                    yield _row(group, variable)
+    yield ""
 
 
 def _groups(values: Iterable[object], listed: Sequence[Group]) -> Iterator[Group]:
@@ -166,8 +174,8 @@ def _columns() -> Iterator[str]:
     yield "## Columns of a fleet's tables\n"
     for file, columns in (("recordings", RECORDING_COLUMNS), ("joints", JOINT_COLUMNS)):
         yield f"### `{file}.parquet`\n\n| column | type | meaning |\n|---|---|---|"
-        for name, (kind, meaning) in columns.items():
-            yield f"| `{name}` | {kind} | {meaning} |"
+        for about, names in groupby(columns, columns.__getitem__):  # neighbours alike: one row
+            yield f"| {', '.join(f'`{name}`' for name in names)} | {' | '.join(about)} |"
         yield ""
 
 

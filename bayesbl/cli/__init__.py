@@ -59,9 +59,9 @@ def _common(
     ] = False,
     no_figures: Annotated[
         bool,
-        typer.Option("--no-figures", help="Draw none; `bayesbl figures` does later."),
+        typer.Option("--no-figures", help="Draw no figures; `bayesbl figures` draws them later."),
     ] = False,
-    pdf: Annotated[bool, typer.Option("--pdf", help="Draw figures as PDF beside PNG.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Draw figures as PDF too.")] = False,
 ) -> None:
     """Options of every command."""
     if no_figures and pdf:

@@ -283,7 +283,7 @@ def compare_command(
     ],
     **given: Any,
 ) -> None:
-    """Measure each gap, the change from first to last, and with dates how fast the gap grows."""
+    """Measure each gap, the change from first to last and, with dates, how fast the gap grows."""
     _run_options("compare", [first, *later], **given)
 
 
@@ -312,7 +312,7 @@ _WATCHED = "_watched"
 def watch_command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="Where recordings appear, named by the pattern."),
+        typer.Argument(metavar="FOLDER", help="Folder where recordings appear."),
     ],
     config: Annotated[Path, typer.Option(metavar="CONFIG", help="Configuration of the fleet.")],
     **given: Any,
@@ -409,7 +409,7 @@ def _command(kind: str, what: str) -> Callable[..., None]:
 
 
 simulate_command = _command("simulate", "Make recordings on a virtual bench.")
-sweep_command = _command("sweep", "Simulate a bench over a range of gaps, for its gap curve.")
+sweep_command = _command("sweep", "Simulate a bench over a range of gaps to make its gap curve.")
 
 
 @_takes(
@@ -451,7 +451,7 @@ Inputs = Annotated[
 
 @_takes("bench effects dates config out seed force json level workers")
 def identify_command(inputs: Inputs, **given: Any) -> None:
-    """Find the bench of a joint from its data sheet and recordings, with the gap."""
+    """Find the bench of a joint, and its gap, from its data sheet and recordings."""
     if given["effects"] not in (None, "catalogue"):
         given["effects"] = given["effects"].split(",")
     if _is_configuration(inputs):
@@ -463,7 +463,7 @@ def identify_command(inputs: Inputs, **given: Any) -> None:
 
 @_takes("bench config out seed force json level workers")
 def diagnose_command(inputs: Inputs, **given: Any) -> None:
-    """Find what recordings show and the bench lacks."""
+    """Find what the bench of a joint lacks, from recordings."""
     config, force, json = (given.pop(name) for name in ("config", "force", "json"))
     if _is_configuration(inputs):
         run_file(inputs[0], force, json, kind="diagnose", **given)

@@ -144,9 +144,9 @@ class _Uncertain(Section):
 
 
 class ParameterEntry(_Uncertain):
-    """An entry of ``[parameters]``; a tolerance is the half-width of its range.
+    """A parameter of the bench; a tolerance is the half-width of its range.
 
-    ``unit``: as the data sheet prints it, where it is not the one in the parameter's name.
+    ``unit``: that of the data sheet, if it is not the one in the parameter's name.
     """
 
     unit: str | None = None
@@ -214,8 +214,8 @@ class CurrentNoise(_NoiseEntry):
 class MeasurementSection(Section):
     """``[measurement]``: how the bench is measured.
 
-    ``speed_filter_s``: the time that the recorded speed is averaged over, as in the effect
-    ``speed_averaging``. A speed of the encoder is averaged over a sampling period.
+    ``speed_filter_s``: the time over which the recorded speed is averaged, as in the effect
+    ``speed_averaging``. ``speed_source = "encoder"``: the mean speed over a sampling period.
     """
 
     encoder_counts: int | None = Field(default=None, ge=1)
@@ -251,7 +251,7 @@ class MeasurementSection(Section):
 
 
 class EffectValue(_Uncertain):
-    """A parameter of an effect; ``sd`` where it was estimated, a tolerance where it was stated.
+    """A parameter of an effect, with ``sd`` if it was estimated, or a tolerance if it was stated.
 
     A tolerance is the half-width of a uniform distribution, whose standard deviation is used.
     """
@@ -311,10 +311,10 @@ def _divided(above: EffectValue, below: EffectValue) -> EffectParameterValue:
 
 
 class BeltSection(_Spring):
-    """``[belt]``: a belt or elastic coupling between motor and gear, all at the motor.
+    """``[belt]``: a belt or elastic coupling between motor and gear; values at the motor.
 
-    ``motor_inertia_kg_m2`` under ``[parameters]`` is the whole inertia on the fast side;
-    ``reducer_inertia_kg_m2`` is the part of it behind the belt.
+    ``motor_inertia_kg_m2`` under ``[parameters]`` is the whole inertia on the motor's side of the
+    gear; ``reducer_inertia_kg_m2`` is the part of it behind the belt.
     """
 
     as_effect = ("belt", "reducer_inertia_kg_m2", "reducer_share", "motor_inertia_kg_m2")
@@ -335,7 +335,7 @@ class BeltSection(_Spring):
 
 
 class ArmSection(_Spring):
-    """``[arm]``: an elastic arm or payload behind the load, all at the load.
+    """``[arm]``: an elastic arm or payload behind the load; values at the load.
 
     ``load_inertia_kg_m2`` and ``gravity_torque_nm`` under ``[parameters]`` are those of the whole
     load; ``inertia_kg_m2`` and ``gravity_share`` are the parts of these behind the spring.
@@ -354,7 +354,7 @@ class ArmSection(_Spring):
 
 
 class BaseSection(_Spring):
-    """``[base]``: what the joint is mounted on, about the joint's axis."""
+    """``[base]``: a base that yields under the joint; values about the joint's axis."""
 
     as_effect = ("base", "inertia_kg_m2", "inertia_kg_m2", None)
 
@@ -362,9 +362,9 @@ class BaseSection(_Spring):
 
 
 class GapSection(Section):
-    """``[gap]``: how the gap varies over the load's angle, as shares of its mean.
+    """``[gap]``: how the gap varies with the load's angle, as shares of its mean.
 
-    δ (1 + Σ_k cosine[k] cos kθ_l + sine[k] sin kθ_l), two harmonics at most.
+    δ (1 + Σ_k cosine[k] cos kθ_l + sine[k] sin kθ_l), with at most two harmonics.
     """
 
     cosine: Items[EffectValue] = ()
@@ -387,13 +387,13 @@ class GapSection(Section):
 
 
 class EffectEntry(Section):
-    """An entry of ``[[effects]]``: what the joint has beside its parameters (``bayesbl effects``).
+    """An effect that the joint has (``bayesbl effects`` lists all).
 
-    A digital drive has ``sampled_control``: ``parameters = {period_s = {value = 250e-6}}``, the
-    period of its speed controller. Its torque acts ``delay_periods`` after the encoder was read, 17
-    with a further dead time of 4 ms. Its speed is the encoder's difference over a period;
-    ``instant_share = 1`` is the speed of the instant. Without a delay both are fitted by the direct
-    route and ``identify``, starting from a delay of 1 and a difference.
+    A digital drive has ``sampled_control``, with the period of its speed controller:
+    ``parameters = {period_s = {value = 250e-6}}``. Its torque acts ``delay_periods`` after it reads
+    the encoder: 1, or 17 with a further dead time of 4 ms. It takes the speed as the encoder's
+    difference over a period, or with ``instant_share = 1`` as the speed at the tick. If you state
+    no delay, the direct route and ``identify`` fit both, starting from 1 and a difference.
     """
 
     name: Annotated[str, AfterValidator(effect_name)]
@@ -419,9 +419,10 @@ class _LearnedSection(Section):
 class LearnedTorqueSection(_LearnedSection):
     """``[learned_torque]``: a torque that repeats in recordings and that no effect explains.
 
-    Against the motor or the load, N m there: constant_nm + Σ_k cosine_nm[k] cos(2π k x/period) +
-    sine_nm[k] sin(2π k x/period) of the variable x; times the sign of the motor's speed where it
-    ``reverses``. ``period`` in rad, rad/s or s; ``sd_nm`` of constant, cosines and sines.
+    It acts against the motor or the load, in N m there: constant_nm + Σ_k cosine_nm[k]
+    cos(2π k x/period) + sine_nm[k] sin(2π k x/period), with the variable x; if it ``reverses``,
+    times the sign of the motor's speed. ``period`` is in rad, rad/s or s. ``sd_nm`` has the
+    standard deviations of constant, cosines and sines.
     """
 
     side: Side
@@ -437,8 +438,9 @@ class LearnedTorqueSection(_LearnedSection):
 class EncoderErrorSection(_LearnedSection):
     """``[encoder_error]``: the angle that the motor's encoder shows, minus the true one.
 
-    Over the motor's angle θ, in rad and inside the speed loop: Σ_k cosine_rad[k] cos(2π k
-    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad); ``sd_rad`` of cosines and sines.
+    With the motor's angle θ, in rad and inside the speed loop: Σ_k cosine_rad[k] cos(2π k
+    θ/period_rad) + sine_rad[k] sin(2π k θ/period_rad). ``sd_rad`` has the standard deviations of
+    cosines and sines.
     """
 
     period: float = Field(gt=0.0, alias="period_rad")

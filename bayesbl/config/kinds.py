@@ -124,9 +124,9 @@ MotionSection = Annotated[
 
 
 class SimulatedRecording(Section):
-    """An entry of ``[[recordings]]`` to be simulated.
+    """A recording to simulate: in steady rotation, or in a ``motion``.
 
-    In steady rotation, from a start angle that is drawn unless given; or in a motion.
+    A start angle that is not given is drawn.
     """
 
     name: Name
@@ -150,7 +150,7 @@ class SimulatedRecording(Section):
 
 
 class SimulateRun(Section):
-    """``[run]`` of a simulation; without an output the files go beside the configuration."""
+    """``[run]`` of a simulation. Without ``output``, files go beside the configuration."""
 
     seed: int = Field(default=1, ge=0, lt=2**63)
     workers: int = Field(default=1, ge=1, le=1024)
@@ -213,8 +213,8 @@ class FleetSection(Section):
 
     ``recordings`` is a pattern with ``{joint}`` and ``{date}``, or a table with the columns
     ``joint``, ``date`` and ``file``. ``pool_by`` is a column of the inventory: joints with the same
-    entry wear alike. Without it every joint counts by itself. ``covariates`` are columns of
-    numbers, such as a load, that the rates of joints of one type may depend on.
+    entry share information. Without it every joint counts by itself. ``covariates`` are columns of
+    numbers, such as a load, on which the rates of joints of one type may depend.
     """
 
     joints: Annotated[InputPath, BeforeValidator(_table)]
@@ -240,9 +240,9 @@ class FleetSection(Section):
 
 
 class FleetEstimator(Section):
-    """``[estimator]`` of a fleet: that of a comparison; the inventory has bench and curve.
+    """``[estimator]`` of a fleet: as in a comparison, but the inventory states bench and curve.
 
-    ``route`` applies to joints with a bench; the others are measured by the amplitude.
+    ``route`` applies to joints with a bench; the others are measured by the amplitude route.
     """
 
     route: Literal["auto", "amplitude", "direct"] = "auto"
@@ -315,9 +315,9 @@ def word_or_names(
 class Compared(Section):
     """``[comparison]``: how simulation and recordings are compared.
 
-    Without ``channels`` the method takes all that the recordings have. ``known_torque`` names
-    columns that are added to the torque that the bench needs, N m at the motor. ``cutoff_hz`` is
-    that of the zero-phase filter that both sides of the inverse method pass; by default the
+    Without ``channels``, the method uses all that the recordings have. ``known_torque`` names
+    columns (N m at the motor) that are added to the torque that the bench needs. ``cutoff_hz``
+    belongs to the zero-phase filter that both sides of the inverse method pass; the default is the
     frequency at which prediction and measurement lose coherence.
     """
 
@@ -349,7 +349,10 @@ class Unknowns(Section):
 
 
 class DiagnosedRecording(SnapshotRecording):
-    """An entry of ``[[recordings]]``; ``split`` fits on its first half and predicts the second."""
+    """As in a comparison, without ``known_gap``.
+
+    ``use = "split"`` fits the first half of the recording and predicts the second.
+    """
 
     use: Literal["fit", "hold_out", "split"] = "fit"
 
@@ -357,8 +360,8 @@ class DiagnosedRecording(SnapshotRecording):
 class Candidates(Section):
     """``[candidates]``: effects that may be named, and how many.
 
-    Without ``max_effects`` three in the closed loop, where each costs many simulations, else six.
-    ``false_alarm``: how often noise passes for a line in the speed of a rigid drive.
+    The default of ``max_effects`` is three in the closed loop, where each costs many simulations,
+    else six. ``false_alarm``: how often noise passes for a line in the speed of a rigid drive.
     """
 
     effects: Annotated[
@@ -457,7 +460,8 @@ class SweepConfig(RunConfig):
 
 
 class Limits(Section):
-    """``[limits]``: load angles, speed and acceleration of the motor, rests, length."""
+    """``[limits]``: load angles; speed and acceleration of the motor; rests between strokes; length
+    of the recording."""
 
     range_rad: Items[float] = (-0.5, 0.5)
     speed_rpm: Positive = 1500.0
@@ -512,7 +516,10 @@ class StudyConfig(RunConfig):
 
 
 class IdentifiedRecording(SnapshotRecording):
-    """An entry of ``[[recordings]]``; one that is held out is predicted, not fitted."""
+    """As in a comparison, without ``known_gap``.
+
+    A recording that is held out is predicted, not fitted.
+    """
 
     use: Literal["fit", "hold_out"] = "fit"
 
@@ -530,9 +537,9 @@ _Effects = Annotated[
 class Identify(Section):
     """``[identify]``: what is fitted besides gap and start angles.
 
-    ``parameters``: those with a tolerance in the bench, or some of these by name. ``effects``:
-    names of the catalogue, fitted from the start; ``"catalogue"``: those that the recordings show,
-    if the bench cannot explain them. ``gap_rad``: range of the gap's log-uniform prior.
+    ``parameters``: all that have a tolerance in the bench, or some of these by name. ``effects``:
+    effects to fit, by name; with ``"catalogue"``, those that the recordings show are added if the
+    bench cannot explain them. ``gap_rad``: range of the gap's log-uniform prior.
     """
 
     parameters: _Parameters = "toleranced"
@@ -589,13 +596,13 @@ KINDS: Mapping[str, type[RunConfig]] = MappingProxyType(
 
 FILES: Mapping[str, str] = MappingProxyType(
     {
-        "fit": "one recording to be measured",
-        "compare": "recordings to be measured and compared",
-        "simulate": "recordings to be made on a bench",
-        "sweep": "a bench to be swept over its gap",
-        "plan": "a bench whose motions are to be ranked",
+        "fit": "one recording to measure",
+        "compare": "recordings to measure and compare",
+        "simulate": "recordings to make on a bench",
+        "sweep": "a bench to sweep over its gap",
+        "plan": "a bench whose motions are ranked",
         "diagnose": "recordings, and the bench that should describe them",
-        "identify": "recordings, and the data sheet that a bench is identified from",
+        "identify": "recordings, and the data sheet from which a bench is identified",
         "study": "an experiment and its rows",
         "fleet": "an inventory of joints, and where their recordings are",
         "bench": "a virtual bench",

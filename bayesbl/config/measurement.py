@@ -42,9 +42,9 @@ _TEXT = re.compile(
 
 
 class Limit(Section):
-    """``[joint] limit``: when to repair, as data sheets state it; or a text, "3 arcmin play".
+    """``[joint.limit]``: when to repair, as data sheets state it; or as text, "3 arcmin play".
 
-    ``play`` is 2 δ. ``lost_motion`` is the angle between the torques ± ``at_torque_share`` of
+    ``play`` is 2 δ. ``lost_motion`` is the angle between the torques ± ``at_torque_share`` times
     ``rated_torque_nm``, with the stiffness of the bench. mm are at the radius ``at_m``.
     """
 
@@ -179,12 +179,12 @@ StatedLimit = Annotated[Limit, AfterValidator(_of_a_gap)]
 class Joint(Section):
     """``[joint]``: what you know about the joint itself.
 
-    ``drift``: relative standard deviation of what may drift between the first snapshot and each
-    later one, by the name of a bench parameter or effect, instead of the default; 0 for none. The
-    interval of the change includes it. ``rated_torque_nm``, at the output: lost motion is stated at
-    3 % of it. ``limit_rad`` is a limit of δ in rad, ``limit`` one of δ, play or lost motion in the
-    unit of a data sheet. ``upright``: gravity does not turn the joint, as its axis is vertical or
-    its load is balanced.
+    ``drift``: a relative standard deviation for each bench parameter or effect that may drift
+    between the first snapshot and each later one. It replaces the default; 0 means no drift. The
+    interval of the change includes it. ``rated_torque_nm`` is at the output: lost motion is stated
+    at 3 % of it. ``limit_rad`` is a limit of δ in rad; ``limit`` is one of δ, play or lost motion
+    in the unit of a data sheet. ``upright``: gravity does not turn the joint, because its axis is
+    vertical or its load is balanced.
     """
 
     gear_ratio: Positive | None = None
@@ -213,9 +213,10 @@ class Joint(Section):
 
 
 class Search(Section):
-    """``[estimator.search]``: how the optimum is found; ``start_from``: from an earlier result.
+    """``[estimator.search]``: how the optimum is found.
 
-    ``paper`` searches eq. 6 in the ranges of Table 2 as well, exactly as printed.
+    ``start_from`` is an earlier result whose optimum starts the search. ``paper`` also searches
+    eq. 6 in the ranges of Table 2, exactly as printed.
     """
 
     method: Literal["guess", "paper"] = "guess"
@@ -231,7 +232,7 @@ class Search(Section):
 
 
 class Noise(Section):
-    """``[estimator.noise]``: what is assumed of the noise; ``order`` belongs to ``ar``."""
+    """``[estimator.noise]``: what is assumed about the noise; ``order`` belongs to ``ar``."""
 
     kind: Literal["auto", "white", "ar", "student_t"] = "auto"
     order: int | None = Field(default=None, ge=1, le=15)
@@ -250,14 +251,14 @@ WITHOUT_BENCH = ("torque_ramp", "two_encoders")
 
 
 class Estimator(Section):
-    """``[estimator]``: from a recording to the symbols of the model, or straight to the gap.
+    """``[estimator]``: how δ is estimated.
 
-    With a bench the route is ``auto``: both routes run, and the direct one answers if its checks
-    pass. ``gap_rad`` is the range of the direct route's prior: log-uniform, or uniform in
-    ln(δ + 0.01 mrad) if it begins at zero. ``torque_ramp`` reads ramps of the motor's torque with
-    the output held, ``two_encoders`` the positions of motor and load over any motion with
-    reversals; both need neither bench nor curve. Where the load's position is recorded, two
-    encoders are a second opinion beside the answer of the other routes.
+    With a bench, the default route is ``auto``: the amplitude and direct routes both run, and the
+    direct one answers if its checks pass. ``gap_rad`` is the range of the direct route's prior:
+    log-uniform, or uniform in ln(δ + 0.01 mrad) if it begins at zero. ``torque_ramp`` uses ramps of
+    the motor's torque with the output held, ``two_encoders`` the positions of motor and load in any
+    motion with reversals; both need neither bench nor curve. If the load's position is recorded,
+    two encoders are a second opinion beside the answer of the other routes.
     """
 
     route: Literal["auto", "amplitude", "direct", "torque_ramp", "two_encoders"] = "amplitude"
@@ -292,7 +293,7 @@ class Estimator(Section):
 
 
 class Posterior(Section):
-    """``[posterior]``: independent ensembles, and when to stop them."""
+    """``[posterior]``: how many independent ensembles sample, and when they stop."""
 
     ensembles: int = Field(default=4, ge=2, le=64)
     max_steps: int = Field(default=20_000, ge=100)
@@ -300,10 +301,10 @@ class Posterior(Section):
 
 
 class Curve(Section):
-    """``[curve]``: from amplitude to gap; the result of a sweep, or ``published`` by name.
+    """``[curve]``: the gap curve. ``source`` is the result of a sweep, or ``"published"``.
 
-    Without a source the curves are those of the estimator's bench; without a bench there is no δ. A
-    source takes precedence over the bench; the direct route ignores it.
+    Without a source, the curve is swept from the estimator's bench; without a bench there is no δ.
+    A source takes precedence over the bench; the direct route ignores it.
     """
 
     source: CurveSource | None = None
@@ -311,19 +312,20 @@ class Curve(Section):
 
 
 class KnownGap(Section):
-    """``known_gap`` of a recording: δ at that time as two encoders or a dial gauge measured it."""
+    """``[recordings.known_gap]``: δ at the date of the recording, as two encoders or a dial gauge
+    measured it."""
 
     delta_rad: Positive
     sd_rad: Positive
 
 
 class MeasuredRecording(SnapshotRecording):
-    """An entry of ``[[recordings]]`` that was measured; its default name is made of the file's.
+    """A recording of the joint.
 
-    ``files``: the positions around the turn at which ramps of torque were made, one file each;
-    ``file`` is then the first of them. ``repaired`` marks the first one after a repair. ``bench``:
-    values that differed from the bench file when it was made, a bench parameter or
-    ``"effect.parameter"``. ``known_gap`` scales the curve of the amplitude route.
+    ``files``: for ramps of torque, one file for each position around the turn. ``repaired`` marks
+    the first recording after a repair. ``bench``: values that differed from the bench file at that
+    date, by ``parameter`` or ``"effect.parameter"``. ``known_gap`` scales the curve of the
+    amplitude route.
     """
 
     known_gap: KnownGap | None = None
@@ -332,9 +334,9 @@ class MeasuredRecording(SnapshotRecording):
 class WearOverDates(Section):
     """``[wear]``: what you know about wear apart from the recordings.
 
-    ``relative_sd_per_date`` is how far temperature, grease or the torque constant may move the gap
-    of each date, whatever the wear. ``in_service_since`` is when the joint, or what its last repair
-    replaced, began to work.
+    ``relative_sd_per_date``: how far temperature, grease or the torque constant may move the
+    measured gap of each date, as a relative standard deviation. ``in_service_since``: when the
+    joint, or the part that its last repair replaced, went into service.
     """
 
     relative_sd_per_date: float = Field(default=0.0, ge=0.0, le=0.5)

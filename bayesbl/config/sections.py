@@ -249,7 +249,7 @@ _POSITIVE_SYMBOLS = frozenset({AMPLITUDE, DECAY, FREQUENCY, WINDOW_END, SEPARATI
 
 
 class Run(Section):
-    """``[run]``: the seed, and what does not change the problem."""
+    """``[run]``: seed, number of processes and output folder."""
 
     seed: int = Field(default=1, ge=0, lt=2**63)
     workers: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1, le=1024)
@@ -265,7 +265,7 @@ def _scheduler(address: str) -> str:
 
 
 class ClusterRun(Run):
-    """``[run]`` of a study or a fleet: with a scheduler, work is done on its Dask cluster."""
+    """``[run]`` of a study or a fleet: with a ``scheduler``, its Dask cluster does the work."""
 
     scheduler: Annotated[str, AfterValidator(_scheduler)] | None = None
 
@@ -279,8 +279,8 @@ class RunConfig(Section):
 
 
 class Column(Section):
-    """An entry of ``[columns]``: a column's name in the file, its unit, and whether forward is
-    negative there."""
+    """A column of the file: its name and unit; ``reversed`` if it is negative for forward motion.
+    ``NAME`` is the channel."""
 
     name: str = Field(min_length=1)
     unit: Annotated[str, AfterValidator(spelled)] | None = None
@@ -382,7 +382,7 @@ class RecordedConfig(RunConfig):
 class Model(Section):
     """``[estimator.model]``: which symbols of eq. 6 are fixed, and the baseline under the pulses.
 
-    A symbol is free unless it is in ``fixed``.
+    Symbols that are not in ``fixed`` are fitted, within ``ranges``.
     """
 
     baseline_harmonics: int = Field(default=1, ge=0, le=20)

@@ -89,11 +89,11 @@ CORRELATION_LAGS = 200
 
 
 class DisagreementSummary(TypedDict):
-    """RMS of measurement minus bench, in ``unit``, where ``noise`` is the noise floor.
+    """RMS of measurement minus simulation, in ``unit``; the unit ``noise`` is the noise floor.
 
-    ``before``, ``after``: without and with what was named; what was declared unknown is fitted in
-    both. ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null where noise may
-    be all of the disagreement before.
+    ``before`` is without what was named, ``after`` with it; declared unknowns are fitted in both.
+    ``closed_fraction``: 1 − (after² − floor²)/(before² − floor²); null if noise may cause all of
+    the disagreement before.
     """
 
     before: float
@@ -105,9 +105,10 @@ class DisagreementSummary(TypedDict):
 
 
 class DisagreementTableSummary(TypedDict):
-    """By recording, channel and use, and over all by use; ``unit`` is that of all.
+    """Disagreements by recording, channel and use; ``over_all`` by use alone.
 
-    If units differ, ``unit`` is null and what is over all is in units of each noise floor.
+    ``unit`` is that of all. If units differ, it is null, and ``over_all`` is in units of each noise
+    floor.
     """
 
     unit: str | None

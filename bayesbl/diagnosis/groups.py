@@ -48,7 +48,7 @@ class HeldValue(TypedDict):
 
 
 class EffectSummary(TypedDict):
-    """A named effect; names of parameters to intervals."""
+    """A named effect with the intervals of its parameters."""
 
     name: str
     parameters: dict[str, Interval | HeldValue]
@@ -68,7 +68,7 @@ class ParameterErrorSummary(TypedDict):
 
 
 class RemainingSummary(TypedDict):
-    """What still repeats after naming; ``chi_squared`` for lines whose test has one."""
+    """What still repeats after naming; ``chi_squared`` is null if the test of the line has none."""
 
     channel: str
     dependence: str
@@ -94,8 +94,8 @@ class LearnedDependence(TypedDict):
 class LearnedSummary(LearnedDependence):
     """A torque of no known law, or an error of the encoder.
 
-    ``amplitude_nm``, ``amplitude_rad``: its largest size, at its side; ``alike``: other dependences
-    that look the same here.
+    ``amplitude_nm``, ``amplitude_rad``: its largest size, at its side. ``alike``: other dependences
+    that look the same in these recordings.
     """
 
     amplitude_nm: NotRequired[float]

@@ -89,72 +89,72 @@ def _columns(text: str) -> dict[str, tuple[str, str]]:
 
 RECORDING_COLUMNS = _columns("""
     joint | string | name in the inventory
-    date | string | when it was recorded, 2026-03-01
+    date | string | date of the recording, 2026-03-01
     file | string | path
-    sha256 | string | of the file's bytes; null where it could not be read
+    sha256 | string | hash of the file's bytes; null if it could not be read
     outcome | string | converged, usable, withheld, no_curve; refused: it cannot be used;
         failed: a bug
-    reason | string | why δ is null; null where it is not
+    reason | string | why δ is null; null if δ is given
     notes | string | further remarks on the answer
     route | string | direct or amplitude
     used | bool | whether the joint's rate uses it; null from watch, which gives no rates
     delta_rad_median | double | gap, rad
-    delta_rad_low | double | lower bound of the interval, rad
-    delta_rad_high | double | upper bound, rad
-    delta_rad_sd | double | standard deviation, rad
-    delta_rad_q01 | double | 1 % quantile, rad
-    delta_rad_q05 | double | 5 % quantile, rad
-    delta_rad_q25 | double | 25 % quantile, rad
-    delta_rad_q75 | double | 75 % quantile, rad
-    delta_rad_q95 | double | 95 % quantile, rad
-    delta_rad_q99 | double | 99 % quantile, rad
+    delta_rad_low | double | bound of its interval, rad
+    delta_rad_high | double | bound of its interval, rad
+    delta_rad_sd | double | its standard deviation, rad
+    delta_rad_q01 | double | its quantile (q05: 5 %), rad
+    delta_rad_q05 | double | its quantile (q05: 5 %), rad
+    delta_rad_q25 | double | its quantile (q05: 5 %), rad
+    delta_rad_q75 | double | its quantile (q05: 5 %), rad
+    delta_rad_q95 | double | its quantile (q05: 5 %), rad
+    delta_rad_q99 | double | its quantile (q05: 5 %), rad
     amplitude_rpm_median | double | amplitude of the ringing, rpm
-    amplitude_rpm_low | double | rpm
-    amplitude_rpm_high | double | rpm
+    amplitude_rpm_low | double | bound of its interval, rpm
+    amplitude_rpm_high | double | bound of its interval, rpm
     probability_above_limit | double | probability that δ was above the joint's limit
-    device | string | device that sent it, by its own name; null where it was measured here
+    device | string | name of the device that sent it; null if it was measured here
 """)
 """Column to its type and meaning."""
 
 JOINT_COLUMNS = _columns("""
     joint | string | name in the inventory
     gearbox | string | its type
-    limit_rad | double | gap at which it is to be repaired, rad
+    limit_rad | double | gap at which to repair it, rad
     recordings | int64 | number of recordings
     used | int64 | recordings that the rate uses
     withheld | int64 | recordings with a withheld gap, or without a curve
     broken | int64 | recordings that were refused or failed
     route | string | direct or amplitude
-    first_date | string | of the recordings in use
-    last_date | string | of the recordings in use
+    first_date | string | date of the first or last recording in use
+    last_date | string | date of the first or last recording in use
     delta_rad_median | double | gap at the last date, rad
-    delta_rad_low | double | rad
-    delta_rad_high | double | rad
+    delta_rad_low | double | bound of its interval, rad
+    delta_rad_high | double | bound of its interval, rad
     probability_limit_now | double | probability that the gap was above its limit at the last date
     probability_wear | double | probability that it has grown since the first date; without pooling
-    rate_rad_per_year_median | double | mean over the dates in use; pooled if column pooled says so
-    rate_rad_per_year_low | double | rad/year
-    rate_rad_per_year_high | double | rad/year
-    rate_rad_per_year_sd | double | rad/year
-    rate_alone_rad_per_year_median | double | from this joint's recordings only
-    rate_alone_rad_per_year_low | double | rad/year
-    rate_alone_rad_per_year_high | double | rad/year
+    rate_rad_per_year_median | double | mean rate over the dates in use, rad/year; uses other
+        joints if pooled is true
+    rate_rad_per_year_low | double | bound of its interval, rad/year
+    rate_rad_per_year_high | double | bound of its interval, rad/year
+    rate_rad_per_year_sd | double | its standard deviation, rad/year
+    rate_alone_rad_per_year_median | double | rate from this joint's recordings only, rad/year
+    rate_alone_rad_per_year_low | double | bound of its interval, rad/year
+    rate_alone_rad_per_year_high | double | bound of its interval, rad/year
     pooled | bool | whether rate and date use other joints of its type
     probability_unlike_type | double | probability that it does not wear like its type; null
-        where no type is known
-    law | string | likeliest law of wear; pooled if column pooled says so
+        if its type is unknown
+    law | string | likeliest law of wear; uses other joints if pooled is true
     limit_date_median | string | when the gap reaches the limit; null: not in 1000 years
-    limit_date_low | string | lower bound of the interval
-    limit_date_high | string | upper bound
-    limit_date_not_before | string | one-sided, at the interval's level
+    limit_date_low | string | bound of its interval
+    limit_date_high | string | bound of its interval
+    limit_date_not_before | string | one-sided bound, at the interval's level
     probability_limit_before | double | probability that it is reached before [fleet] decide_before
     cost_at_limit | double | what reaching the limit costs, from the inventory
-    expected_cost | double | cost_at_limit times probability_limit_before, or without a
-        rate times probability_limit_now, which is no larger; null without a gap
-    alarm | bool | among the joints called over their limit, at most 5 % of them falsely
-    rank | int64 | 1 is reached first, or costs most where costs are given; null where there
-        is no date
-    reason | string | why there is no rate; null where there is one
+    expected_cost | double | cost_at_limit times probability_limit_before, or, without a rate,
+        times probability_limit_now, which is no larger; null without a gap
+    alarm | bool | whether it is called over its limit; at most 5 % of these calls are false
+    rank | int64 | 1 reaches its limit first, or costs most if costs are given; null without a date
+    reason | string | why there is no rate; null if a rate is given
 """)
 """Column to its type and meaning; the inventory's own other columns follow them."""
 

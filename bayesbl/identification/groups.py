@@ -74,7 +74,7 @@ class ParameterSummary(TypedDict):
 
 
 class EffectFound(TypedDict):
-    """A missing or free effect, and its parameters if the identified bench has it."""
+    """A missing or fitted effect; it has parameters if the identified bench has the effect."""
 
     name: str
     parameters: dict[str, Interval | HeldValue]
@@ -93,8 +93,10 @@ class BeyondSummary(TypedDict):
 
 
 class TogetherSummary(TypedDict):
-    """Parameters known together far better than alone: all by their ratios to each other, or two by
-    their product. Relative standard deviations: the largest of one alone, and of these."""
+    """Parameters known together far better than alone: by the ratios of all, or the product of two.
+
+    ``alone_sd`` is the largest relative standard deviation of one of them, ``together_sd`` that of
+    their ratios or product."""
 
     parameters: list[str]
     told: Literal["ratios", "product"]

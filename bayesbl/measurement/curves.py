@@ -94,7 +94,7 @@ CURVE = Group(
         high_rad (amplitude) | rad | upper bound of the curve's band
         covariance? (power, power_) | (rad / rpm^k)^2 | covariance of the coefficients
         coefficient_draws? (coefficient_draw, power) | rad / rpm^k
-            | draws of the coefficients; the curve's draws are those of its sources
+            | draws of the coefficients; source_NAME has those of the curve by source
     """),
     table("amplitude (amplitude) | rpm | amplitude of the impact ringing"),
     named=_source,

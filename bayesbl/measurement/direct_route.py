@@ -589,7 +589,7 @@ PREDICTIVE = Group(
         repeats? | 1 | 1 where a motion repeats, 0 where it does not
         flank_changes? | 1 | how often the load passed from one flank to the other
         flank_left_s? (flank) | s | when the teeth parted, from the first sample
-        flank_met_s? (flank) | s | when they met on the other side
+        flank_met_s? (flank) | s | when the teeth met on the other side
         flank_side? (flank) | 1 | flank met: 1 where the motor pushes forward, −1 backward
     """),
     named=_predicted,

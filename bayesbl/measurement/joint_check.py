@@ -25,8 +25,8 @@ class JointCheck(TypedDict):
     """A snapshot against its bench, or snapshots against one another.
 
     ``could_be`` names effects or parameters of the bench that would explain what was found.
-    ``blind_spots`` are changes of the joint that the check cannot see, each with
-    ``delta_error_rad``, what it would do to δ, where that is known. If nothing was compared,
+    ``blind_spots`` are changes of the joint that the check cannot detect. Each has
+    ``delta_error_rad``, by how much it would move δ, if that is known. If nothing was compared,
     ``items`` is empty and ``agrees`` true.
     """
 

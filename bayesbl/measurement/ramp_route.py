@@ -589,17 +589,17 @@ POSTERIOR = Group(
         shared.DELTA,
         *table("""
             width_rad (chain, draw) | rad
-                | between the positions that ramps leave on either flank, at zero torque
+                | angle between the positions at which ramps to either side leave the joint
             scatter_rad (chain, draw) | rad
                 | standard deviation of that width around the turn, or of repeated ramps of one file
             shared_pattern? (chain, draw) | 1
                 | correlation of the widths around the turn between snapshots
             lost_motion_rad (chain, draw) | rad
-                | between the positions that the stated torques hold without friction
-            compliance_rad_per_nm (chain, draw) | rad/(N m) | of the loaded joint at the output
+                | angle between the positions at the stated torques, without friction
+            compliance_rad_per_nm (chain, draw) | rad/(N m) | compliance of the loaded joint
             stiffness_nm_per_rad (chain, draw) | N m/rad
                 | position over torque by least squares along the largest ramps, both sides
-            friction_torque_nm (chain, draw) | N m | at the output, over the range of the ramps
+            friction_torque_nm (chain, draw) | N m | friction over the range of the ramps
             held_windup_rad (chain, draw) | rad
                 | part of δ: compliance that friction holds at zero torque, if flanks do not harden
             preload_torque_nm (chain, draw) | N m
@@ -624,8 +624,8 @@ CYCLES = Group(
     table("""
         file (cycle) | 1 | number of the file, from 0
         amplitude_nm (cycle) | N m | largest torque
-        width_rad (cycle) | rad | between the positions left at zero torque
-        range_rad (cycle) | rad | between the farthest positions
+        width_rad (cycle) | rad | angle between the positions left at zero torque
+        range_rad (cycle) | rad | angle between the farthest positions
         elastic_nm (cycle) | N m | torque without friction between the positions left
         friction_nm (cycle) | N m | half the mean height of the loop
         used (cycle) | 1 | whether the width counts (1): the smallest ramps that reach both flanks

@@ -13,10 +13,10 @@ from bayesbl.sampling.convergence import Outcome
 class ReasonSummary(TypedDict):
     """Why an answer is withheld or limited, or is the answer; programs should read ``code``.
 
-    It also has the numbers and names of its sentence, by name; ``recordings`` if it concerns only
-    some, ``also`` if there are further reasons, which ``text`` includes. In the
-    diagnostics, ``withholds`` says whether δ is withheld, ``because`` why another route has no
-    answer; the reason of the answer names its ``route``.
+    It also has each number and name in its sentence as a key. ``recordings``: those that it
+    concerns, if not all. ``also``: further reasons, which ``text`` includes. In the diagnostics,
+    ``withholds`` says whether δ is withheld, ``because`` why another route has no answer. The
+    reason of the answer names its ``route``.
     """
 
     code: str
@@ -29,7 +29,7 @@ class ReasonSummary(TypedDict):
 
 
 class NoiseSummary(TypedDict):
-    """Noise of a recording; ``sd_a`` is that of the current, where it was used."""
+    """Noise of a recording; ``sd_a`` is the standard deviation in the current, if it was used."""
 
     kind: str
     order: int
@@ -62,7 +62,7 @@ class SamplerCheckSummary(TypedDict):
 
 
 class PredictiveCheckEntry(TypedDict):
-    """What repeats every rotation over what noise explains, in one band of load orders."""
+    """Power that repeats every rotation, over that of noise, in one band of load orders."""
 
     channel: str
     highest_order: int
@@ -71,9 +71,9 @@ class PredictiveCheckEntry(TypedDict):
 
 
 class MotionSummary(TypedDict):
-    """Of a joint that follows a reference over time.
+    """The motion of a joint that follows a varying reference.
 
-    ``cycle_s`` and ``cycles`` are ``None`` where the motion does not repeat.
+    ``cycle_s`` and ``cycles`` are ``None`` if the motion does not repeat.
     """
 
     cycle_s: float | None
@@ -83,7 +83,8 @@ class MotionSummary(TypedDict):
 
 
 class RampsSummary(TypedDict):
-    """The ramps that show the play; ``width_rad`` is the mean of each position around the turn."""
+    """The ramps that show the play; ``width_rad`` has the mean width at each position around the
+    turn."""
 
     positions: int
     cycles: int
@@ -100,9 +101,9 @@ class HarmonicSummary(TypedDict):
 
 
 class TransmissionErrorSummary(TypedDict):
-    """Of the load behind the motor, over the angle, the same in both directions.
+    """Error of the load's angle that is the same in both directions.
 
-    ``harmonics`` are of angles that make a turn or more.
+    ``harmonics`` exist for each shaft that makes a turn or more.
     """
 
     peak_to_peak_rad: Interval
@@ -110,7 +111,8 @@ class TransmissionErrorSummary(TypedDict):
 
 
 class StatedLimit(TypedDict):
-    """The limit as it was given, and δ in its unit and of its kind (``arcmin of play``)."""
+    """The limit as it was given. ``measured`` is δ converted to its kind and ``unit`` (``arcmin of
+    play``)."""
 
     text: str
     unit: str
@@ -154,25 +156,25 @@ class _OfSomeRoutes(TypedDict, total=False):
 
 
 class RouteSummary(_OfSomeRoutes):
-    """One recording by one route; every route has the keys here, and some of its own.
+    """One recording by one route. Keys in brackets belong to some routes only.
 
-    A route that could not be run has ``route``, ``delta_rad`` and ``reason`` alone. Recordings of
-    the load's position have ``two_encoders`` beside the route that answers, as a second opinion.
+    A route that could not be run has only ``route``, ``delta_rad`` and ``reason``. If the load's
+    position was recorded, ``two_encoders`` is a second opinion beside the route that answers.
     ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
     gap.
 
-    The ringing: RMSE is also relative to the speed's scatter; ``impact_sd_rpm`` is how far the
-    amplitude of impacts differs, beyond noise.
+    Ringing: ``relative_rmse`` is RMSE over the standard deviation of the speed; ``impact_sd_rpm``
+    is how far the amplitudes of the impacts differ, beyond noise.
 
-    Torque ramps: ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: no play
-    is seen, and ``preload_torque_nm`` is the torque at which one of the flanks lifts; 0 with play,
-    ``None`` where that is not seen. ``held_windup_rad``: the part of δ that is compliance held by
-    friction at zero torque. ``stiffness_nm_per_rad``: of a line through the largest ramps, as test
-    reports state it.
+    Torque ramps: ``lost_motion_rad`` is the angle between the torques ±``lost_motion_torque_nm``.
+    ``preloaded``: no play is seen. ``preload_torque_nm`` is the torque at which one flank lifts: 0
+    with play, ``None`` if this was not observed. ``held_windup_rad``: the part of δ that is
+    compliance held by friction at zero torque. ``stiffness_nm_per_rad``: of a straight line through
+    the largest ramps, as test reports state it.
 
-    Two encoders: ``play_rad`` is 2δ, ``lost_motion_rad`` between both directions: the play, and
-    what the load's friction winds up. ``windup_rad_per_nm`` is the compliance at the output, where
-    a torque shows it, ``channel_skew_s`` how late the load's stamps are.
+    Two encoders: ``play_rad`` is 2δ. ``lost_motion_rad`` is the angle between the two directions:
+    play plus wind-up by the load's friction. ``windup_rad_per_nm`` is the compliance at the output,
+    if a torque shows it. ``channel_skew_s`` is how late the load's stamps are.
     """
 
     route: str
@@ -195,9 +197,9 @@ class RouteSummary(_OfSomeRoutes):
 
 
 class SnapshotSummary(RouteSummary):
-    """The answer for one recording, and under ``routes`` what each route that ran says of it.
+    """The answer for one recording; ``routes`` has that of each route that ran.
 
-    ``name``: of a snapshot of a comparison.
+    ``name``: the name of the snapshot, in a comparison.
     """
 
     routes: dict[str, RouteSummary]
@@ -233,7 +235,7 @@ StepSummary = TypedDict(
 class NotBefore(TypedDict):
     """With probability ``level`` the limit is not reached before ``date`` (one-sided).
 
-    ``None`` where that is too far ahead to be computed.
+    ``None`` if that is too far ahead to be computed.
     """
 
     date: str | None
@@ -248,7 +250,7 @@ class ProbabilityBefore(TypedDict):
 
 
 class DateInterval(TypedDict):
-    """An interval of dates; ``None`` where one is too far ahead to be computed."""
+    """An interval of dates; one that is too far ahead to be computed is ``None``."""
 
     median: str | None
     low: str | None
@@ -260,10 +262,10 @@ class DateInterval(TypedDict):
 class ForecastFromPrior(TypedDict):
     """How much of a forecast comes from the prior.
 
-    ``width_over_prior`` is the width of ln years_to_limit over that by the prior with the same gap
-    and mean rate: near 1, the recordings say almost nothing about the date.
+    ``width_over_prior`` is the width of ln years_to_limit, over its width by the prior alone with
+    the same gap and mean rate. Near 1, the recordings say almost nothing about the date.
     ``probability_change_ahead`` is the share of forecasts in which wear changes between the last
-    recording and the limit, which no recording can show.
+    recording and the limit. No recording can show such a change.
     """
 
     width_over_prior: float
@@ -281,16 +283,15 @@ class ChangeSummary(TypedDict):
 
 
 class WearSummary(TypedDict):
-    """Wear in time, of dated snapshots since the last repair; one-sided bounds hold with
-    probability ``level``.
+    """Wear in time, from dated snapshots since the last repair. ``level`` is the probability of
+    one-sided bounds too.
 
-    ``probability_wear`` that the gap grows allows for shrinking gaps; the keys below do not.
-    ``law`` is the posterior probability of each law of wear, ``rate`` the mean since the first
-    snapshot, ``rate_now`` that at the last one by the laws. ``scatter_rad_per_root_year`` is
-    irregular wear, ``None`` under four snapshots. ``relative_sd_per_date`` is what the gap may
-    drift, as configured, and ``drift_widens`` the factor by which that widens the rate.
-    ``years_to_limit`` count from the last snapshot. ``forecast_from_prior`` is ``None`` without a
-    limit ahead.
+    ``probability_wear``, that the gap grows, allows for shrinking gaps; the other keys do not.
+    ``law`` has the posterior probability of each law of wear. ``rate`` is the mean since the first
+    snapshot, ``rate_now`` the rate at the last one by the laws. ``scatter_rad_per_root_year`` is
+    irregular wear, ``None`` with fewer than four snapshots. ``relative_sd_per_date`` is as
+    configured; ``drift_widens`` is the factor by which it widens the rate. ``years_to_limit`` count
+    from the last snapshot. ``forecast_from_prior`` is ``None`` without a limit ahead.
     """
 
     snapshots: list[str]
@@ -317,7 +318,7 @@ class WearSummary(TypedDict):
 
 
 class WithheldWearSummary(TypedDict):
-    """Wear in time where no rate can be given: all of it is null, and ``reason`` says why."""
+    """Wear in time if no rate can be given: all its values are null, and ``reason`` says why."""
 
     snapshots: list[str]
     first_date: str

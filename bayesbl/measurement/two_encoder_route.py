@@ -80,7 +80,7 @@ POSTERIOR = Group(
         *table("""
             play_rad (chain, draw) | rad | whole play, 2δ
             lost_motion_rad (chain, draw) | rad
-                | between both directions: play, and what the load's friction winds up
+                | angle between the two directions: play plus wind-up by the load's friction
             held_windup_rad (chain, draw) | rad | part of the lost motion that is not play
             windup_rad_per_nm (chain, draw) | rad/(N m)
                 | compliance at the output; NaN where no torque shows it
@@ -98,17 +98,17 @@ TRANSMISSION = Group(
     table("""
         position_rad (point) | rad | the load's position
         forward (point) | 1 | whether the motor turns forwards (1)
-        lag_rad (point) | rad | motor minus load, with all but the play removed
+        lag_rad (point) | rad | motor minus load, less everything but the play
         model_rad (point) | rad | the same by the model
         curve_rad (point) | rad | transmission error
         harmonic_order (harmonic) | 1 | order of a transmission error
         harmonic_of_load (harmonic) | 1 | whether it is per turn of the load (1) or the motor (0)
-        probability_of_play | 1 | that δ is not zero
-        counted | 1 | times that a misfit which repeats every cycle is counted
+        probability_of_play | 1 | probability that δ is not zero
+        counted | 1 | how many times a misfit that repeats every cycle counts
         reversals | 1 | reversals of the motor
         noise_sd_rad | rad | white noise
-        drift_sd_rad | rad | of the process with a correlation time
-        drift_s | s | that correlation time
+        drift_sd_rad | rad | standard deviation of the correlated noise
+        drift_s | s | correlation time of that noise
     """),
 )
 

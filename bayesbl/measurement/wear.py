@@ -239,8 +239,8 @@ WEAR = Group(
     table("""
         law (chain, draw) | 1 | kind of the law at the last snapshot, from 0
         law_shape (law_parameter, chain, draw) | 1 | age, starts, exponents, factors of the law
-        first_rad (chain, draw) | rad | gap at the first snapshot in use, from all of them
-        current_rad (chain, draw) | rad | gap at the last snapshot, from all of them
+        first_rad (chain, draw) | rad | gap at the first snapshot in use, estimated from all
+        current_rad (chain, draw) | rad | gap at the last snapshot, estimated from all
         expected_growth_rad (chain, draw) | rad | mean growth between them by the law
         rate_now_rad_per_year (chain, draw) | rad/year | rate at the last snapshot by the law
         scatter_rad_per_root_year (chain, draw) | rad/year^0.5 | irregular wear

@@ -458,7 +458,7 @@ def _verdict(summary: MeasuredSummary, last: SnapshotSummary) -> Advice:
         return Advice("note", "Compare this gap with the joint's limit.", (ask,))
     has_grown = change is not None and change["low"] > 0.0
     if rated["probability_wear"] >= SURE if rated else has_grown:
-        return Advice("watch", "The joint wears: keep measuring it.", (*forecast, ask))
+        return Advice("watch", "The joint is wearing: keep measuring it.", (*forecast, ask))
     return Advice("fine", "No wear is shown: measure again later.", (ask,))
 
 
@@ -493,7 +493,7 @@ def _caveats(summary: MeasuredSummary) -> Iterator[str]:
         yield SHRANK
     if is_by_other_machine(summary):
         yield (
-            "These gaps rest on the curve of another machine, the paper's test bench, at an "
+            "These gaps come from the curve of another machine, the paper's test bench, at an "
             "assumed speed. Describe your joint in a bench file (--bench) before you act on them. "
             "No probability of a limit, no rate and no date is given."
         )
@@ -511,9 +511,9 @@ def assumptions(summary: MeasuredSummary) -> Iterator[str]:
     if summary["kind"] == "compare":
         if is_simulated(summary):
             yield (
-                "Between the snapshots damping, friction, stiffness and the motor's torque drift "
-                "by no more than usual ([joint.drift]); controller and load are the same, unless "
-                "a change of them is reported."
+                "Between the snapshots, damping, friction, stiffness and the motor's torque "
+                "constant drift no more than usual ([joint.drift]); controller and load are the "
+                "same, unless a change is reported."
             )
         else:
             same = "same joint, controller and load"
@@ -537,7 +537,7 @@ def _of_ringing_joint(summary: MeasuredSummary, last: SnapshotSummary) -> Iterat
     if is_simulated(summary):
         yield "The joint behaves as its bench file says, within the tolerances given there."
     elif is_ringing_alone(summary):
-        yield "More ringing may be more gap, or another load, stiffness, damping or controller."
+        yield "More ringing may mean more gap, or another load, stiffness, damping or controller."
     elif is_by_other_machine(summary):
         yield "The joint rings like the paper's test bench (curve published, eq. 4)."
         yield "The paper's test bench turned at 2000 rpm, which the paper does not state."

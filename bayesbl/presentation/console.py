@@ -116,7 +116,7 @@ def guess_blocks(guess: Guess) -> Iterator[Block]:
         yield Sentence(
             f"{name} is a share of a rated value. If it is the motor's current or torque, add it "
             'under [columns] with its rated value, for example unit = "% of 12.5 A". A current '
-            "makes the gap several times sharper and shows a changed joint.",
+            "makes the interval of δ several times narrower and shows other changes in the joint.",
             "warning",
             "Check",
         )

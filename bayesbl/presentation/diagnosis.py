@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MOST_RIVALS = 2
 """That a headline lists by name."""
 
-UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to give a share of it."
+UNTOLD_SHARE = "–: the disagreement before naming is too close to the noise to state a share."
 
 USES = {"used": "fitted on", "held_out": "held out"}
 
@@ -58,7 +58,7 @@ def headline(summary: DiagnosisSummary) -> str:
             gone = ""
             if held_out is not None and held_out["closed_fraction"] is not None:
                 share = removed(held_out["closed_fraction"])
-                gone = f": with {them}, {share} of the disagreement on held-out data is gone"
+                gone = f": adding {them} removes {share} of the disagreement on held-out data"
             return capitalised(f"{'; '.join(names)} {are} missing from the bench{gone}.")
         case "parameter_error" if "gap_withheld" in summary:
             return (
@@ -184,7 +184,7 @@ def wear(summary: DiagnosisSummary) -> Iterator[str]:
         return
     gap = words.in_mrad(after)
     if learned_of(summary) is not None:
-        yield f"With what was learned the gap is {gap}."
+        yield f"With what was learned, the gap is {gap}."
     elif summary["verdict"] == "unexplained":
         yield (f"A fit that ignores the disagreement gives a gap of {gap}: do not rely on it.")
     elif summary["effects"] or summary["parameter_errors"]:
@@ -298,7 +298,7 @@ def advice(summary: DiagnosisSummary) -> Advice:
     """Whether the bench can be used, and how it should be completed."""
     withheld = summary.get("gap_withheld")
     if withheld and learned_of(summary) is None:
-        return Advice("watch", "Correct the bench before you rely on it.", (withheld,))
+        return Advice("watch", "Correct the bench before you use it.", (withheld,))
     verdict = summary["verdict"]
     wrong = tuple(parameter_errors(summary)) if verdict == "parameter_error" else ()
     if "augmented_bench" in summary:
@@ -308,13 +308,13 @@ def advice(summary: DiagnosisSummary) -> Advice:
     if verdict == "named":
         names = ", ".join(in_words(effect["name"]) for effect in summary["effects"])
         add = f"Add to its file under [[effects]]: {names}. Then simulate and sweep again."
-        return Advice("note", "Complete the bench before you rely on it.", (add,))
+        return Advice("note", "Complete the bench before you use it.", (add,))
     if verdict == "parameter_error":
-        return Advice("note", "Correct the bench before you rely on it.", wrong)
+        return Advice("note", "Correct the bench before you use it.", wrong)
     if verdict == "unexplained":
-        where = "No effect of the catalogue explains them; the figures show where they are."
+        where = "No effect of the catalogue explains them; the figures show where they occur."
         return Advice("watch", "Look at the residuals before you rely on the bench.", (where,))
-    why = "These recordings show no defect."
+    why = "These recordings show no error in it."
     return Advice("fine", "The bench may be used as it is.", (why,))
 
 
@@ -328,7 +328,7 @@ def _go_on(summary: DiagnosisSummary) -> Iterator[str]:
         return
     yield (
         "For a gap curve, copy configs/sweep.toml, enter this bench and a new output folder "
-        f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on the copy, and give its result to '
+        f'(bench = "…/{AUGMENTED_BENCH}"), run `bayesbl sweep` on the copy, and use its result in '
         "a comparison: `--curve …/result.nc`"
     )
     yield (

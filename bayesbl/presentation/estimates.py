@@ -17,19 +17,19 @@ if TYPE_CHECKING:
 
 
 BOUND_EXPLAINED = (
-    "Cramér-Rao: the smallest standard deviation that any unbiased estimate from these recordings "
+    "Cramér-Rao: the smallest standard deviation that an unbiased estimate from these recordings "
     "can have without prior knowledge of the bench."
 )
 
 RELATIVE_EXPLAINED = (
     "Relative compliance: the compliance between the positions that ramps leave at zero torque, "
-    "over that of larger ramps. A joint with play is above 1, because it crosses the play at "
-    "nearly no torque; a preloaded one is below, because both flanks carry it there."
+    "over that of larger ramps. With play it is above 1, because the joint crosses the play at "
+    "nearly no torque; with preload it is below 1, because both flanks carry the torque there."
 )
 
 CHECK_EXPLAINED = (
-    "Power of the difference between recording and simulation that repeats every {}, over the "
-    "power expected from noise; the probability that noise alone gives as much."
+    "Repeating over noise: the power of the difference between recording and simulation that "
+    "repeats every {}, over that expected from noise. Probability: that noise alone gives as much."
 )
 
 

@@ -67,7 +67,8 @@ def _factor(covariate: tuple[str, Row]) -> str:
     factor = effect["factor"]
     more, times = words.significant(effect["sd"]), words.significant(factor["median"])
     return (
-        f" With {more} more of {name} a joint wears {times} times as fast ({words.bounds(factor)})."
+        f" If {name} is larger by {more}, a joint wears {times} times as fast "
+        f"({words.bounds(factor)})."
     )
 
 

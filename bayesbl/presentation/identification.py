@@ -58,8 +58,8 @@ def compared(summary: IdentificationSummary) -> str:
     overall = summary["disagreement"]["over_all"].values()
     if overall and all(part["before"] == part["after"] for part in overall):
         return (
-            "The data sheet's values cannot be simulated: before and after are both the identified "
-            "bench."
+            "The data sheet's values cannot be simulated, so before and after both mean the "
+            "identified bench."
         )
     return "Before: the data sheet's values. After: the identified bench."
 
@@ -101,14 +101,14 @@ def advice(summary: IdentificationSummary) -> Advice:
         "Measure later recordings with it: `bayesbl compare FIRST SECOND --bench RESULT`. RESULT "
         "is this result's folder; it keeps the correlations between the parameters.",
         "bench.toml, in that folder, is the same bench as a file with a tolerance for each "
-        "parameter, without the correlations: it gives wider intervals of the gap.",
+        "parameter, without the correlations: it gives a wider interval of the gap.",
     )
     return Advice("fine", "Measure with this bench.", sentences)
 
 
 def assumptions(summary: IdentificationSummary) -> Iterator[str]:
     """What has to hold."""
-    yield "The prior of a value is normal around the data sheet's, as wide as its tolerance."
+    yield "Each value has a normal prior around that of the data sheet, as wide as its tolerance."
     if summary["gap_shared"]:
         yield "All recordings have one gap; give their dates if they are from different days."
     else:

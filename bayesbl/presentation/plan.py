@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 MOST_ROWS = 12
 
 EXPLAINED = (
-    "Load angles: 0 hangs straight down. Expected standard deviation of δ, as a share of it, from "
-    "one recording with the noise and the tolerances of the bench file."
+    "Load angles: 0 hangs straight down. The expected standard deviation is relative to δ, for one "
+    "recording with the noise and the tolerances of the bench file."
 )
 
 
@@ -30,8 +30,8 @@ def headline(summary: PlanSummary) -> str:
     low, high = (number(math.degrees(angle), 0) for angle in best["range_rad"])
     return (
         f"Record strokes of the load from {low}° to {high}°, up to {best['speed_rpm']:g} rpm of "
-        f"the motor at {best['acceleration_rpm_per_s']:g} rpm/s, for {best['duration_s']:g} s: δ "
-        f"to {percent(best['expected_relative_sd'] or 0.0)}."
+        f"the motor at {best['acceleration_rpm_per_s']:g} rpm/s, for {best['duration_s']:g} s. "
+        f"Expected standard deviation of δ: {percent(best['expected_relative_sd'] or 0.0)}."
     )
 
 

@@ -19,7 +19,7 @@ def no_play_by_ramps(part: SnapshotSummary) -> str | None:
     lifts = part["preload_torque_nm"]
     up_to = "the preload is unknown"
     if lifts is not None:
-        up_to = f"both flanks carry it up to {words.with_bounds(lifts, 'N m')}"
+        up_to = f"both flanks carry the torque up to {words.with_bounds(lifts, 'N m')}"
     most = words.significant(1e3 * part["delta_rad"]["high"])
     return (
         f"These ramps show no play: the joint is stiffer around zero torque than beyond; {up_to}. "
@@ -72,8 +72,8 @@ def of_positions(parts: Sequence[tuple[str, SnapshotSummary]]) -> Iterator[str]:
         if held > 0.0 and not part["preloaded"] and part["delta_rad"] is not None:
             yield (
                 f"About {words.significant(1e3 * held)} mrad of half the width{words.of(name)} may "
-                "be compliance that friction holds at zero torque, more if the flanks are softer "
-                "at small torque: an unknown share of this was subtracted from the gap."
+                "be wind-up that friction holds at zero torque, or more if the flanks are softer "
+                "at small torque. It was subtracted from the gap as an unknown share."
             )
 
 
@@ -85,13 +85,13 @@ RAMPS_ASSUME = (
     "The output was held and did not give way; position and torque are those of the output.",
     "The ramps are slow: friction and inertia do not depend on how fast the joint moves.",
     "The measured positions represent the whole turn.",
-    "Play is the width of the loop at zero torque. Where the joint is soft, part of that is "
-    "compliance held by friction.",
+    "Play is the width of the loop at zero torque. If the joint is soft, part of this width is "
+    "wind-up held by friction.",
 )
 
 ENCODERS_ASSUME = (
-    "Friction drags the load through the play, or the load crosses it by itself; its weight does "
-    "not hold it on one flank in both directions.",
+    "Friction drags the load through the play, or the load crosses it by itself; the load's weight "
+    "does not hold it on one flank in both directions.",
     "Both encoders turn with their shafts: a loose ring or coupling looks like play.",
-    "Transmission error is a curve of the angles alone, the same in both directions.",
+    "Transmission error depends only on the angles and is the same in both directions.",
 )

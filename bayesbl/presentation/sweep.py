@@ -96,7 +96,7 @@ def assumptions(_: object) -> tuple[str, ...]:
     """What has to hold for the curve of another joint."""
     return (
         "The simulated bench is a two-mass drive whose only play is one gap.",
-        "The joint has the bench's parameters, within their tolerances where they have any.",
+        "The joint has the bench's parameters, within any tolerances.",
         "Measured recordings are fitted as these simulated ones were.",
     )
 
@@ -107,7 +107,7 @@ def advice(_: SweepSummary) -> Advice:
         "note",
         "Use this curve for recordings of this joint.",
         (
-            "Give it to a comparison: `bayesbl compare FIRST SECOND --curve result.nc`. "
-            "It holds for a joint like the simulated bench, and for no other.",
+            "Use it in a comparison: `bayesbl compare FIRST SECOND --curve result.nc`. "
+            "It is valid only for a joint like the simulated bench.",
         ),
     )

@@ -233,27 +233,27 @@ def notes(wear: WearSummary) -> Iterator[str]:
     count = len(wear["snapshots"])
     if count == 2:
         yield (
-            "Two snapshots cannot show whether wear is steady: the date rests on assumptions about "
-            "wear in general. Take a third."
+            "Two snapshots cannot show whether wear is steady: the date depends on assumptions "
+            "about wear in general. Take a third."
         )
     elif count < FEWEST_FOR_SCATTER:
         yield (
-            f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot tell irregular "
-            "wear from measurement error: the date allows for as much irregular wear as is "
-            "assumed in general."
+            f"Fewer than {FEWEST_FOR_SCATTER} snapshots since the repair cannot distinguish "
+            "irregular wear from measurement error: the date allows for as much irregular wear as "
+            "is assumed in general."
         )
     if (prior := wear["forecast_from_prior"]) is not None:
         yield (
-            "Future wear is mostly assumed: with these recordings the interval of the date is "
-            f"{prior['width_over_prior']:.2f} times as wide as without (as a ratio of times), and "
-            f"in {words.probability(prior['probability_change_ahead'])} of forecasts the wear "
+            "Future wear is mostly assumed: with these recordings, the interval of the date is "
+            f"{prior['width_over_prior']:.2f} times as wide as without them (as a ratio of times), "
+            f"and in {words.probability(prior['probability_change_ahead'])} of forecasts the wear "
             "changes before the limit is reached."
         )
     if wear["drift_widens"] is not None:
         yield (
             f"Temperature, grease and the like may move the gap by "
-            f"{100.0 * wear['relative_sd_per_date']:g} % from date to date (relative_sd_per_date): "
-            f"that makes the rate {wear['drift_widens']:.1f} times as uncertain."
+            f"{100.0 * wear['relative_sd_per_date']:g} % from date to date (relative_sd_per_date). "
+            f"This makes the rate {wear['drift_widens']:.1f} times as uncertain."
         )
 
 

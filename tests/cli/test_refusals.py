@@ -333,12 +333,12 @@ def test_what_was_meant_is_told(arguments, told, foreign, capsys):
     [
         (
             ["fit", "monday.csv", "--config", "sweep.toml"],
-            'sweep.toml, line 2, kind: This file is of another kind. Found: "sweep" (a bench to be '
-            'swept over its gap). Expected: "fit" (one recording to be measured) or "compare"',
+            'sweep.toml, line 2, kind: This file is of another kind. Found: "sweep" (a bench to '
+            'sweep over its gap). Expected: "fit" (one recording to measure) or "compare"',
         ),
         (
             ["fit", "monday.csv", "--route", "direct", "--bench", "sweep.toml"],
-            '"sweep" (a bench to be swept over its gap). Expected: "bench" (a virtual bench)',
+            '"sweep" (a bench to sweep over its gap). Expected: "bench" (a virtual bench)',
         ),
         (["simulate", "bench.toml"], 'Found: "bench" (a virtual bench). Expected: "simulate"'),
         (["run", "simulte.toml"], "Did you mean \"simulate\"? Found: 'simulte'. Expected: one of"),

@@ -192,7 +192,7 @@ def test_a_preloaded_joint_is_answered_by_no_play_and_a_bound(tmp_path: Path, ca
     assert summary["preloaded"]
     assert summary["delta_rad"]["high"] < COMPLIANCE * FRICTION
     assert summary["preload_torque_nm"]["median"] == pytest.approx(4.0, rel=0.05)
-    assert "both flanks carry it up to" in " ".join(capsys.readouterr().out.split())
+    assert "both flanks carry the torque up to" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_preload_beyond_what_the_ramps_tell_has_no_torque(tmp_path: Path, capsys) -> None:

@@ -557,11 +557,11 @@ def test_the_answer_is_told_with_what_few_snapshots_cannot_tell(tmp_path):
     assert "by 2026-01-01" in text
     assert "Two snapshots cannot show whether wear is steady" in text
     _, three = compared(tmp_path, START + RATE * np.arange(3), [0, 365, 731])
-    assert "cannot tell irregular wear" in told(three, 3)
+    assert "cannot distinguish irregular wear" in told(three, 3)
     assert "limit" not in told(three, 3)
     _, five = compared(tmp_path, START + RATE * np.arange(5), [0, 365, 731, 1096, 1461])
     assert "irregular wear" in told(five, 5)
-    assert "cannot tell" not in told(five, 5)
+    assert "cannot distinguish" not in told(five, 5)
     assert 'repaired before "s0"' in told(five, 6)
 
 

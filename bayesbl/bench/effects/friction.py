@@ -178,7 +178,7 @@ FRICTION_DRIFT = Effect(
 GEAR_MESH_FRICTION = Effect(
     place=110,
     name="gear_mesh_friction",
-    sentence="Loss in the gear in proportion to the torque it passes on.",
+    sentence="Loss in the gear in proportion to the torque that it transmits.",
     equation="J_m dω_m/dt: − μ |τ_s|/N sign ω_m",
     parameters=(amplitude("coefficient", "share of the torque lost μ", high=0.5, typical=0.05),),
     enters="motor",

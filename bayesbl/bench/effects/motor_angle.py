@@ -21,7 +21,7 @@ from bayesbl.recording.types import FloatArray
 GEAR_TRANSMISSION_ERROR = Effect(
     place=130,
     name="gear_transmission_error",
-    sentence="The gear passes motion on unevenly, once or more per motor turn.",
+    sentence="The gear transmits motion unevenly, once or more per motor turn.",
     equation="Δθ → Δθ + a sin(n θ_m + φ), Δω → Δω + a n ω_m cos(n θ_m + φ)",
     parameters=(
         amplitude(
@@ -54,7 +54,7 @@ def torque_nm(motion: RigidMotion, bench: BenchValues, given: Parameters) -> Flo
 ENCODER_ECCENTRICITY = Effect(
     place=140,
     name="encoder_eccentricity",
-    sentence="The encoder disc sits off centre: the measured angle sways once per motor turn.",
+    sentence="The encoder disc is off centre: the measured angle has an error once per motor turn.",
     equation="θ_meas = θ_m + e sin(θ_m + φ), ω_meas = ω_m (1 + e cos(θ_m + φ)), inside the loop",
     parameters=(
         amplitude(

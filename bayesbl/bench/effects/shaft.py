@@ -102,7 +102,7 @@ CONTACT_RELEASE = Effect(
 GAP_DAMPING = Effect(
     place=158,
     name="gap_damping",
-    sentence="The lubricant between motor and load damps within the gap too.",
+    sentence="The lubricant in the gear damps motion within the gap too.",
     equation="τ_s = d Δω where no teeth touch",
     parameters=(
         amplitude(

@@ -110,7 +110,7 @@ ARM = Effect(
 BASE = Effect(
     place=103,
     name="base",
-    sentence="What the joint is mounted on gives way: a base with a resonance of its own.",
+    sentence="The base under the joint yields: it has a resonance of its own.",
     equation="J_f d²θ_f/dt² = −(θ_f + t_f dθ_f/dt)/c_f − K_t i + τ_s/N − τ_s",
     parameters=(
         _compliance("turn over torque c_f", high=2e-5, typical=5e-7),
