@@ -150,7 +150,8 @@ def noise_of_bench(bench: Bench) -> ChannelNoise:
             "Without noise every motion shows the gap exactly.",
             where="[measurement]",
             found="no noise of the speed or of the current",
-            expected="speed_noise and current_noise, as recordings of this joint have them",
+            expected='as recordings of this joint have it: speed_noise = {kind = "white", sd_rpm = '
+            '1.5} and current_noise = {kind = "white", sd_a = 0.05}',
         )
     order = max(len(model.coefficients) for model in models)
     coefficients = np.zeros((order, 2, 2))

@@ -406,14 +406,18 @@ def speed_in_another_unit(recording: Recording, expected_rpm: float | None) -> s
     if expected_rpm is None:
         return None
     speed = abs(float(recording.motor_speed_rpm.mean()))
-    unit = _unit_of_ratio(speed / abs(expected_rpm), MOTOR_SPEED)
-    if unit is None:
+    ratio, bench = speed / abs(expected_rpm), f"the speed of the bench ({abs(expected_rpm):g} rpm)"
+    if unit := _unit_of_ratio(ratio, MOTOR_SPEED):
+        size = speed * conversion_factor(MOTOR_SPEED, unit)
+        what = (
+            f'if the column is in {unit}, it is {size:.4g} rpm, {bench}: then state unit = "{unit}"'
+        )
+    elif abs(ratio / conversion_factor(MOTOR_SPEED, "rad/s") - 1.0) <= UNIT_AGREEMENT:
+        # Other units are whole multiples of rpm, as another speed of the same joint may be.
+        what = f'if the column is in rpm, not rad/s, it is {bench}: then state unit = "rpm"'
+    else:
         return None
-    return (
-        f"Is the unit of the speed right? The mean is {speed:.4g} rpm; if the column is in {unit}, "
-        f"it is {speed * conversion_factor(MOTOR_SPEED, unit):.4g} rpm, the speed of the bench "
-        f'({abs(expected_rpm):g} rpm): then state unit = "{unit}" under [columns].'
-    )
+    return f"Is the unit of the speed right? The mean is {speed:.4g} rpm; {what} under [columns]."
 
 
 def _require_same_speed(

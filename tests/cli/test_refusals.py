@@ -172,7 +172,10 @@ def slow(recording, factor: float):
     return replace(recording, channels={MOTOR_SPEED: factor * recording.motor_speed_rpm})
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(math.pi / 30.0, "rad/s"), (6.0, "deg/s")])
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [(math.pi / 30.0, "rad/s"), (30.0 / math.pi, "rpm, not rad/s"), (6.0, "deg/s")],
+)
 def test_the_unit_is_asked_for_where_another_gives_the_benches_speed(factor, unit):
     measured = read_recording(BEFORE)
     reference = published_curve().reference_speed_rpm
