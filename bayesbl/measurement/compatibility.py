@@ -204,19 +204,22 @@ def require_plausible_limit(limit_rad: float | None, range_rad: tuple[float, flo
     )
 
 
-def same_files(recordings: Sequence[Recording]) -> list[str]:
-    """A sentence for every group of recordings whose files are alike byte for byte."""
-    names: dict[str, list[str]] = {}
+def require_different(recordings: Sequence[Recording]) -> None:
+    """No two of these are one recording; raises :class:`RecordingError` where files are alike byte
+    for byte: no change between them means anything."""
+    names: dict[str, str] = {}
     for recording in recordings:
-        if recording.source is not None:
-            names.setdefault(recording.source.sha256, []).append(recording.name)
-    return [
-        f"{', '.join(alike[:-1])} and {alike[-1]} are one and the same recording: their files are "
-        "alike to the last byte, so no change between them means anything. Was a file copied by "
-        "mistake?"
-        for alike in names.values()
-        if len(alike) > 1
-    ]
+        if recording.source is None:
+            continue
+        first = names.setdefault(recording.source.sha256, recording.name)
+        if first != recording.name:
+            raise RecordingError(
+                f"{first} and {recording.name} are one and the same recording, so no change "
+                "between them means anything. Was a file copied by mistake?",
+                file=recording.place,
+                found="two files alike to the last byte",
+                expected="another recording",
+            )
 
 
 def require_same_estimator(curve: GapCurve, estimator: Estimator, recording: Recording) -> None:

@@ -14,7 +14,11 @@ from importlib import import_module
 import xarray as xr
 
 from bayesbl.config.measurement import WITHOUT_BENCH, SnapshotConfig
-from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit
+from bayesbl.measurement.compatibility import (
+    limit_rad_of,
+    require_different,
+    require_plausible_limit,
+)
 from bayesbl.measurement.measurement import Measurer, Seeds, Task
 from bayesbl.measurement.stored import measurement_tree
 from bayesbl.progress import StageProgress
@@ -84,6 +88,7 @@ def measure(
     measurer = measurer_of(config)
     require_plausible_limit(limit_rad_of(config), measurer.gap_range_rad)
     recordings = tuple(recordings or map(measurer.read, config.recordings))
+    require_different(recordings)
     measurer.require_together(recordings)
     for recording in recordings:
         measurer.require_usable(recording)

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
-from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
+from bayesbl.measurement.compatibility import limit_rad_of, windup_rad_of
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
 from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers, numbered
 from bayesbl.measurement.wear import summarise_wear, wear_of
@@ -72,7 +72,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         "kind": config.kind,
         "outcome": measured.outcome,
         "reason": _reason_of_all(measured),
-        "warnings": [*same_files(task.recordings), *measured.warnings],
+        "warnings": list(measured.warnings),
         **origin(tree),
         "curve": next((one.curve for one in routes if one.curve), None),
         "answer": {"route": measured.route, **measured.why.stored},

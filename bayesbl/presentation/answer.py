@@ -92,8 +92,6 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     limits = above_limit(summary), in_unit_of_limit(summary)
     sentences = (*others, which(summary), *steps(summary), *limits)
     yield from map(Sentence, filter(None, sentences))
-    if has_shrunk(summary):
-        yield Sentence(SHRANK, "warning")
     if not is_ringing_alone(summary):
         yield _gap_table(summary)
     if with_ringing(parts[0][1]) is not None:
@@ -101,7 +99,7 @@ def blocks(summary: MeasuredSummary) -> Iterator[Block]:
     for name, part in parts:
         if "sampler_check" in part:
             yield Sentence(sampler_check(part["sampler_check"]), "aside", name)
-    if summary["kind"] == "compare" and summary["wear"] is not None:
+    if summary["kind"] == "compare" and summary["wear"] is not None and not shrinkage(summary):
         yield from wear.blocks(summary, summary["wear"])
     yield aside(RINGING_EXPLAINED if is_ringing_alone(summary) else GAP_EXPLAINED)
     positions = play.of_positions(parts) if "ramps" in parts[0][1] else ()
@@ -122,11 +120,17 @@ def lead(summary: MeasuredSummary) -> Iterator[str]:
     """What a fit or a comparison leads with: a disagreement, then the wear where it has a rate."""
     if DISAGREE in codes(summary["reason"]) and summary["reason"] is not None:
         yield words.capitalised(summary["reason"]["text"])
+    if (why := shrinkage(summary)) is not None:
+        yield why
     if summary["kind"] == "compare" and (rated := wear.with_rate(summary)) is not None:
         yield wear.headline(summary, rated)
         if wear.spans_repair(summary, rated):
             return
     yield in_words(summary)
+    if summary["kind"] == "compare" and summary["wear"] is None:
+        gap = summary["snapshots"][-1]["delta_rad"]
+        if gap is not None and not is_by_other_machine(summary):
+            yield f"The gap is {words.in_mrad(gap)} now."
 
 
 def headline(summary: MeasuredSummary) -> str:
@@ -235,12 +239,17 @@ def grew(value: float) -> str:
     return f"probability that it grew: {words.probability(value)}"
 
 
-def has_shrunk(summary: MeasuredSummary) -> bool:
-    """Whether a comparison without dates, which cannot show a repair, has less gap than before."""
-    if summary["kind"] != "compare" or summary["wear"] is not None:
-        return False
-    change = summary["change_rad"]
-    return change is not None and change["high"] < 0.0 and wear.other_cause(summary) is None
+def shrinkage(summary: MeasuredSummary) -> str | None:
+    """That a comparison has less gap than before, and no repair is stated, in words."""
+    if summary["kind"] != "compare" or summary["change_rad"] is None:
+        return None
+    dated = summary["wear"]
+    if dated is not None:
+        if dated["reason"] is not None and dated["reason"]["code"] in ("gap_shrank", "gap_fell"):
+            return dated["reason"]["text"]
+        return None
+    shrank = summary["change_rad"]["high"] < 0.0 and wear.other_cause(summary) is None
+    return SHRANK if shrank else None
 
 
 def steps(summary: MeasuredSummary) -> Iterator[str]:
@@ -413,9 +422,9 @@ def advice(summary: MeasuredSummary) -> Advice:
             ),
         )
     head = _verdict(summary, last)
-    if has_shrunk(summary) and head.tone != "act":
-        title = "Are the files in order, or was the joint repaired?"
-        head = Advice("watch", title, head.sentences)
+    if (why := shrinkage(summary)) is not None and head.tone != "act":
+        title = "Do not decide: are the files in order, or was the joint repaired?"
+        return Advice("watch", title, (why, *head.sentences))
     return replace(head, sentences=(*head.sentences, *_caveats(summary)))
 
 
@@ -488,9 +497,10 @@ def _caveats(summary: MeasuredSummary) -> Iterator[str]:
             yield wear_summary["reason"]["text"]
         grown = change is not None and change["low"] > 0.0 and wear.other_cause(summary) is None
         if wear_summary is None and grown:
-            yield "Give the recordings their dates (--date) for a forecast of further wear."
-    if has_shrunk(summary):
-        yield SHRANK
+            yield (
+                "When the limit is reached needs dates: date = 2026-03-01 of each [[recordings]], "
+                "or --date for each."
+            )
     if is_by_other_machine(summary):
         yield (
             "These gaps come from the curve of another machine, the paper's test bench, at an "

@@ -210,7 +210,10 @@ def sentences(wear: WearSummary, *, unless: str = "") -> Iterator[str]:
         )
     else:
         when = f"within {LONGEST_YEARS:g} years" if earliest is None else f"before {earliest}"
-        yield f"With {share} probability the gap does not reach {limit} {when}."
+        dates = wear["date_of_limit"]
+        middle = None if dates is None or earliest is None else dates["median"]
+        about = "" if middle is None else f"; the median date is {middle}"
+        yield f"With {share} probability the gap does not reach {limit} {when}{about}."
     asked = wear["probability_before"]
     if asked is not None:
         yield (

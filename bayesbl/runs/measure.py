@@ -12,7 +12,11 @@ import numpy as np
 from bayesbl.config.measurement import SnapshotConfig
 from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import UserError
-from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_limit, same_files
+from bayesbl.measurement.compatibility import (
+    limit_rad_of,
+    require_different,
+    require_plausible_limit,
+)
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import measure, measurer_of
@@ -62,7 +66,8 @@ def describe(config: SnapshotConfig, plan: Plan) -> None:
 
     for entry in config.recordings:
         plan.add(f"recording {entry.name}", partial(checked, entry))
-    plan.warnings += [*plan.withheld, *same_files(plan.recordings)]
+    plan.warnings += plan.withheld
+    plan.add("files", partial(require_different, plan.recordings))
     plan.add("speed", partial(measurer.require_together, plan.recordings))
     if plan.is_check:
         # It is for a run to refuse a recording, one that something shakes say.

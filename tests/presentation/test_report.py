@@ -202,7 +202,8 @@ def test_the_answer_comes_first_in_words():
     first = flat(printed(comparison())).split(" Probability that the gap")[0]
     assert first == (
         "The gap grew by 0.25 mrad (90 % interval 0.21 to 0.28 mrad); "
-        "probability that it grew: > 99.9 %. No repair is due."
+        "probability that it grew: > 99.9 %. No repair is due. "
+        "The gap is 0.955 mrad (90 % interval 0.930 to 0.980 mrad) now."
     )
 
 
