@@ -128,8 +128,9 @@ def lead(summary: MeasuredSummary) -> Iterator[str]:
             return
     yield in_words(summary)
     if summary["kind"] == "compare" and summary["wear"] is None:
-        gap = summary["snapshots"][-1]["delta_rad"]
-        if gap is not None and not is_by_other_machine(summary):
+        last = summary["snapshots"][-1]
+        gap, is_bound = last["delta_rad"], last["delta_upper_bound_rad"] is not None
+        if gap is not None and not (is_bound or is_by_other_machine(summary)):
             yield f"The gap is {words.in_mrad(gap)} now."
 
 

@@ -287,7 +287,7 @@ class Transmission:
         Of the motor.
     friction_nm, gravity_holds
         Friction at the output by the torque, and how often the load's weight is above it: nan where
-        no torque tells it, 0 where the load leaves its flank by itself.
+        no torque tells it.
     skew_or_play
         All motion has one speed, and between the flanks the load goes its own way, or coasts and
         play is not sure, or most of what lies between both directions is taken for skew of the
@@ -1145,7 +1145,6 @@ def _drawn(
         beyond = share * np.maximum(hidden_rad(measured_lag, noise) - lost, 0.0)
         lost, delta = lost + beyond, np.where(beyond > 0.0, lost + beyond, delta)
     # Friction that winds the joint up may follow the speed in any way, and is then like a skew.
-    goes = [how.weight != 0.0 or how.free for how in model.courses]
     stays = [bool(np.isinf(model.courses[cells[c].course].drag)) for c in nearest]
     usual_speed = float(np.std(paths.binned(paths.speed)))
     by_speed_s = (lost - delta) / usual_speed * generator.standard_normal(count)
@@ -1191,7 +1190,7 @@ def _drawn(
         halves,
         paths.reversals,
         model.friction_nm,
-        0.0 if np.mean([goes[cells[c].course] for c in nearest]) > 0.5 else model.gravity_holds,
+        model.gravity_holds,
         has_one_speed(paths)
         and bool(
             (np.mean(stays) < 0.5 and np.mean(delta > 0.0) < SURE)
