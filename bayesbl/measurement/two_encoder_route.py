@@ -199,24 +199,28 @@ class TwoEncoderMeasurer(Measurer):
             transmission = fit_transmission(
                 channels_of(recording), seed, task.seeds.gap, self.config.joint.gear_ratio, report
             )
-            answers.append(self._answer(recording, transmission))
+            answers.append(self._answer(recording, transmission, np.random.default_rng(seed)))
         return Measurement(NAME, answers)
 
-    def _answer(self, recording: Recording, transmission: Transmission) -> Answer:
+    def _answer(
+        self, recording: Recording, transmission: Transmission, generator: np.random.Generator
+    ) -> Answer:
         # The gravest first.
         reasons = sorted(self._findings(transmission), key=lambda reason: not reason.withholds)
         withheld = outcome_of(reasons) == "withheld"
         sure = transmission.probability_of_play >= UPPER_BOUND_LEVEL
         reasons += [Reason.of_text("recording", text) for text in recording.notes]
         groups = groups_of(transmission, recording, at_output=self._is_at_output(transmission))
-        upper = upper_bound_rad(transmission)
+        upper, delta_rad = upper_bound_rad(transmission), transmission.draws["delta_rad"]
+        is_likely = transmission.probability_of_play > LIKELY
         return Answer(
             recording.name,
-            transmission.draws["delta_rad"],
+            delta_rad,
             reasons,
             groups,
             _numbers(transmission, groups["posterior"], self.config.interval, is_withheld=withheld),
             upper_bound_rad=None if sure or withheld else upper,
+            change_draws_rad=None if is_likely else generator.uniform(0.0, upper, delta_rad.shape),
         )
 
     def _is_at_output(self, transmission: Transmission) -> bool:

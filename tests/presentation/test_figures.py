@@ -25,7 +25,7 @@ from bayesbl.measurement.routes import measure
 from bayesbl.measurement.stored import routes_of
 from bayesbl.presentation import figures
 from bayesbl.presentation.figures.diagnosis import held_out
-from bayesbl.presentation.figures.gap import amplitude_to_gap, gap
+from bayesbl.presentation.figures.gap import amplitude_to_gap, density, gap
 from bayesbl.presentation.figures.ringing import signal
 from bayesbl.presentation.figures.stored_figure import draw_all, figures_of, snapshots
 from bayesbl.presentation.figures.style import envelope, publication_style, save
@@ -126,6 +126,15 @@ def labelled(axes, label):
 
 
 # What is drawn is what is stored
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.99])
+def test_a_density_of_draws_that_are_mostly_of_no_gap_is_one(share):
+    generator = np.random.default_rng(1)
+    draws = np.where(generator.uniform(size=4000) < share, 0.0, generator.lognormal(size=4000))
+    across, heights = density(draws)
+    assert np.all(heights >= 0.0)
+    assert np.trapezoid(heights, across) == pytest.approx(1.0, abs=0.2)
 
 
 def test_pulses_are_drawn_sample_by_sample(tree):

@@ -139,7 +139,10 @@ def density(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     if np.ptp(draws) == 0.0:
         return draws[:1], np.ones(1)
-    across, heights, _ = array_stats.kde(draws, bw="silverman", bound_correction=False)
+    # Silverman's width is zero where half of the draws, of no gap at all, are alike.
+    half = float(np.ptp(np.quantile(draws, (0.25, 0.75))))
+    width = "silverman" if half > 0.0 else 0.9 * float(draws.std()) * draws.size**-0.2
+    across, heights, _ = array_stats.kde(draws, bw=width, bound_correction=False)
     return across, heights
 
 
