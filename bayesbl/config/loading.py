@@ -289,6 +289,14 @@ class _Document:
         """
         if self.kind not in FILES or self.kind in wanted:
             return self
+        if self.kind == "bench":
+            name = "bench.toml" if self.file is None else self.file.name
+            raise self._wrong_kind(
+                "A bench describes a joint, and is no run of its own.",
+                _in_words(self.kind),
+                f'a configuration that names it (bench = "{name}"), or --bench {name} with '
+                "recordings",
+            )
         expected = " or ".join(map(_in_words, wanted))
         raise self._wrong_kind("This file is of another kind.", _in_words(self.kind), expected)
 

@@ -92,7 +92,7 @@ RAMPS_ASSUME = (
 ENCODERS_ASSUME = (
     "Friction drags the load through the play, or the load crosses it by itself; the load's weight "
     "does not hold it on one flank in both directions.",
-    "Both encoders turn with their shafts and read without hysteresis: a loose ring or coupling, or "
-    "an encoder that reads later in both directions, looks like play.",
+    "Both encoders turn with their shafts and read without hysteresis: a loose ring or coupling "
+    "looks like play, and so does hysteresis.",
     "Transmission error depends only on the angles and is the same in both directions.",
 )

@@ -432,7 +432,7 @@ class ArrayTable:
                     file=self.file,
                     where=self.place(row, column),
                     found=repr(shortened(text)),
-                    expected="a number",
+                    expected="a number, or an empty cell for a lost sample",
                 )
             numbers[row] = number
         return numbers

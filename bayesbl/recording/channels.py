@@ -63,7 +63,10 @@ def is_mappable(channel: str) -> bool:
 def or_another_name(file: str) -> str:
     """What else a file's column may be called, and the command that guesses the columns."""
     command = f"bayesbl init {shlex.quote(Path(file).name)}"
-    return f"or another name for it under [columns] (`{command}` writes them)"
+    return (
+        f"or another name for it under [columns] (`{command}` writes them; --config takes a file "
+        "that has them)"
+    )
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -82,12 +82,16 @@ def _expected(sds: Sequence[ExpectedSd], config: SnapshotConfig) -> str | None:
     """Half-widths of the intervals, before any fit."""
     if not sds:
         return None
-    times = 1e3 * normal_isf(0.5 * (1.0 - config.interval.level))
-    gaps = ", ".join(f"{1e3 * sd.gap_rad:g} to ±{times * sd.delta_rad:.2g}" for sd in sds)
-    text = f"if the bench is right, a gap of {gaps} mrad"
-    changes = [f"{times * sd.change_rad:.2g}" for sd in sds if sd.change_rad is not None]
+    level = config.interval.level
+    times = 1e3 * normal_isf(0.5 * (1.0 - level))
+    gaps = [f"{1e3 * sd.gap_rad:g} mrad to ±{times * sd.delta_rad:.2g} mrad" for sd in sds]
+    text = (
+        f"if the bench is right, a gap is known with {100.0 * level:g} % probability: "
+        f"{', '.join(gaps)}"
+    )
+    changes = [f"±{times * sd.change_rad:.2g}" for sd in sds if sd.change_rad is not None]
     if changes:
-        text += f"; a change at these gaps to ±{', ±'.join(changes)} mrad"
+        text += f"; a change at these gaps: to {', '.join(changes)} mrad"
     return text
 
 

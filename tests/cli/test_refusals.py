@@ -248,7 +248,7 @@ def foreign(tmp_path, monkeypatch):
 
 def test_unknown_columns_lead_to_init_and_leave_nothing(foreign, capsys):
     before = sorted(foreign.iterdir())
-    hint = "under [columns] (`bayesbl init monday.csv` writes them)"
+    hint = "under [columns] (`bayesbl init monday.csv` writes them"
     refused(["compare", "monday.csv", "friday.csv"], capsys, '"time_s" is missing', hint)
     assert sorted(foreign.iterdir()) == before
     (foreign / "results").mkdir()
@@ -340,7 +340,7 @@ def test_what_was_meant_is_told(arguments, told, foreign, capsys):
             ["fit", "monday.csv", "--route", "direct", "--bench", "sweep.toml"],
             '"sweep" (a bench to sweep over its gap). Expected: "bench" (a virtual bench)',
         ),
-        (["simulate", "bench.toml"], 'Found: "bench" (a virtual bench). Expected: "simulate"'),
+        (["simulate", "bench.toml"], 'Found: "bench" (a virtual bench). Expected: a configuration'),
         (["run", "simulte.toml"], "Did you mean \"simulate\"? Found: 'simulte'. Expected: one of"),
         (
             ["fit", "monday.csv", "--route", "direct", "--bench", "friday.csv"],
