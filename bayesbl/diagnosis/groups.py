@@ -28,7 +28,7 @@ from bayesbl.diagnosis.diagnosis import Diagnosis, Estimate, LearnedAnswer, Verd
 from bayesbl.diagnosis.disagreement import ComparedPiece, DisagreementTableSummary
 from bayesbl.matching.posterior import DirectPosterior
 from bayesbl.measurement.direct_route import result_name, unit_and_meaning
-from bayesbl.measurement.shared_groups import CHAIN, DRAW, numbered
+from bayesbl.measurement.shared_groups import CHAIN, DRAW
 from bayesbl.results.folder import AUGMENTED_BENCH
 from bayesbl.results.intervals import Interval, IntervalKind, interval
 from bayesbl.results.store import Head, head
@@ -347,4 +347,4 @@ def posterior_dataset(posterior: DirectPosterior) -> xr.Dataset:
         name = result_name(unknown)
         label = name if unknown.recording is None else f"{name} ({unknown.recording})"
         values[label] = unknown.value(posterior.draws[..., i])
-    return dataset(POSTERIOR, values, numbered(posterior.draws.shape))
+    return dataset(POSTERIOR, values)

@@ -47,7 +47,7 @@ from bayesbl.progress import Progress, of_stage
 from bayesbl.recording.checks import speed_in_another_unit
 from bayesbl.recording.types import FloatArray, Recording
 from bayesbl.results.store import read_tree, texts
-from bayesbl.results.variables import Group, Variable, attributes, dataset, stack_snapshots, table
+from bayesbl.results.variables import Group, Variable, dataset, stack_snapshots, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import nominal_speed_rpm
 from bayesbl.ringing.symbols import DisturbanceModel
@@ -146,10 +146,9 @@ def curve_group(
     ``rows``: by source, which draw each draw of δ went through; ``None`` of a sweep, from which
     :func:`curve_from_dataset` gives the whole curve back.
     """
-    values, sources = attributes(CURVE, curve), curve.sources
-    if rows is None:
-        values |= attributes(CURVE, curve.ringing)
-    else:
+    values: dict[str, object] = {}
+    sources = curve.sources
+    if rows is not None:
         # As figures and checks need them: a sweep keeps all digits.
         sources = {name: draws.astype(np.float32) for name, draws in sources.items()}
         values |= {f"{ROW_PREFIX}{name}": picked for name, picked in rows.items()}
@@ -162,7 +161,8 @@ def curve_group(
     table = np.stack([draws.gap(np.full(BAND_DRAWS, a)) for a in amplitude])
     low, high = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
     values |= {"delta_rad": curve.gap(amplitude), "low_rad": low, "high_rad": high}
-    result = dataset(CURVE, values, {"amplitude": amplitude})
+    ringing = curve.ringing if rows is None else None
+    result = dataset(CURVE, curve, ringing or {}, values, {"amplitude": amplitude})
     result.attrs = {
         "name": curve.name,
         "fingerprint": curve.fingerprint or "",

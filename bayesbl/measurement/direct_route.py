@@ -70,7 +70,7 @@ from bayesbl.progress import StageProgress, of_stage
 from bayesbl.recording.checks import moves, require_alive
 from bayesbl.recording.types import MOTOR_CURRENT, MOTOR_SPEED, FloatArray, Recording
 from bayesbl.results.provenance import file_sha256
-from bayesbl.results.variables import Group, Variable, attributes, dataset, labels, table
+from bayesbl.results.variables import Group, Variable, datasets, labels, table
 from bayesbl.ringing.cleaning import without_motor_lines
 from bayesbl.sampling.chains import SamplerSettings
 from bayesbl.units import unit_of
@@ -665,32 +665,36 @@ def direct_groups(
     generator
         Of what prior and posterior predict.
     """
-    observation = posterior.fit.model.recordings[index]
-    return {
-        "posterior": _draws(POSTERIOR, posterior, recording.name, posterior.draws),
-        "sample_stats": dataset(
-            SAMPLE_STATS,
-            {
+    model = posterior.fit.model
+    observation, noise = model.recordings[index], model.noise[index]
+    channels = list(observation.channels)
+    return datasets(
+        {
+            POSTERIOR: _draws(posterior, recording.name, posterior.draws),
+            SAMPLE_STATS: {
                 "lp": -0.5 * (posterior.chi_square - np.nanmin(posterior.chi_square)),
                 "acceptance_rate": posterior.diagnostics.acceptance,
             },
-        ),
-        **_noise_only(posterior, index, generator),
-        **shared.common_groups(
-            recording,
-            observation.channels,
-            posterior.diagnostics,
-            _budget(posterior, recording.name),
-            observation.samples / observation.sampling_hz / observation.rotation_period_s,
-            effective=posterior.effective,
-            simulated=posterior.simulated,
-            refits=posterior.refits,
-        ),
-        "predictive": _predictive(posterior, index),
-        "optimum": _optimum(posterior, recording.name),
-        "noise": _noise(posterior, index),
-        "predictive_check": _check(check),
-    }
+            **_noise_only(posterior, index, generator),
+            **shared.common_groups(
+                recording,
+                channels,
+                posterior.diagnostics,
+                _budget(posterior, recording.name),
+                observation.samples / observation.sampling_hz / observation.rotation_period_s,
+                effective=posterior.effective,
+                simulated=posterior.simulated,
+                refits=posterior.refits,
+            ),
+            PREDICTIVE: (_predictive(posterior, index), _motion(posterior.fit, index)),
+            OPTIMUM: _optimum(posterior, recording.name),
+            NOISE: (
+                noise,
+                {"innovation_root": noise.root, "channel": channels, "channel_": channels},
+            ),
+            PREDICTIVE_CHECK: _check(check),
+        }
+    )
 
 
 def own_unknowns(posterior: DirectPosterior, recording: str) -> dict[str, int]:
@@ -702,71 +706,57 @@ def own_unknowns(posterior: DirectPosterior, recording: str) -> dict[str, int]:
     }
 
 
-def _draws(
-    group: Group, posterior: DirectPosterior, recording: str, points: FloatArray
-) -> xr.Dataset:
+def _draws(posterior: DirectPosterior, recording: str, points: FloatArray) -> dict[str, FloatArray]:
     """Values of a recording's unknowns at points of shape (chain, draw, d)."""
     unknowns = posterior.fit.model.unknowns
     places = own_unknowns(posterior, recording)
-    draws = {name: unknowns[i].value(points[..., i]) for name, i in places.items()}
-    return dataset(group, draws, shared.numbered(points.shape))
+    return {name: unknowns[i].value(points[..., i]) for name, i in places.items()}
 
 
 def _noise_only(
     posterior: DirectPosterior, index: int, generator: np.random.Generator
-) -> dict[str, xr.Dataset]:
+) -> dict[Group, object]:
     """Bench and noise alone as a model: prior, posterior, and what both predict."""
     model = posterior.fit.model
     observation, noise = model.recordings[index], model.noise[index]
     chains, count, d = posterior.draws.shape
 
-    def predicted(group: Group, points: FloatArray) -> xr.Dataset:
+    def predicted(points: FloatArray) -> dict[str, FloatArray]:
         few = points.reshape(-1, d)[: chains * shared.REPLICATES]
         speeds = model.signals(few, index) + noise.draw(observation.samples, len(few), generator)
         channels = dict(zip(observation.channels, speeds.swapaxes(0, 1), strict=True))
-        return shared.replicates(group, chains, channels)
+        return shared.replicates(chains, channels)
 
     prior = model.prior_draws(shared.PRIOR_DRAWS, generator)
-    groups = {
-        "prior": _draws(OF_NOISE["prior"], posterior, observation.name, prior[None]),
-        shared.PRIOR_PREDICTIVE.name: predicted(shared.PRIOR_PREDICTIVE, prior),
+    groups: dict[Group, object] = {
+        OF_NOISE["prior"]: _draws(posterior, observation.name, prior[None]),
+        shared.PRIOR_PREDICTIVE: predicted(prior),
     }
     if posterior.noise_only is None:
         return groups
     draws = posterior.noise_only.draws
     densities = model.log_priors(draws.reshape(-1, d)).reshape(draws.shape)
     places = own_unknowns(posterior, observation.name)
+    few = draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES]
     return groups | {
-        "noise_posterior": _draws(OF_NOISE["noise_posterior"], posterior, observation.name, draws),
-        shared.LOG_LIKELIHOOD.name: shared.log_likelihood_group(
-            posterior.noise_only.log_likelihood[index]
-        ),
-        "log_prior": dataset(
-            OF_NOISE["log_prior"],
-            {name: densities[..., i] for name, i in places.items()},
-            shared.numbered(draws.shape),
-        ),
-        shared.POSTERIOR_PREDICTIVE.name: predicted(
-            shared.POSTERIOR_PREDICTIVE,
-            draws[:, :: max(count // shared.REPLICATES, 1)][:, : shared.REPLICATES],
-        ),
+        OF_NOISE["noise_posterior"]: _draws(posterior, observation.name, draws),
+        shared.LOG_LIKELIHOOD: {"recording": posterior.noise_only.log_likelihood[index]},
+        OF_NOISE["log_prior"]: {name: densities[..., i] for name, i in places.items()},
+        shared.POSTERIOR_PREDICTIVE: predicted(few),
     }
 
 
-def _predictive(posterior: DirectPosterior, index: int) -> xr.Dataset:
+def _predictive(posterior: DirectPosterior, index: int) -> dict[str, object]:
     fit = posterior.fit
     observation = fit.model.recordings[index]
     simulated = fit.simulated(index)
-    values: dict[str, object] = {
-        "rotation_period_s": observation.rotation_period_s,
-        **_motion(fit, index),
-    }
+    values: dict[str, object] = {"rotation_period_s": observation.rotation_period_s}
     for channel, measured, model in zip(
         observation.channels, observation.signals, simulated, strict=True
     ):
         values[f"simulated_{channel}"] = model
         values[f"residual_{channel}"] = measured - model
-    return dataset(PREDICTIVE, values)
+    return values
 
 
 def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
@@ -790,7 +780,7 @@ def _motion(fit: SimulatedFit, index: int) -> dict[str, object]:
     return variables
 
 
-def _optimum(posterior: DirectPosterior, recording: str) -> xr.Dataset:
+def _optimum(posterior: DirectPosterior, recording: str) -> dict[str, object]:
     """Values at the optimum; the bound in each parameter's own unit, of δ in rad."""
     fit = posterior.fit
     places = own_unknowns(posterior, recording)
@@ -799,44 +789,26 @@ def _optimum(posterior: DirectPosterior, recording: str) -> xr.Dataset:
         [float(fit.model.unknowns[i].slope(np.array(values[n]))) for n, i in places.items()]
     )
     index = np.array(list(places.values()))
-    return dataset(
-        OPTIMUM,
-        {
-            **values,
-            "cramer_rao_sd": slopes * fit.bound[index],
-            "covariance": np.outer(slopes, slopes) * fit.covariance[np.ix_(index, index)],
-        },
-        {"parameter": list(places), "parameter_": list(places)},
-    )
+    return {
+        **values,
+        "cramer_rao_sd": slopes * fit.bound[index],
+        "covariance": np.outer(slopes, slopes) * fit.covariance[np.ix_(index, index)],
+        "parameter": list(places),
+        "parameter_": list(places),
+    }
 
 
-def _noise(posterior: DirectPosterior, index: int) -> xr.Dataset:
-    noise = posterior.fit.model.noise[index]
-    channels = list(posterior.fit.model.recordings[index].channels)
-    return dataset(
-        NOISE,
-        {
-            **attributes(NOISE, noise),
-            "innovation_root": noise.root,
-            "channel": channels,
-            "channel_": channels,
-        },
-    )
-
-
-def _check(check: Sequence[RepeatingPower]) -> xr.Dataset:
+def _check(check: Sequence[RepeatingPower]) -> dict[str, object]:
     """Ratio and probability by channel and band; see :mod:`bayesbl.matching.predictive_check`."""
     channels = list(dict.fromkeys(entry.channel for entry in check))
     orders = list(dict.fromkeys(entry.highest_order for entry in check))
     shape = (len(channels), len(orders))
-    return dataset(
-        PREDICTIVE_CHECK,
-        {
-            "ratio": np.array([entry.ratio for entry in check]).reshape(shape),
-            "probability": np.array([entry.probability for entry in check]).reshape(shape),
-        },
-        {"channel": channels, "highest_order": orders},
-    )
+    return {
+        "ratio": np.array([entry.ratio for entry in check]).reshape(shape),
+        "probability": np.array([entry.probability for entry in check]).reshape(shape),
+        "channel": channels,
+        "highest_order": orders,
+    }
 
 
 def _budget(posterior: DirectPosterior, recording: str) -> dict[str, float]:

@@ -18,13 +18,13 @@ import xarray as xr
 from bayesbl.config.measurement import CompareConfig, SnapshotConfig
 from bayesbl.measurement.compatibility import limit_rad_of, same_files, windup_rad_of
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Measurement, Reason, Task
-from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers, numbered
+from bayesbl.measurement.shared_groups import CHANGE, GAP, common_numbers
 from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import json_text, origin
-from bayesbl.results.variables import STACKED, dataset, stack_snapshots
+from bayesbl.results.variables import STACKED, dataset, datasets, stack_snapshots
 
 
 def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
@@ -37,9 +37,7 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         groups |= {f"{one.route}/{name}": data for name, data in {**stacked, **one.shared}.items()}
     drawn = {a.name: a.delta_rad for a in measured.answers if a.delta_rad is not None}
     if drawn:
-        gaps = {
-            n: {"gap": dataset(GAP, {"delta_rad": d}, numbered(d.shape))} for n, d in drawn.items()
-        }
+        gaps = {name: datasets({GAP: {"delta_rad": draws}}) for name, draws in drawn.items()}
         groups |= _stacked(gaps, config)
     wear, wear_reason = None, None
     if isinstance(config, CompareConfig):

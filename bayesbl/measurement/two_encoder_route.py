@@ -35,7 +35,7 @@ from bayesbl.recording.types import (
     Recording,
 )
 from bayesbl.results.intervals import interval
-from bayesbl.results.variables import Group, attributes, dataset, table
+from bayesbl.results.variables import Group, datasets, table
 from bayesbl.sampling.convergence import Diagnostics, rank_r_hat_and_ess
 from bayesbl.two_encoders.paths import ALIKE, LONGEST_SKEW_S, Channels, scaled_paths
 from bayesbl.two_encoders.transmission import PLAY_RAD, Transmission, fit_transmission, hidden_rad
@@ -342,28 +342,23 @@ def groups_of(
     draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
     amplitudes = list(transmission.harmonics.values())
     draws["harmonic_rad"] = np.stack(amplitudes) if amplitudes else np.empty((0, *shape))
-    noise = transmission.noise
-    return {
-        "posterior": dataset(POSTERIOR, draws, shared.numbered(shape)),
-        **shared.common_groups(recording, CHANNELS, _sampled(transmission), _budget(transmission)),
-        "transmission": dataset(
-            TRANSMISSION,
-            {
-                **attributes(TRANSMISSION, transmission),
-                "forward": (transmission.paths.binned(transmission.paths.speed) > 0.0).astype(
-                    float
-                ),
-                "model_rad": transmission.modelled_rad,
-                "harmonic_order": np.array([float(n) for _, n in transmission.harmonics]),
-                "harmonic_of_load": np.array(
-                    [float(s == "load") for s, _ in transmission.harmonics]
-                ),
-                "noise_sd_rad": noise.white_rad,
-                "drift_sd_rad": noise.drift_rad,
-                "drift_s": noise.drift_s,
-            },
-        ),
+    noise, paths = transmission.noise, transmission.paths
+    own = {
+        "forward": (paths.binned(paths.speed) > 0.0).astype(float),
+        "model_rad": transmission.modelled_rad,
+        "harmonic_order": np.array([float(n) for _, n in transmission.harmonics]),
+        "harmonic_of_load": np.array([float(s == "load") for s, _ in transmission.harmonics]),
+        "noise_sd_rad": noise.white_rad,
+        "drift_sd_rad": noise.drift_rad,
     }
+    sampled, budget = _sampled(transmission), _budget(transmission)
+    return datasets(
+        {
+            POSTERIOR: draws,
+            **shared.common_groups(recording, CHANNELS, sampled, budget),
+            TRANSMISSION: (noise, transmission, own),
+        }
+    )
 
 
 def _sampled(transmission: Transmission) -> Diagnostics:

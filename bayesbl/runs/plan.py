@@ -12,7 +12,7 @@ from bayesbl.matching.planning import Strokes, noise_of_bench, ranked_motions
 from bayesbl.results.identified import bench_from, require_gap
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, columns, dataset, table
+from bayesbl.results.variables import Group, columns, datasets, table
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
 
@@ -84,8 +84,8 @@ def make(config: PlanConfig, options: Options, work: WorkStore) -> xr.DataTree:
     motions = ranked_motions(bench, allowed, config.gap_rad, config.sampling_hz, config.run.workers)
     shown = any(motion.flank_changes for motion in motions)
     low, high = ([motion.range_rad[end] for motion in motions] for end in (0, 1))
-    values = {**columns(MOTIONS, motions), "low_rad": low, "high_rad": high}
-    tree = xr.DataTree.from_dict({MOTIONS.name: dataset(MOTIONS, values)})
+    values = (columns(MOTIONS, motions), {"low_rad": low, "high_rad": high})
+    tree = xr.DataTree.from_dict(datasets({MOTIONS: values}))
     tree.attrs = {
         "kind": "plan",
         "outcome": "converged" if shown else "withheld",

@@ -29,7 +29,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, attributes, dataset, labels, table
+from bayesbl.results.variables import Group, dataset, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
@@ -86,15 +86,9 @@ BENCH_DRAWS = Group(
 def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
     """What was simulated at every gap and start angle, and what the fits gave."""
     published = _published_amplitude(nominal.gap_rad)
-    return dataset(
-        SWEEP,
-        {
-            **attributes(SWEEP, nominal),
-            FREQUENCY: nominal.symbol(FREQUENCY, model.fixed),
-            DECAY: nominal.symbol(DECAY, model.fixed),
-            "amplitude_over_published": nominal.amplitude_rpm.mean(axis=1) / published,
-        },
-    )
+    fitted = {name: nominal.symbol(name, model.fixed) for name in (FREQUENCY, DECAY)}
+    ratio = nominal.amplitude_rpm.mean(axis=1) / published
+    return dataset(SWEEP, nominal, fitted, {"amplitude_over_published": ratio})
 
 
 def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
