@@ -25,13 +25,15 @@ from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, unsuited
 from bayesbl.measurement.curves import CURVE, CurveMeasurer, curves_group
 from bayesbl.measurement.gap_by_curve import CONTRADICTED, Gap, MeasuredRinging, gaps
-from bayesbl.measurement.joint_check import JointCheck, check_item, joint_check
 from bayesbl.measurement.joint_features import INTEGRAL, PROPORTIONAL, beside_bench, harmonic_name
 from bayesbl.measurement.measurement import (
     Answer,
+    JointCheck,
     Measurement,
     Reason,
     Task,
+    check_item,
+    joint_check,
     outcome_of,
     sampling_reasons,
 )

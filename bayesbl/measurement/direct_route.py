@@ -31,20 +31,18 @@ from bayesbl.matching.signals import GAP, REFERENCE_DELAY, SMALLEST_GAP_RAD, STA
 from bayesbl.measurement import shared_groups as shared
 from bayesbl.measurement.compatibility import bench_of, bench_with
 from bayesbl.measurement.expected_width import expected_sds
-from bayesbl.measurement.joint_check import (
-    CheckItem,
-    JointCheck,
-    blind_spot,
-    check_item,
-    joint_check,
-)
 from bayesbl.measurement.measurement import (
     Answer,
+    CheckItem,
     ExpectedSd,
+    JointCheck,
     Measurement,
     Measurer,
     Reason,
     Task,
+    blind_spot,
+    check_item,
+    joint_check,
     outcome_of,
     sampler_of,
     sampling_reasons,

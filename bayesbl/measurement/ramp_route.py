@@ -24,14 +24,17 @@ from bayesbl.config.sections import SnapshotRecording
 from bayesbl.errors import RecordingError
 from bayesbl.matching.posterior import MATTERS
 from bayesbl.measurement import shared_groups as shared
-from bayesbl.measurement.joint_check import JointCheck, blind_spot, check_item, joint_check
 from bayesbl.measurement.measurement import (
     UPPER_BOUND_LEVEL,
     Answer,
+    JointCheck,
     Measurement,
     Measurer,
     Reason,
     Task,
+    blind_spot,
+    check_item,
+    joint_check,
     outcome_of,
     sampler_of,
     sampling_reasons,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NotRequired, TypedDict
 
-from bayesbl.measurement.joint_check import JointCheck
+from bayesbl.measurement.measurement import JointCheck
 from bayesbl.results.intervals import Interval
 from bayesbl.results.store import Origin
 from bayesbl.sampling.convergence import Outcome
