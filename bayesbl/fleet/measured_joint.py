@@ -330,7 +330,7 @@ def _answer(job: JointJob, tree: xr.DataTree) -> RecordingAnswer:
     if gap is not None and route == "direct":
         own = _bench(job)
         unknowns = _unknowns(own, stored.name)
-        draws = [_flat(stored.groups["posterior"][u.name].values) for u in unknowns]
+        draws = [_flat(stored.group("posterior")[u.name].values) for u in unknowns]
         bench = as_normal(unknowns, draws, own.identified).reshape(len(unknowns), gap.size)
     amplitude = None
     if route == "amplitude":

@@ -7,7 +7,7 @@ draws that answer at its root, and the whole summary as the attribute ``summary`
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -264,23 +264,27 @@ class Snapshot:
 
     Attributes
     ----------
-    groups
-        Of the route, as of :func:`groups_of_snapshot`, made when they are asked for.
+    route
+        With the groups of all recordings.
     summary
         Its part of the summary; sentences are not in it.
     """
 
     name: str
-    groups: Mapping[str, xr.Dataset]
+    route: xr.DataTree
     summary: Mapping[str, Any]
+
+    def group(self, name: str) -> xr.Dataset:
+        """A group of the route, as of :func:`of_snapshot`."""
+        return of_snapshot(self.route.children[name], self.name)
 
     def number(self, group: str, variable: str) -> float:
         """A stored scalar."""
-        return float(self.groups[group][variable])
+        return float(self.group(group)[variable])
 
     def values(self, group: str, variable: str) -> FloatArray:
         """A stored variable, any shape."""
-        return np.asarray(self.groups[group][variable].values, dtype=float)
+        return np.asarray(self.group(group)[variable].values, dtype=float)
 
     @property
     def time_s(self) -> FloatArray:
@@ -289,9 +293,8 @@ class Snapshot:
 
     def channel(self, name: str) -> FloatArray:
         """A channel of the recording, whether the route went by it or not, shape (n,)."""
-        return self.values(
-            "observed_data" if name in self.groups["observed_data"] else "constant_data", name
-        )
+        went_by = name in self.group("observed_data")
+        return self.values("observed_data" if went_by else "constant_data", name)
 
     @property
     def withheld(self) -> bool:
@@ -315,34 +318,13 @@ def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot
     route = route or tree.attrs["route"]
     names = [str(name) for name in np.atleast_1d(tree.attrs["recordings"])]
     return [
-        Snapshot(name, _Groups(tree.children[route], name), part["routes"][route])
+        Snapshot(name, tree.children[route], part["routes"][route])
         for name, part in zip(names, summary.get("snapshots", [summary]), strict=True)
     ]
 
 
-class _Groups(Mapping[str, xr.Dataset]):
-    def __init__(self, route: xr.DataTree, name: str) -> None:
-        self._route, self._name = route, name
-        self._read: dict[str, xr.Dataset] = {}
-
-    def __getitem__(self, group: str) -> xr.Dataset:
-        if group not in self._read:
-            self._read[group] = _of_snapshot(self._route.children[group], self._name)
-        return self._read[group]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._route.children)
-
-    def __len__(self) -> int:
-        return len(self._route.children)
-
-
-def groups_of_snapshot(route: xr.DataTree, name: str) -> dict[str, xr.Dataset]:
-    """Groups of one recording, without the dimension ``snapshot`` and others' greater lengths."""
-    return {group: _of_snapshot(node, name) for group, node in route.children.items()}
-
-
-def _of_snapshot(group: xr.DataTree, name: str) -> xr.Dataset:
+def of_snapshot(group: xr.DataTree, name: str) -> xr.Dataset:
+    """Of one recording, without the dimension ``snapshot`` and others' greater lengths."""
     data = group.to_dataset()
     if STACKED in data.dims:
         data = data.sel({STACKED: name}, drop=True)

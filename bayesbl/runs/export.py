@@ -15,6 +15,7 @@ from bayesbl.bench.kernel import Slot
 from bayesbl.bench.mjcf import mjcf
 from bayesbl.bench.parameters import BENCH_PARAMETERS, simulated_range
 from bayesbl.errors import ResultError
+from bayesbl.measurement.stored import of_snapshot, stored_answers
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.folder import require_inside
 from bayesbl.results.identified import bench_from, require_gap
@@ -76,14 +77,13 @@ def export(
     beside = (result if result.is_dir() else result.parent).absolute()
     home = Path(folder or beside.with_name(f"{beside.name}_export"))
     targets, contents = [], []
-    gap = tree[GAP_GROUP].to_dataset()
-    reported = gap["snapshot"].values if "snapshot" in gap.dims else tree.attrs["recordings"]
-    for name in map(str, np.atleast_1d(reported)):
-        draws = _draws(tree, own, name)
+    for stored in stored_answers(tree):
+        gap_draws = of_snapshot(tree.children[GAP_GROUP], stored.name)["delta_rad"].values.ravel()
+        draws = _draws(stored.group("posterior"), own, gap_draws)
         medians = {slot: float(np.median(values)) for slot, values in draws.items()}
         gap_rad = medians.pop(GAP)
         if np.isfinite(gap_rad):
-            targets += [require_inside(home, f"{name}.{kind}") for kind in ("xml", "csv")]
+            targets += [require_inside(home, f"{stored.name}.{kind}") for kind in ("xml", "csv")]
             contents += [mjcf(own, gap_rad, medians), _table(draws)]
     refuse_existing(targets, force)
     home.mkdir(parents=True, exist_ok=True)
@@ -91,10 +91,8 @@ def export(
     return targets
 
 
-def _draws(tree: xr.DataTree, bench: Bench, name: str) -> dict[str, FloatArray]:
+def _draws(posterior: xr.Dataset, bench: Bench, gap: FloatArray) -> dict[str, FloatArray]:
     """By slot, of one snapshot, shape (draw,)."""
-    gap = _of_snapshot(tree[GAP_GROUP].to_dataset(), name)["delta_rad"].values.ravel()
-    posterior = _of_snapshot(tree[f"{tree.attrs['route']}/posterior"].to_dataset(), name)
     slots = [info.name for info in BENCH_PARAMETERS]
     for effect in (effect_named(present.name) for present in bench.effects):
         slots += [slot.name for slot in effect.slots.values()]
@@ -110,10 +108,6 @@ def _draws(tree: xr.DataTree, bench: Bench, name: str) -> dict[str, FloatArray]:
             values = np.clip(values + np.nan_to_num(drift), *simulated_range(slot))
         draws[slot] = values
     return draws
-
-
-def _of_snapshot(data: xr.Dataset, name: str) -> xr.Dataset:
-    return data.sel(snapshot=name) if "snapshot" in data.dims else data
 
 
 def _table(draws: dict[str, FloatArray]) -> str:
