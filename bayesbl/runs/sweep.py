@@ -14,7 +14,7 @@ from bayesbl.bench.bench import Bench, require_flank_change
 from bayesbl.config.bench import dump_bench
 from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
-from bayesbl.curve.sweep import DegreeSummary, SweepRow, SweepSettings, degree_reports, swept_curve
+from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports, swept_curve
 from bayesbl.errors import ConfigError
 from bayesbl.measurement.curves import (
     CURVE,
@@ -29,7 +29,7 @@ from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
 from bayesbl.results.store import Head, head
-from bayesbl.results.variables import Group, dataset, labels, table
+from bayesbl.results.variables import Group, datasets, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
 from bayesbl.ringing.symbols import DECAY, FREQUENCY, DisturbanceModel
@@ -83,22 +83,14 @@ BENCH_DRAWS = Group(
 )
 
 
-def sweep_group(nominal: SweepRow, model: DisturbanceModel) -> xr.Dataset:
-    """What was simulated at every gap and start angle, and what the fits gave."""
-    published = _published_amplitude(nominal.gap_rad)
-    fitted = {name: nominal.symbol(name, model.fixed) for name in (FREQUENCY, DECAY)}
-    ratio = nominal.amplitude_rpm.mean(axis=1) / published
-    return dataset(SWEEP, nominal, fitted, {"amplitude_over_published": ratio})
-
-
-def example_group(bench: Bench, settings: SweepSettings) -> xr.Dataset:
+def _examples(bench: Bench, settings: SweepSettings) -> dict[str, FloatArray]:
     """Noise-free speed over one rotation at a few gaps, for the figures."""
     gaps = np.geomspace(settings.low_rad, settings.high_rad, EXAMPLE_GAPS)
     speeds = bench.simulate_many(
         gaps, rotations=1.0, sampling_hz=settings.sampling_hz, start_angle_rad=0.5 * math.pi
     )
     time_s = np.arange(speeds.shape[1]) / settings.sampling_hz
-    return dataset(EXAMPLES, {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds})
+    return {"gap_rad": gaps, "time_s": time_s, "motor_speed_rpm": speeds}
 
 
 def _published_amplitude(gap_rad: FloatArray) -> FloatArray:
@@ -194,8 +186,6 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     rows.keep_latest(count=MOST_KEPT)
     workers = config.run.workers
     nominal = problem.nominal(nominal_seed, workers)
-    degrees = degree_reports(nominal)
-    by_degree = np.transpose([[*of.values()] for of in degrees.values()])
     report = of_stage(options.progress, "Simulating bench draws")
     swept = problem.draws(nominal, config.sweep.bench_draws, draw_seed, workers, report)
     # Of the sweep's sampling and the bench's speed.
@@ -203,7 +193,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
         config.sweep.gap_rad.low, rotations=2.0, sampling_hz=config.sweep.sampling_hz
     )
     fingerprint = Estimator(model=problem.model).fingerprint(recording)
-    curve, regression = swept_curve(
+    curve, _ = swept_curve(
         str(config.run.output),
         nominal,
         problem.model,
@@ -216,35 +206,30 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     if (first := nominal.gap_rad[0]) > problem.settings.gap_rad[0]:
         leaps = f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing"
         curve = replace(curve, warnings=(f"{leaps}, and the curve begins there.",))
-    tree = xr.DataTree.from_dict(
-        {
-            "sweep": sweep_group(nominal, problem.model),
-            "degrees": dataset(
-                DEGREES,
-                dict(zip(DegreeSummary.__annotations__, by_degree, strict=True)),
-                {"degree": list(degrees)},
-            ),
-            "examples": example_group(bench, problem.settings),
-            CURVE.name: curve_group(curve, config.interval.level, band_seed),
-        }
-    )
+    degrees = degree_reports(nominal)
+    symbols = {name: nominal.symbol(name, problem.model.fixed) for name in (FREQUENCY, DECAY)}
+    ratio = nominal.amplitude_rpm.mean(axis=1) / _published_amplitude(nominal.gap_rad)
+    keys: Any = DegreeSummary.__annotations__
+    by_key = {key: [degree[key] for degree in degrees.values()] for key in keys}
+    groups: dict[Group, object] = {
+        SWEEP: (nominal, symbols, {"amplitude_over_published": ratio}),
+        DEGREES: (by_key, {"degree": list(degrees)}),
+        EXAMPLES: _examples(bench, problem.settings),
+    }
     if swept is not None:
-        quantities = ["ln_amplitude", "ln_frequency", "ln_decay"]
-        tree[BENCH_DRAWS.name] = xr.DataTree(
-            dataset(
-                BENCH_DRAWS,
-                {"shift": swept.shifts, "departure": swept.departures},
-                {"parameter": list(swept.names), "quantity": quantities},
-            )
-        )
+        groups[BENCH_DRAWS] = {
+            "shift": swept.shifts,
+            "departure": swept.departures,
+            "parameter": list(swept.names),
+            "quantity": ["ln_amplitude", "ln_frequency", "ln_decay"],
+        }
+    of_curve = {CURVE.name: curve_group(curve, config.interval.level, band_seed)}
+    tree = xr.DataTree.from_dict({**datasets(groups), **of_curve})
     tree.attrs = {
         "kind": "sweep",
         "outcome": "converged",
         "reason": "",
         "warnings": list(curve.warnings),
-        "fingerprint": fingerprint,
-        "lack_of_fit_size": regression.lack_of_fit_size,
-        "lack_of_fit_length": regression.lack_of_fit_length,
         "degree": config.sweep.degree,
         "bench": dump_bench(bench),
         **provenance_of(config),
