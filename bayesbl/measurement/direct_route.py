@@ -208,7 +208,7 @@ class DirectMeasurer(Measurer):
         notes = (*texts, *self._beyond_the_bench(match), *self._counted_twice(recording))
         level = self.config.interval.level
         generator = np.random.default_rng(seed)
-        groups = direct_groups(posterior, recording, index, check, generator)
+        groups = direct_groups(posterior, recording, index, generator)
         gap = posterior.values(GAP, recording.name)
         reasons = direct_reasons(match, index, notes, level)
         contradicted = any(r.code not in BOUNDED for r in reasons if r.withholds)
@@ -621,18 +621,6 @@ NOISE = Group(
     (labels("channel", "channel"), labels("channel_", "channel")),
 )
 
-PREDICTIVE_CHECK = Group(
-    "predictive_check",
-    table("""
-        ratio (channel, highest_order) | 1 | power that repeats every rotation over that of noise
-        probability (channel, highest_order) | 1 | probability of a ratio as large from noise alone
-    """),
-    (
-        labels("channel", "channel"),
-        *table("highest_order (highest_order) | 1 | highest load order of the band"),
-    ),
-)
-
 GROUPS = (
     POSTERIOR,
     SAMPLE_STATS,
@@ -641,7 +629,6 @@ GROUPS = (
     PREDICTIVE,
     OPTIMUM,
     NOISE,
-    PREDICTIVE_CHECK,
 )
 
 
@@ -649,7 +636,6 @@ def direct_groups(
     posterior: DirectPosterior,
     recording: Recording,
     index: int,
-    check: Sequence[RepeatingPower],
     generator: np.random.Generator,
 ) -> dict[str, xr.Dataset]:
     """All groups of one snapshot, without a ``snapshot`` dimension.
@@ -658,8 +644,6 @@ def direct_groups(
     ----------
     index
         Place of the recording in the posterior's model.
-    check
-        Entries of the predictive check that belong to this recording.
     generator
         Of what prior and posterior predict.
     """
@@ -690,7 +674,6 @@ def direct_groups(
                 noise,
                 {"innovation_root": noise.root, "channel": channels, "channel_": channels},
             ),
-            PREDICTIVE_CHECK: _check(check),
         }
     )
 
@@ -793,19 +776,6 @@ def _optimum(posterior: DirectPosterior, recording: str) -> dict[str, object]:
         "covariance": np.outer(slopes, slopes) * fit.covariance[np.ix_(index, index)],
         "parameter": list(places),
         "parameter_": list(places),
-    }
-
-
-def _check(check: Sequence[RepeatingPower]) -> dict[str, object]:
-    """Ratio and probability by channel and band; see :mod:`bayesbl.matching.predictive_check`."""
-    channels = list(dict.fromkeys(entry.channel for entry in check))
-    orders = list(dict.fromkeys(entry.highest_order for entry in check))
-    shape = (len(channels), len(orders))
-    return {
-        "ratio": np.array([entry.ratio for entry in check]).reshape(shape),
-        "probability": np.array([entry.probability for entry in check]).reshape(shape),
-        "channel": channels,
-        "highest_order": orders,
     }
 
 

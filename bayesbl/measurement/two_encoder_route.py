@@ -87,7 +87,6 @@ POSTERIOR = Group(
             gear_ratio (chain, draw) | 1 | motor over load, with its sign
             channel_skew_s (chain, draw) | s | how late the load's stamps are
             transmission_error_rad (chain, draw) | rad | peak to peak, over the travel
-            harmonic_rad (harmonic, chain, draw) | rad | amplitude of a transmission error's order
         """),
     ),
     (shared.CHAIN, shared.DRAW),
@@ -101,8 +100,6 @@ TRANSMISSION = Group(
         lag_rad (point) | rad | motor minus load, with all but the play removed
         model_rad (point) | rad | the same by the model
         curve_rad (point) | rad | transmission error
-        harmonic_order (harmonic) | 1 | order of a transmission error
-        harmonic_of_load (harmonic) | 1 | whether it is per turn of the load (1) or the motor (0)
         probability_of_play | 1 | that δ is not zero
         counted | 1 | times that a misfit which repeats every cycle is counted
         reversals | 1 | reversals of the motor
@@ -340,14 +337,10 @@ def groups_of(
     of_torque = MOTOR_TORQUE in recording.channels and not at_output
     compliance = draws.pop("compliance_rad_per_nm", np.full(shape, np.nan))
     draws["windup_rad_per_nm"] = compliance if of_torque else np.full(shape, np.nan)
-    amplitudes = list(transmission.harmonics.values())
-    draws["harmonic_rad"] = np.stack(amplitudes) if amplitudes else np.empty((0, *shape))
     noise, paths = transmission.noise, transmission.paths
     own = {
         "forward": (paths.binned(paths.speed) > 0.0).astype(float),
         "model_rad": transmission.modelled_rad,
-        "harmonic_order": np.array([float(n) for _, n in transmission.harmonics]),
-        "harmonic_of_load": np.array([float(s == "load") for s, _ in transmission.harmonics]),
         "noise_sd_rad": noise.white_rad,
         "drift_sd_rad": noise.drift_rad,
     }
