@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
@@ -209,8 +210,8 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     degrees = degree_reports(nominal)
     symbols = {name: nominal.symbol(name, problem.model.fixed) for name in (FREQUENCY, DECAY)}
     ratio = nominal.amplitude_rpm.mean(axis=1) / _published_amplitude(nominal.gap_rad)
-    keys: Any = DegreeSummary.__annotations__
-    by_key = {key: [degree[key] for degree in degrees.values()] for key in keys}
+    reports: list[Mapping[str, object]] = [*degrees.values()]
+    by_key = {key: [one[key] for one in reports] for key in DegreeSummary.__annotations__}
     groups: dict[Group, object] = {
         SWEEP: (nominal, symbols, {"amplitude_over_published": ratio}),
         DEGREES: (by_key, {"degree": list(degrees)}),
