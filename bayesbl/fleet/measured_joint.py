@@ -32,11 +32,12 @@ from bayesbl.matching.signals import Unknown, effect_unknowns, tolerance_unknown
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import NO_CURVE, Answer, Reason, Seeds
 from bayesbl.measurement.routes import measure
-from bayesbl.measurement.stored import stored_answers, summary_of
+from bayesbl.measurement.stored import stored_answers
 from bayesbl.measurement.wear import WearDraws, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import file_sha256
+from bayesbl.results.store import summary_of
 from bayesbl.results.work import NOTHING_KEPT, WorkStore
 from bayesbl.sentences import sentence, with_sentences
 

@@ -6,7 +6,6 @@ draws that answer at its root, and the whole summary as the attribute ``summary`
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,7 +22,7 @@ from bayesbl.measurement.wear import summarise_wear, wear_of
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.intervals import Interval, interval
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.store import json_text, origin
+from bayesbl.results.store import json_text, summary_of
 from bayesbl.results.variables import STACKED, dataset, datasets, stack_snapshots
 
 
@@ -66,12 +65,9 @@ def measurement_tree(measured: Measurement, task: Task) -> xr.DataTree:
         tree.attrs["limit_rad"] = limit_rad
     if config.joint.limit is not None:
         tree.attrs["limit"] = str(config.joint.limit)
+    tree.attrs["warnings"] = [*same_files(task.recordings), *measured.warnings]
     summary = {
-        "kind": config.kind,
-        "outcome": measured.outcome,
         "reason": _reason_of_all(measured),
-        "warnings": [*same_files(task.recordings), *measured.warnings],
-        **origin(tree),
         "curve": next((one.curve for one in routes if one.curve), None),
         "answer": {"route": measured.route, **measured.why.stored},
     }
@@ -305,11 +301,6 @@ class Snapshot:
 def routes_of(tree: xr.DataTree) -> list[str]:
     """Routes that a stored result holds whole, the one that answers first."""
     return [str(name) for name in np.atleast_1d(tree.attrs.get("routes", []))]
-
-
-def summary_of(tree: xr.DataTree) -> Any:
-    """The summary as it is stored, without sentences."""
-    return json.loads(tree.attrs["summary"])
 
 
 def stored_answers(tree: xr.DataTree, route: str | None = None) -> list[Snapshot]:

@@ -16,7 +16,6 @@ from bayesbl.measurement.compatibility import limit_rad_of, require_plausible_li
 from bayesbl.measurement.curves import STORE
 from bayesbl.measurement.measurement import ExpectedSd
 from bayesbl.measurement.routes import measure, measurer_of
-from bayesbl.measurement.stored import summary_of as summarise
 from bayesbl.probabilities import normal_isf
 from bayesbl.results.work import WorkStore
 from bayesbl.runs.workflow import Options, Plan
@@ -24,8 +23,6 @@ from bayesbl.sentences import sentence
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["describe", "make", "summarise"]
 
 
 def make(config: SnapshotConfig, options: Options, work: WorkStore) -> xr.DataTree:

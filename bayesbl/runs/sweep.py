@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -17,19 +17,12 @@ from bayesbl.config.kinds import SweepConfig
 from bayesbl.curve.gap_curve import published_curve
 from bayesbl.curve.sweep import DegreeSummary, SweepSettings, degree_reports, swept_curve
 from bayesbl.errors import ConfigError
-from bayesbl.measurement.curves import (
-    CURVE,
-    MOST_KEPT,
-    SOURCE_PREFIX,
-    STORE,
-    SweepProblem,
-    curve_group,
-)
+from bayesbl.measurement.curves import CURVE, MOST_KEPT, STORE, SweepProblem, curve_group
 from bayesbl.progress import of_stage
 from bayesbl.recording.types import FloatArray
 from bayesbl.results.identified import bench_from
 from bayesbl.results.provenance import provenance_of
-from bayesbl.results.store import Head, head
+from bayesbl.results.store import Head, json_text
 from bayesbl.results.variables import Group, datasets, labels, table
 from bayesbl.results.work import WorkStore
 from bayesbl.ringing.estimator import Estimator, nominal_speed_rpm
@@ -115,36 +108,6 @@ class SweepSummary(Head):
     relative_sd: dict[str, float]
     largest_departure_from_published: float
     degrees: dict[str, DegreeSummary]
-
-
-def summarise(tree: xr.DataTree) -> SweepSummary:
-    """``summary.json`` of a sweep."""
-    sweep, degrees = tree["sweep"].to_dataset(), tree["degrees"].to_dataset()
-    stored = tree[CURVE.name].to_dataset()
-    return {
-        "kind": "sweep",
-        **head(tree),
-        "curve": stored.attrs["name"],
-        "coefficients": stored["coefficients"].values.tolist(),
-        "degree": int(tree.attrs["degree"]),
-        "gap_rad": [float(sweep["gap_rad"][0]), float(sweep["gap_rad"][-1])],
-        "amplitude_rpm": [float(stored["knots_rpm"][0]), float(stored["knots_rpm"][-1])],
-        "largest_correction": float(np.abs(stored["correction"]).max()),
-        "relative_sd": {
-            name.removeprefix(SOURCE_PREFIX): float(stored[name].values.std(axis=0).max())
-            for name in map(str, stored.data_vars)
-            if name.startswith(SOURCE_PREFIX)
-        },
-        "largest_departure_from_published": float(
-            np.abs(sweep["amplitude_over_published"] - 1.0).max()
-        ),
-        "degrees": {str(int(d)): _of_degree(degrees.sel(degree=d)) for d in degrees["degree"]},
-    }
-
-
-def _of_degree(stored: xr.Dataset) -> Any:
-    """The keys of :class:`DegreeSummary`."""
-    return {str(name): float(value) for name, value in stored.items()}
 
 
 BYTES_PER_SAMPLE, SECONDS_PER_SAMPLE = 24.0, 2e-6
@@ -233,6 +196,19 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
         "warnings": list(curve.warnings),
         "degree": config.sweep.degree,
         "bench": dump_bench(bench),
+        "summary": json_text(
+            {
+                "curve": curve.name,
+                "coefficients": curve.coefficients,
+                "degree": config.sweep.degree,
+                "gap_rad": nominal.gap_rad[[0, -1]],
+                "amplitude_rpm": curve.knots_rpm[[0, -1]],
+                "largest_correction": np.abs(curve.correction).max(),
+                "relative_sd": {n: draws.std(axis=0).max() for n, draws in curve.sources.items()},
+                "largest_departure_from_published": np.abs(ratio - 1.0).max(),
+                "degrees": degrees,
+            }
+        ),
         **provenance_of(config),
     }
     return tree
