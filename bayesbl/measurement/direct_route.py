@@ -352,7 +352,9 @@ def direct_reasons(
     if answered and lacking:
         reasons.append(Reason("bench_lacks", lacking))
     if answered and match.allows_for_misfit:
-        wider = float(match.posterior.model_widening[fit.model.index(GAP, recording.name)])
+        # One bench, one misfit: it is said once, with what it widens most.
+        places = [place for place, own in enumerate(fit.model.unknowns) if own.name == GAP]
+        wider = float(match.posterior.model_widening[places].max())
         code = "allows_for_misfit" if misfit else "negative_law"
         reasons.append(Reason(code, {**misfit, "times": wider}))
     if not with_current:
