@@ -161,18 +161,8 @@ class RouteSummary(_OfSomeRoutes):
     ``delta_upper_bound_rad``: δ is below it with a probability of 95 %; given if there may be no
     gap.
 
-    The ringing: RMSE is also relative to the speed's scatter; ``impact_sd_rpm`` is how far the
-    amplitude of impacts differs, beyond noise.
-
-    Torque ramps: ``lost_motion_rad`` is between ±``lost_motion_torque_nm``. ``preloaded``: no play
-    is seen, and ``preload_torque_nm`` is the torque at which one of the flanks lifts; 0 with play,
-    ``None`` where that is not seen. ``held_windup_rad``: the part of δ that is compliance held by
-    friction at zero torque. ``stiffness_nm_per_rad``: of a line through the largest ramps, as test
-    reports state it.
-
-    Two encoders: ``play_rad`` is 2δ, ``lost_motion_rad`` between both directions: the play, and
-    what the load's friction winds up. ``windup_rad_per_nm`` is the compliance at the output, where
-    a torque shows it, ``channel_skew_s`` how late the load's stamps are.
+    Keys that are also variables of ``result.nc`` are explained there; of draws they are intervals,
+    ``None`` where a variable is NaN. ``preloaded``: ramps of torque show no play.
     """
 
     route: str
