@@ -388,14 +388,10 @@ class CurveMeasurer(Measurer):
         if config.curve.source is not None:
             is_published = config.curve.source == PUBLISHED
             self.named = published_curve() if is_published else read_curve(config.curve.source)
+            self.gap_range_rad = self.named.gap_range_rad
+        elif bench is not None:
+            self.gap_range_rad = (SMALLEST_GAP_RAD, SweepSettings().high_rad)
         self.bench = bench if self.named is None else None
-
-    @property
-    def gap_range_rad(self) -> tuple[float, float] | None:
-        """Gaps that the curves reach; ``None`` without one."""
-        if self.named is not None:
-            return self.named.gap_range_rad
-        return None if self.bench is None else (SMALLEST_GAP_RAD, SweepSettings().high_rad)
 
     def describe_curve(self) -> str:
         """Which curve this is, or what gives one."""

@@ -129,11 +129,7 @@ class DirectMeasurer(Measurer):
     def __init__(self, config: SnapshotConfig, bench: Bench) -> None:
         super().__init__(config)
         self.bench = bench
-
-    @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Gaps inside the prior."""
-        return self.config.estimator.gap_rad
+        self.gap_range_rad = config.estimator.gap_rad
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The bench."""
@@ -155,7 +151,7 @@ class DirectMeasurer(Measurer):
             return ()
         observations = [observed_of(self.config, self.bench, recording) for recording in recordings]
         bench = with_friction(self.bench, observations)
-        low, high = self.gap_range_rad
+        low, high = self.config.estimator.gap_rad
         return expected_sds(
             bench,
             observations,

@@ -362,13 +362,11 @@ def upper_bound(delta_rad: FloatArray) -> float:
 class Measurer(ABC):
     """A route with what a configuration gives it; raises where it cannot use that."""
 
+    gap_range_rad: tuple[float, float] | None = None
+    """Gaps that can be measured; ``None`` where none can."""
+
     def __init__(self, config: SnapshotConfig) -> None:
         self.config = config
-
-    @property
-    @abstractmethod
-    def gap_range_rad(self) -> tuple[float, float] | None:
-        """Gaps that can be measured; ``None`` where none can."""
 
     @abstractmethod
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:

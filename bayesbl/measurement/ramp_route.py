@@ -180,10 +180,8 @@ FILE_STARTS = "file_starts"
 class RampMeasurer(Measurer):
     """The route of torque ramps."""
 
-    @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Nothing is swept or searched: from an encoder's step to a tooth's width."""
-        return 1e-6, 0.5
+    gap_range_rad = (1e-6, 0.5)
+    """Nothing is swept or searched: from an encoder's step to a tooth's width."""
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The ratio, as it decides the answer."""

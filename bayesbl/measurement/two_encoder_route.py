@@ -128,10 +128,7 @@ OF_PLAY = ("play_rad", "lost_motion_rad", "held_windup_rad")
 class TwoEncoderMeasurer(Measurer):
     """The route of two encoders."""
 
-    @property
-    def gap_range_rad(self) -> tuple[float, float]:
-        """Of the prior."""
-        return PLAY_RAD
+    gap_range_rad = PLAY_RAD
 
     def describe(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """The ratio, where it is stated."""
