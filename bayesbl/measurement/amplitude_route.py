@@ -196,19 +196,6 @@ MISFIT = Group(
     table("phase_rad (phase_rad) | rad | load phase from the start of the recording"),
 )
 
-GROUPS = (
-    POSTERIOR,
-    SAMPLE_STATS,
-    *OF_NOISE.values(),
-    *shared.OF_EVERY_ROUTE,
-    PREDICTIVE,
-    OPTIMUM,
-    SEARCH_HISTORY,
-    NOISE,
-    MISFIT,
-    CURVE,
-)
-
 
 class AmplitudeMeasurer(CurveMeasurer):
     """The amplitude route with its estimator and where its gap curves come from."""

@@ -619,16 +619,6 @@ NOISE = Group(
     (labels("channel", "channel"), labels("channel_", "channel")),
 )
 
-GROUPS = (
-    POSTERIOR,
-    SAMPLE_STATS,
-    *OF_NOISE.values(),
-    *shared.OF_EVERY_ROUTE,
-    PREDICTIVE,
-    OPTIMUM,
-    NOISE,
-)
-
 
 def direct_groups(
     posterior: DirectPosterior,

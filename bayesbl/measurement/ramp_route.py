@@ -647,14 +647,6 @@ LOOP = Group(
     """),
 )
 
-GROUPS = (
-    POSTERIOR,
-    SAMPLE_STATS,
-    *shared.OF_EVERY_ROUTE,
-    CYCLES,
-    LOOP,
-)
-
 
 def ramp_groups(
     recording: Recording,

@@ -78,9 +78,6 @@ BUDGET = Group(
     (labels("source", "source of the uncertainty of δ"),),
 )
 
-OF_EVERY_ROUTE = (OBSERVED, CONSTANT, DIAGNOSTICS, BUDGET)
-"""Groups that every route stores of a recording, by :func:`common_groups`."""
-
 (RECORDING,) = table("""
     recording (chain, draw, rotation) | 1 | log density of one load rotation, all channels, by the
         noise alone
@@ -167,7 +164,7 @@ def common_groups(
     file: FloatArray | None = None,
     **simulated: float,
 ) -> dict[Group, object]:
-    """Sources of the groups :data:`OF_EVERY_ROUTE` of one recording, without ``snapshot``.
+    """Sources of the groups that every route stores of a recording, without ``snapshot``.
 
     Parameters
     ----------

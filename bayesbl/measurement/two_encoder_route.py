@@ -109,8 +109,6 @@ TRANSMISSION = Group(
     """),
 )
 
-GROUPS = (POSTERIOR, *shared.OF_EVERY_ROUTE, TRANSMISSION)
-
 QUANTITIES = (
     "play_rad",
     "lost_motion_rad",
