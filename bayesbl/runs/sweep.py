@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -40,18 +39,7 @@ SWEEP = Group(
         angular_frequency_rad_per_s (gap, start) | rad/s | angular frequency of the ringing
         decay_rate_per_s (gap, start) | 1/s | decay rate of the ringing
         rmse_rpm (gap, start) | rpm | misfit of the waveform
-        amplitude_over_published (gap) | 1 | amplitude over that of the paper's eq. 4
     """),
-)
-
-DEGREES = Group(
-    "degrees",
-    table("""
-        rms_departure (degree) | 1 | RMS relative departure of δ from the polynomial
-        largest_departure (degree) | 1 | largest relative departure of δ from the polynomial
-        log_evidence (degree) | 1 | restricted log likelihood with a smooth lack of fit beside it
-    """),
-    table("degree (degree) | 1 | degree of the polynomial"),
 )
 
 EXAMPLES = Group(
@@ -170,14 +158,10 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
     if (first := nominal.gap_rad[0]) > problem.settings.gap_rad[0]:
         leaps = f"Below {1e3 * first:.3g} mrad the best fit leaps to another ringing"
         curve = replace(curve, warnings=(f"{leaps}, and the curve begins there.",))
-    degrees = degree_reports(nominal)
     symbols = {name: nominal.symbol(name, problem.model.fixed) for name in (FREQUENCY, DECAY)}
     ratio = nominal.amplitude_rpm.mean(axis=1) / _published_amplitude(nominal.gap_rad)
-    reports: list[Mapping[str, object]] = [*degrees.values()]
-    by_key = {key: [one[key] for one in reports] for key in DegreeSummary.__annotations__}
     groups: dict[Group, object] = {
-        SWEEP: (nominal, symbols, {"amplitude_over_published": ratio}),
-        DEGREES: (by_key, {"degree": list(degrees)}),
+        SWEEP: (nominal, symbols),
         EXAMPLES: _examples(bench, problem.settings),
     }
     if swept is not None:
@@ -206,7 +190,7 @@ def make(config: SweepConfig, options: Options, work: WorkStore) -> xr.DataTree:
                 "largest_correction": np.abs(curve.correction).max(),
                 "relative_sd": {n: draws.std(axis=0).max() for n, draws in curve.sources.items()},
                 "largest_departure_from_published": np.abs(ratio - 1.0).max(),
-                "degrees": degrees,
+                "degrees": degree_reports(nominal),
             }
         ),
         **provenance_of(config),
