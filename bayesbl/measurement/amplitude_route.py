@@ -477,14 +477,14 @@ def amplitude_groups(
                     "baseline_rpm": posterior.baseline_rpm.reshape(index.size, -1)[index],
                     "baseline_term": _baseline_terms(fit),
                 },
-                gap or {},
+                gap,
             ),
             SAMPLE_STATS: (
                 {
                     "lp": posterior.log_likelihood.ravel()[index],
                     "acceptance_rate": posterior.diagnostics.acceptance,
                 },
-                gap or {},
+                gap,
             ),
             **_noise_only(fit, curve, np.random.default_rng(seed)),
             **shared.common_groups(

@@ -162,7 +162,7 @@ def curve_group(
     low, high = np.quantile(table, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=1)
     values |= {"delta_rad": curve.gap(amplitude), "low_rad": low, "high_rad": high}
     ringing = curve.ringing if rows is None else None
-    result = dataset(CURVE, curve, ringing or {}, values, {"amplitude": amplitude})
+    result = dataset(CURVE, curve, ringing, values, {"amplitude": amplitude})
     result.attrs = {
         "name": curve.name,
         "fingerprint": curve.fingerprint or "",

@@ -130,7 +130,7 @@ def dataset(group: Group, *sources: object) -> xr.Dataset:
     ----------
     sources
         Mappings from name to array, number or text, where ``None`` leaves an optional one out; and
-        objects, of which attributes with declared names are taken. Later ones prevail.
+        objects, of which attributes with declared names are taken; or ``None``. Later ones prevail.
 
     Raises
     ------
@@ -141,7 +141,8 @@ def dataset(group: Group, *sources: object) -> xr.Dataset:
     """
     every: dict[str, object] = {}
     for source in sources:
-        every |= source if isinstance(source, Mapping) else _attributes(group, source)
+        if source is not None:
+            every |= source if isinstance(source, Mapping) else _attributes(group, source)
     stored = {n: _stored(group, n, value) for n, value in every.items() if value is not None}
     sizes = {dim: size for variable in stored.values() for dim, size in variable.sizes.items()}
     for declared in group.coordinates:
