@@ -233,15 +233,20 @@ class AmplitudeMeasurer(CurveMeasurer):
             if fit.point.start:
                 task.say(f"{fit.point.recording.name}: {fit.point.start}")
         by_curve: Sequence[Gap | None] = [None] * len(fits)
+        stored = {}
         if curves is not None:  # all through the same draws of the curve
-            by_curve = gaps(
+            level = task.config.interval.level
+            by_curve = read = gaps(
                 curves,
                 [measured_ringing(fit) for fit in fits],
                 task.seeds.gap,
                 [entry.known_gap for entry in task.config.recordings],
                 allow_extrapolation=task.config.curve.allow_extrapolation,
-                level=task.config.interval.level,
+                level=level,
             )
+            rows = [gap.rows for gap in read]
+            of_curve = curves_group(task.names, curves, rows, level, task.seeds.curve)
+            stored[CURVE.name] = of_curve
         entries = task.config.recordings
         check = same_joint(
             [fit.point for fit in fits],
@@ -253,7 +258,7 @@ class AmplitudeMeasurer(CurveMeasurer):
         return Measurement(
             NAME,
             [self._answer(*part, task) for part in parts],
-            shared=self._curve(curves, by_curve, task),
+            shared=stored,
             curve=curves[0].name if curves else "",
             warnings=curves[0].warnings if curves else (),
             ringing_change=_ringing_change(fits, by_curve, curves),
@@ -322,19 +327,6 @@ class AmplitudeMeasurer(CurveMeasurer):
             [*check["could_be"], *causes],
         )
         return compared, reasons
-
-    def _curve(
-        self, curves: Sequence[GapCurve] | None, gaps_by_curve: Sequence[Gap | None], task: Task
-    ) -> dict[str, xr.Dataset]:
-        """Group :data:`CURVE`: one for all recordings, or each its own."""
-        if curves is None:
-            return {}
-        rows = {
-            n: gap.rows for n, gap in zip(task.names, gaps_by_curve, strict=True) if gap is not None
-        }
-        named = dict(zip(task.names, curves, strict=True))
-        level = task.config.interval.level
-        return {CURVE.name: curves_group(named, rows, level, task.seeds.curve)}
 
     def _jobs(self, task: Task, curves: Sequence[GapCurve | None]) -> list[FitJob]:
         start_from = task.config.estimator.search.start_from

@@ -108,8 +108,9 @@ posterior, correction and sources linear in ln A between the knots, of each sour
 
 
 def curves_group(
-    curves: Mapping[str, GapCurve],
-    rows: Mapping[str, Mapping[str, NDArray[np.int64]]],
+    names: Sequence[str],
+    curves: Sequence[GapCurve],
+    rows: Sequence[Mapping[str, NDArray[np.int64]]],
     level: float,
     seed: np.random.SeedSequence,
 ) -> xr.Dataset:
@@ -118,18 +119,17 @@ def curves_group(
     Parameters
     ----------
     curves
-        By recording. Where they differ they are stacked over the range of all.
+        Of each recording. Where they differ they are stacked over the range of all.
     rows
-        By recording and source, which draw of the curve each draw of δ went through.
+        Of each recording by source, which draw of the curve each draw of δ went through.
     """
-    first = next(iter(curves.values()))
-    if all(curve is first for curve in curves.values()):
-        return curve_group(first, level, seed, next(iter(rows.values())))
-    ranges = np.array([curve.amplitude_range_rpm for curve in curves.values()])
+    if all(curve is curves[0] for curve in curves):
+        return curve_group(curves[0], level, seed, rows[0])
+    ranges = np.array([curve.amplitude_range_rpm for curve in curves])
     ends = (float(ranges.min()), float(ranges.max()))
     parts = {
-        name: {CURVE.name: curve_group(curve, level, seed, rows[name], ends)}
-        for name, curve in curves.items()
+        name: {CURVE.name: curve_group(curve, level, seed, own, ends)}
+        for name, curve, own in zip(names, curves, rows, strict=True)
     }
     return stack_snapshots(parts)[CURVE.name]
 
